@@ -1,1 +1,4 @@
-//! Placeholder.
+//! From a bench description to a motion: simulation, gradient, skill, optimiser, plan.
+
+pub mod scene;
+pub mod skill;
