@@ -23,4 +23,6 @@
 extern crate std;
 
 pub mod displacement;
+pub mod fault;
+pub mod limits;
 pub mod pose;
