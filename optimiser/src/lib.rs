@@ -1,7 +1,10 @@
-//! Differentiable powder simulator and skill optimiser.
+//! From a bench description to a motion: simulation, gradient, skill, optimiser, plan.
 
 mod mpm;
+pub mod optim;
 mod real;
+pub mod rollout;
 pub mod scene;
 mod shape;
+pub mod skill;
 mod small;

@@ -1,1 +1,28 @@
-//! Placeholder.
+//! The words that both ends of a Powderline arm speak.
+//!
+//! The optimiser writes a plan, the executor plays it, the arm's controller performs it. What the three must agree
+//! on, to the last bit, lives here and only here: rotations ([`pose`]), quantised cumulative
+//! setpoints ([`displacement`]).
+//!
+//! No `std`, no allocation, no unsafe code and no panic: the same crate runs on the host and on a microcontroller, and
+//! `libm` gives both the same bits.
+#![no_std]
+#![forbid(unsafe_code)]
+#![warn(
+    clippy::indexing_slicing,
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::arithmetic_side_effects,
+    clippy::cast_possible_truncation,
+    clippy::std_instead_of_core
+)]
+#![cfg_attr(test, expect(clippy::unwrap_used, reason = "a test may stop at the first surprise"))]
+
+#[cfg(test)]
+extern crate std;
+
+pub mod displacement;
+pub mod fault;
+pub mod limits;
+pub mod pose;

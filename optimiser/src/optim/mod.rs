@@ -1,0 +1,53 @@
+//! The search for good skill parameters: curriculum RMSprop, as a state that is passed in and handed back.
+//!
+//! Nothing here simulates, reads a clock or touches a file. [`Search::next`] says what to evaluate,
+//! [`Search::record`] takes the answer; a search that was saved and loaded again goes on with the same bits.
+
+mod rmsprop;
+mod search;
+
+pub use rmsprop::{GradientError, RmsProp, RmsPropState};
+pub use search::{EpochRecord, Request, Search, SearchError};
+
+use crate::skill::Theta;
+use rand_chacha::{
+    ChaCha8Rng,
+    rand_core::{Rng, SeedableRng},
+};
+
+/// Stream of the seed's generator that theta is drawn from, so that other users of the seed are independent of it.
+const THETA_STREAM: u64 = 0x7468_6574_61;
+
+/// Draws the first theta uniformly from `ranges`, `[low, high]` for each component.
+pub fn initial_theta(ranges: &[[f64; 2]; 5], seed: u64) -> Theta {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    rng.set_stream(THETA_STREAM);
+    ranges.map(|[low, high]| {
+        let unit = (rng.next_u64() >> 11) as f64 * f64::EPSILON / 2.0;
+        (low + unit * (high - low)).clamp(low, high)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const RANGES: [[f64; 2]; 5] = [[-1.0, 1.0], [-0.5, 0.5], [0.25, 0.25], [0.0, 1.0], [-1.0, -0.5]];
+
+    #[test]
+    fn initial_theta_lies_in_its_ranges_and_depends_on_the_seed_only() {
+        for seed in 0..100 {
+            let theta = initial_theta(&RANGES, seed);
+            assert!(theta.iter().zip(RANGES).all(|(value, [low, high])| (low..=high).contains(value)));
+            assert_eq!(theta.map(f64::to_bits), initial_theta(&RANGES, seed).map(f64::to_bits));
+            assert_ne!(theta.map(f64::to_bits), initial_theta(&RANGES, seed + 1).map(f64::to_bits));
+        }
+    }
+
+    #[test]
+    fn initial_theta_covers_its_range() {
+        let mean: f64 = (0..1000).map(|seed| initial_theta(&RANGES, seed)[0]).sum::<f64>() / 1000.0;
+        let square: f64 = (0..1000).map(|seed| initial_theta(&RANGES, seed)[0].powi(2)).sum::<f64>() / 1000.0;
+        assert!(mean.abs() < 0.06 && (square - 1.0 / 3.0).abs() < 0.03, "{mean} {square}");
+    }
+}

@@ -1,0 +1,167 @@
+//! RMSprop with the paper's curriculum.
+//!
+//! | symbol | identifier      | equation                                        |
+//! |--------|-----------------|-------------------------------------------------|
+//! | v      | `mean_square`   | v' = beta v + (1 - beta) g^2                    |
+//! | Theta  | `theta`         | Theta' = clamp(Theta - lr g / (sqrt(v') + eps)) |
+//!
+//! In the first `curriculum_epochs` updates only depth, angle and lift take part; the running mean of a component
+//! starts, from zero, with its first update. The gradient is neither clipped nor rescaled: a step is at most
+//! lr / sqrt(1 - beta) in any component whatever the gradient's size.
+
+use crate::{
+    scene,
+    skill::{PARAMETER_NAMES, Theta},
+};
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+/// Components that take part from the first epoch: scooping depth, scooping angle, lift height.
+const CURRICULUM_COMPONENTS: usize = 3;
+
+/// The update rule.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RmsProp {
+    /// Decay of the running mean of the squared gradient.
+    pub beta: f64,
+    /// Learning rate.
+    pub learning_rate: f64,
+    /// Added to the root of the running mean.
+    pub epsilon: f64,
+    /// Updates in which only the first three components take part.
+    pub curriculum_epochs: u32,
+}
+
+/// All that one update hands to the next.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RmsPropState {
+    /// Skill parameters.
+    pub theta: Theta,
+    /// Running mean of the squared gradient.
+    pub mean_square: [f64; 5],
+    /// Updates made.
+    pub updates: u32,
+}
+
+/// A gradient that no update can be made from.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+#[error("the gradient with respect to the {name} is {value}", name = PARAMETER_NAMES[*index])]
+pub struct GradientError {
+    /// Which component, from 0.
+    pub index: usize,
+    /// Its value.
+    pub value: f64,
+}
+
+impl From<&scene::Optimiser> for RmsProp {
+    fn from(settings: &scene::Optimiser) -> Self {
+        Self {
+            beta: settings.beta,
+            learning_rate: settings.learning_rate,
+            epsilon: settings.epsilon,
+            curriculum_epochs: settings.curriculum_epochs,
+        }
+    }
+}
+
+impl RmsPropState {
+    /// Before the first update.
+    pub fn new(theta: Theta) -> Self {
+        Self { theta, mean_square: [0.0; 5], updates: 0 }
+    }
+}
+
+impl RmsProp {
+    /// One update.
+    ///
+    /// # Errors
+    /// A component of the gradient that takes part, or its square, is not finite.
+    pub fn update(&self, state: &RmsPropState, gradient: &Theta) -> Result<RmsPropState, GradientError> {
+        let mut next = RmsPropState { updates: state.updates + 1, ..*state };
+        for index in 0..self.active_components(state.updates) {
+            let g = gradient[index];
+            let mean_square = self.beta * state.mean_square[index] + (1.0 - self.beta) * g * g;
+            if !mean_square.is_finite() {
+                return Err(GradientError { index, value: g });
+            }
+            let step = self.learning_rate * g / (libm::sqrt(mean_square) + self.epsilon);
+            next.mean_square[index] = mean_square;
+            next.theta[index] = (state.theta[index] - step).clamp(-1.0, 1.0);
+        }
+        Ok(next)
+    }
+
+    /// How many of the five components, from the first, the update after `updates` others changes.
+    pub fn active_components(&self, updates: u32) -> usize {
+        if updates < self.curriculum_epochs { CURRICULUM_COMPONENTS } else { 5 }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const RULE: RmsProp = RmsProp { beta: 0.9, learning_rate: 0.05, epsilon: 1e-8, curriculum_epochs: 2 };
+
+    #[test]
+    fn follows_the_equations() {
+        let first = RULE.update(&RmsPropState::new([0.0; 5]), &[2.0; 5]).unwrap();
+        let step = 0.05 * 2.0 / (0.4f64.sqrt() + 1e-8);
+        assert!((first.theta[0] + step).abs() < 1e-15 && (first.mean_square[0] - 0.4).abs() < 1e-15);
+        let second = RULE.update(&first, &[-1.0; 5]).unwrap();
+        let step = 0.05 / (0.46f64.sqrt() + 1e-8);
+        assert!((second.theta[0] - first.theta[0] - step).abs() < 1e-15);
+    }
+
+    #[test]
+    fn curriculum_leaves_transport_and_pour_alone_and_their_means_at_zero() {
+        let mut state = RmsPropState::new([0.1; 5]);
+        for _ in 0..2 {
+            state = RULE.update(&state, &[1.0, 1.0, 1.0, f64::NAN, 1.0]).unwrap();
+        }
+        assert_eq!((state.theta[3].to_bits(), state.mean_square[3].to_bits()), (0.1f64.to_bits(), 0));
+        state = RULE.update(&state, &[1.0; 5]).unwrap();
+        assert!((state.mean_square[3] - 0.1).abs() < 1e-15 && state.theta[3] < 0.1);
+    }
+
+    #[test]
+    fn gradient_that_is_not_finite_is_named() {
+        let error = RULE.update(&RmsPropState::new([0.0; 5]), &[0.0, f64::NAN, 0.0, 0.0, 0.0]).unwrap_err();
+        assert_eq!(error.to_string(), "the gradient with respect to the scooping angle is NaN");
+        assert!(RULE.update(&RmsPropState::new([0.0; 5]), &[1e200; 5]).is_err());
+    }
+
+    #[test]
+    fn descends_a_quadratic_from_anywhere() {
+        let minimum = [0.3, -0.2, 0.5, -0.6, 0.1];
+        let rule = RmsProp { curriculum_epochs: 0, learning_rate: 0.01, ..RULE };
+        let mut state = RmsPropState::new([-0.9, 0.9, -0.5, 0.8, 1.0]);
+        for _ in 0..400 {
+            let gradient = std::array::from_fn(|k| 2.0 * (state.theta[k] - minimum[k]));
+            state = rule.update(&state, &gradient).unwrap();
+        }
+        assert!(
+            state.theta.iter().zip(minimum).all(|(found, wanted)| (found - wanted).abs() < 0.02),
+            "{state:?}"
+        );
+    }
+
+    proptest! {
+        #[test]
+        fn theta_stays_in_its_range_and_steps_are_bounded(
+            theta in prop::array::uniform5(-1.0..=1.0f64),
+            gradients in prop::collection::vec(prop::array::uniform5(-1e6..1e6f64), 1..50),
+        ) {
+            let mut state = RmsPropState::new(theta);
+            for gradient in gradients {
+                let next = RULE.update(&state, &gradient).unwrap();
+                for (new, old) in next.theta.iter().zip(state.theta) {
+                    prop_assert!((-1.0..=1.0).contains(new));
+                    prop_assert!((new - old).abs() <= 0.05 / 0.1f64.sqrt() + 1e-12);
+                }
+                state = next;
+            }
+        }
+    }
+}

@@ -1,0 +1,5 @@
+//! What a run leaves behind: its folder, the state to resume from, the plan, curves, and words.
+
+pub mod curves;
+pub mod folder;
+pub mod state;

@@ -1,0 +1,188 @@
+//! How long a segment lasts: long enough for its mean speed, and for the arm's limits to hold by construction.
+//!
+//! A minimum-jerk segment of travel D and duration T has the peaks (see `profile`)
+//!
+//! ```text
+//! |v| <= 15/8 D/T      |a| <= 10/sqrt(3) D/T^2      |j| <= 60 D/T^3
+//! ```
+//!
+//! so it keeps within the limits v_max, a_max, j_max, at a mean speed of at most v, exactly when
+//!
+//! ```text
+//! T >= max( D/v, 15/8 D/v_max, sqrt(10/sqrt(3) D/a_max), cbrt(60 D/j_max) )
+//! ```
+//!
+//! At a fixed mean speed, a short segment would break the last two: v^2/D grows without bound as D goes to 0.
+//!
+//! That the arm's limits hold on the *control sequence* follows: the pose is twice continuously differentiable in
+//! time (s' and s'' vanish at both ends of every segment), so first, second and third differences of the sampled
+//! pose, divided by the control period's first, second and third power, are weighted means (B-spline kernels) of
+//! its derivatives, and a mean never exceeds the largest value. Quantisation adds at most half an LSB to each
+//! component of each setpoint; [`Caps`] are the limits less what that can amount to.
+//!
+//! Under `continuous` timing T must be smooth in the skill, so the maximum is replaced by the norm of order 16,
+//! which is never below it and, with n terms, exceeds it by at most n^(1/16): 4.4 % where a scoop's sweep and
+//! rotation take equally long, next to nothing where one term leads. In the two roots D is replaced by
+//! `sqrt(D^2 + D_0^2)`, D_0 being the travel of one control period, because their slope at D = 0 is infinite.
+//! With `constant_speed` only D/v counts; its accelerations are jumps, which no duration brings within a limit.
+
+use super::{profile::MINIMUM_JERK, real::Real};
+use crate::scene::Profile;
+
+/// Limits that a segment's durations are made for: of translation (metres) or of rotation (radians).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Caps {
+    pub(super) velocity: f64,
+    pub(super) acceleration: f64,
+    pub(super) jerk: f64,
+}
+
+/// What a duration depends on besides the travel.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Pace {
+    /// Mean speed, per second.
+    pub(super) speed: f64,
+    pub(super) caps: Caps,
+    /// Travel of one control period at the mean speed.
+    pub(super) floor: f64,
+}
+
+/// A travel together with its pace.
+#[derive(Clone, Copy)]
+pub(super) struct Leg<S> {
+    pub(super) travel: S,
+    pub(super) pace: Pace,
+}
+
+impl<S: Real> Leg<S> {
+    fn by_speed(&self) -> S {
+        self.travel / S::constant(self.pace.speed)
+    }
+
+    /// Shortest durations that the velocity, acceleration and jerk limits allow.
+    fn by_limits(&self) -> [S; 3] {
+        let caps = self.pace.caps;
+        let floor = S::constant(self.pace.floor);
+        let travel = (self.travel * self.travel + floor * floor).sqrt();
+        [
+            self.travel * S::constant(MINIMUM_JERK.velocity / caps.velocity),
+            (travel * S::constant(MINIMUM_JERK.acceleration / caps.acceleration)).sqrt(),
+            (travel * S::constant(MINIMUM_JERK.jerk / caps.jerk)).cbrt(),
+        ]
+    }
+}
+
+/// Smooth duration of a segment whose legs are travelled at the same time, seconds.
+pub(super) fn continuous_s<S: Real>(profile: Profile, legs: &[Leg<S>]) -> S {
+    let mut norm = Norm16::default();
+    for leg in legs {
+        norm.push(leg.by_speed());
+        if profile == Profile::MinimumJerk {
+            leg.by_limits().into_iter().for_each(|term| norm.push(term));
+        }
+    }
+    norm.finish()
+}
+
+/// Control steps of a segment under `rounded` timing: the paper's `round(D / (v dt))`, at least one, and for
+/// minimum jerk at least as many as the limits need.
+pub(super) fn rounded_steps<S: Real>(profile: Profile, legs: &[Leg<S>], period_s: f64) -> u64 {
+    let longest =
+        |durations: &mut dyn Iterator<Item = S>| durations.map(|t| t.value().abs()).fold(0.0, f64::max);
+    let by_speed = libm::round(longest(&mut legs.iter().map(Leg::by_speed)) / period_s);
+    let by_limits = match profile {
+        Profile::ConstantSpeed => 0.0,
+        Profile::MinimumJerk => libm::ceil(longest(&mut legs.iter().flat_map(Leg::by_limits)) / period_s),
+    };
+    by_speed.max(by_limits).max(1.0) as u64
+}
+
+/// The norm of order 16 of at most eight terms: an upper bound of their largest magnitude, smooth in each of them
+/// (also through zero, the order being even).
+struct Norm16<S> {
+    terms: [Option<S>; 8],
+    len: usize,
+}
+
+impl<S: Copy> Default for Norm16<S> {
+    fn default() -> Self {
+        Self { terms: [None; 8], len: 0 }
+    }
+}
+
+impl<S: Real> Norm16<S> {
+    fn push(&mut self, term: S) {
+        self.terms[self.len] = Some(term);
+        self.len += 1;
+    }
+
+    /// Scaled by the largest term, so that powers neither overflow nor vanish; the scale cancels.
+    fn finish(self) -> S {
+        let terms = || self.terms.iter().flatten().copied();
+        let scale = terms().map(|term| term.value().abs()).fold(0.0, f64::max);
+        if scale <= 0.0 {
+            return S::constant(0.0);
+        }
+        let power = |x: S| {
+            let x2 = x * x;
+            let x4 = x2 * x2;
+            let x8 = x4 * x4;
+            x8 * x8
+        };
+        let sum = terms().fold(S::constant(0.0), |sum, term| sum + power(term / S::constant(scale)));
+        sum.sqrt().sqrt().sqrt().sqrt() * S::constant(scale)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const PACE: Pace =
+        Pace { speed: 0.1, caps: Caps { velocity: 0.25, acceleration: 2.0, jerk: 40.0 }, floor: 0.001 };
+
+    fn norm(terms: &[f64]) -> f64 {
+        let mut norm = Norm16::default();
+        terms.iter().for_each(|&term| norm.push(term));
+        norm.finish()
+    }
+
+    #[test]
+    fn norm_of_one_term_is_its_magnitude() {
+        assert!((norm(&[0.4]) - 0.4).abs() < 1e-16);
+        assert!((norm(&[-0.4]) - 0.4).abs() < 1e-16);
+        assert_eq!(norm(&[0.0]).to_bits(), 0.0f64.to_bits());
+    }
+
+    proptest! {
+        #[test]
+        fn norm_lies_between_the_maximum_and_its_stated_excess(terms in prop::collection::vec(1e-9..10.0f64, 1..8)) {
+            let largest = terms.iter().copied().fold(0.0, f64::max);
+            let bound = largest * (terms.len() as f64).powf(1.0 / 16.0);
+            let norm = norm(&terms);
+            prop_assert!(norm >= largest * (1.0 - 1e-15) && norm <= bound * (1.0 + 1e-15));
+        }
+
+        #[test]
+        fn durations_keep_the_peaks_within_the_caps(travel in -0.4..0.4f64) {
+            let leg = Leg { travel, pace: PACE };
+            let steps = rounded_steps(Profile::MinimumJerk, &[leg], 0.01);
+            for duration in [continuous_s(Profile::MinimumJerk, &[leg]), steps as f64 * 0.01] {
+                let travel = travel.abs();
+                let slack = 1.0 + 1e-12;
+                prop_assert!(MINIMUM_JERK.velocity * travel / duration <= PACE.caps.velocity * slack);
+                prop_assert!(MINIMUM_JERK.acceleration * travel / duration.powi(2) <= PACE.caps.acceleration * slack);
+                prop_assert!(MINIMUM_JERK.jerk * travel / duration.powi(3) <= PACE.caps.jerk * slack);
+            }
+        }
+    }
+
+    #[test]
+    fn constant_speed_takes_travel_over_speed() {
+        let leg = Leg { travel: 0.0314, pace: PACE };
+        assert!((continuous_s(Profile::ConstantSpeed, &[leg]) - 0.314).abs() < 1e-15);
+        assert_eq!(rounded_steps(Profile::ConstantSpeed, &[leg], 0.01), 31);
+        assert_eq!(rounded_steps(Profile::ConstantSpeed, &[Leg { travel: 0.0, pace: PACE }], 0.01), 1);
+    }
+}

@@ -1,0 +1,270 @@
+//! From five skill parameters to a control sequence, with its derivative.
+//!
+//! `g` of the paper: theta in `[-1, 1]^5` maps affinely to scooping depth, scooping angle, lift height, transport
+//! displacement and pouring angle; these set the travels of six segments (approach, insert, scoop, lift,
+//! transport, pour); the segments, laid end to end at fixed mean speeds, are a motion of the tool; the motion
+//! sampled at the control ticks is the control sequence: one six-dimensional displacement per control step, in
+//! the world frame, translation (metres) before rotation vector (radians). After the pour the tool rests to the end of the horizon.
+//!
+//! Where the mapping is not smooth: with `rounded` timing where a step count flips (the count is a constant for
+//! the derivative); with `constant_speed` where a control tick meets the end of a segment, and where a travel
+//! passes through zero. `continuous` timing with `minimum_jerk` is twice continuously differentiable everywhere.
+
+mod duration;
+mod motion;
+mod profile;
+mod real;
+#[cfg(test)]
+mod tests;
+
+pub use motion::SegmentKind;
+pub use real::{Dual5, Real};
+
+use crate::scene::{Limits, Scene, Skill, Time};
+use duration::{Caps, Pace};
+use motion::{Clock, Coordinates, Segment, Travel};
+use thiserror::Error;
+
+/// Normalised skill parameters: depth, scoop angle, lift, transport, pour angle, each in `[-1, 1]`.
+pub type Theta = [f64; 5];
+
+/// One control step: translation in metres, then rotation vector in radians, world frame.
+pub type Control = [f64; 6];
+
+/// Names of the five skill parameters, in the order of [`Theta`].
+pub const PARAMETER_NAMES: [&str; 5] =
+    ["scooping depth", "scooping angle", "lift height", "transport displacement", "pouring angle"];
+
+/// Physical units of the five skill parameters.
+pub const PARAMETER_UNITS: [&str; 5] = ["m", "rad", "m", "m", "rad"];
+
+/// Why a skill is not a motion.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum SkillError {
+    /// A component of theta is outside `[-1, 1]`, or not a number.
+    #[error("theta's component {index} ({name}) is {value}, outside [-1, 1]", name = PARAMETER_NAMES[*index])]
+    Theta {
+        /// Which component, from 0.
+        index: usize,
+        /// Its value.
+        value: f64,
+    },
+    /// The segments take longer than the horizon.
+    #[error("the motion takes {motion_s:.3} s, longer than the horizon of {horizon_s:.3} s")]
+    TooLong {
+        /// Time that the segments take together, seconds.
+        motion_s: f64,
+        /// Horizon, seconds.
+        horizon_s: f64,
+    },
+}
+
+/// The place of one segment in time, seconds from the start of the motion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SegmentSpan {
+    /// What the segment does.
+    pub kind: SegmentKind,
+    /// Start, seconds.
+    pub start_s: f64,
+    /// End, seconds.
+    pub end_s: f64,
+}
+
+/// A control sequence with its derivative.
+#[derive(Clone, Debug)]
+pub struct Linearised {
+    /// One displacement per control step.
+    pub controls: Vec<Control>,
+    /// `jacobian[i][row][k]`: derivative of `controls[i][row]` with respect to theta's component `k`.
+    pub jacobian: Vec<[[f64; 5]; 6]>,
+}
+
+impl Linearised {
+    /// Gradient with respect to theta, given that with respect to the controls.
+    ///
+    /// Summed in the order of the steps, so its bits depend on nothing else. Missing cotangents count as zero.
+    pub fn pull_back(&self, control_bars: &[Control]) -> Theta {
+        let mut theta_bar = [0.0; 5];
+        for (jacobian, control_bar) in self.jacobian.iter().zip(control_bars) {
+            for (row, bar) in jacobian.iter().zip(control_bar) {
+                for (sum, partial) in theta_bar.iter_mut().zip(row) {
+                    *sum += bar * partial;
+                }
+            }
+        }
+        theta_bar
+    }
+}
+
+/// The mapping of one scene.
+#[derive(Clone, Debug)]
+pub struct SkillMap {
+    /// Physical values at theta = -1 and +1: metres and radians.
+    bounds: [[f64; 2]; 5],
+    /// Unit vector of the heading, world frame.
+    forward: [f64; 3],
+    /// Unit vector of the pitch axis, world frame.
+    pitch_axis: [f64; 3],
+    approach_m: f64,
+    sweep_m: f64,
+    clock: Clock,
+}
+
+impl SkillMap {
+    /// Takes what it needs from a validated scene.
+    pub fn new(scene: &Scene) -> Self {
+        Self::from_parts(&scene.skill, &scene.time, &scene.limits)
+    }
+
+    fn from_parts(skill: &Skill, time: &Time, limits: &Limits) -> Self {
+        let radians = |bounds: [f64; 2]| bounds.map(f64::to_radians);
+        let (sin, cos) = libm::sincos(skill.heading_deg.to_radians());
+        Self {
+            bounds: [
+                skill.scooping_depth_m,
+                radians(skill.scooping_angle_deg),
+                skill.lift_height_m,
+                skill.transport_displacement_m,
+                radians(skill.pouring_angle_deg),
+            ],
+            forward: [cos, sin, 0.0],
+            pitch_axis: [-sin, cos, 0.0],
+            approach_m: skill.approach_m,
+            sweep_m: skill.sweep_m,
+            clock: clock(skill, time, limits),
+        }
+    }
+
+    /// The five parameters in metres and radians.
+    pub fn parameters(&self, theta: &Theta) -> [f64; 5] {
+        self.physical(theta)
+    }
+
+    /// The segments' places in time; the tool rests from the end of the last one.
+    pub fn segments(&self, theta: &Theta) -> Vec<SegmentSpan> {
+        self.schedule(theta)
+            .iter()
+            .map(|segment| SegmentSpan {
+                kind: segment.kind,
+                start_s: segment.start_s,
+                end_s: segment.end_s(),
+            })
+            .collect()
+    }
+
+    /// The control sequence, one displacement per control step.
+    ///
+    /// # Errors
+    /// [`SkillError::Theta`] and [`SkillError::TooLong`].
+    pub fn controls(&self, theta: &Theta) -> Result<Vec<Control>, SkillError> {
+        check_theta(theta)?;
+        let coordinates = self.coordinates(theta)?;
+        Ok(coordinates.array_windows().map(|[from, to]| self.control(from, to)).collect())
+    }
+
+    /// The control sequence and its derivative, exact to rounding.
+    ///
+    /// # Errors
+    /// [`SkillError::Theta`] and [`SkillError::TooLong`].
+    pub fn linearise(&self, theta: &Theta) -> Result<Linearised, SkillError> {
+        check_theta(theta)?;
+        let dual: [Dual5; 5] = std::array::from_fn(|k| Dual5::variable(theta[k], k));
+        let coordinates = self.coordinates(&dual)?;
+        let steps: Vec<[Dual5; 6]> =
+            coordinates.array_windows().map(|[from, to]| self.control(from, to)).collect();
+        Ok(Linearised {
+            controls: steps.iter().map(|step| step.map(|component| component.value)).collect(),
+            jacobian: steps.iter().map(|step| step.map(|component| component.partials)).collect(),
+        })
+    }
+
+    /// Exact at both ends of the range.
+    fn physical<S: Real>(&self, theta: &[S; 5]) -> [S; 5] {
+        let half = S::constant(0.5);
+        std::array::from_fn(|k| {
+            let [low, high] = self.bounds[k].map(S::constant);
+            half * ((S::constant(1.0) - theta[k]) * low + (S::constant(1.0) + theta[k]) * high)
+        })
+    }
+
+    fn travels<S: Real>(&self, theta: &[S; 5]) -> [Travel<S>; 6] {
+        let [depth, scoop, lift, transport, pour] = self.physical(theta);
+        let [approach, sweep] = [self.approach_m, self.sweep_m].map(S::constant);
+        let down = |travel: S| Some(S::constant(0.0) - travel);
+        let rest = |kind| Travel { kind, forward: None, up: None, pitch: None };
+        [
+            Travel { up: down(approach), ..rest(SegmentKind::Approach) },
+            Travel { up: down(depth), ..rest(SegmentKind::Insert) },
+            Travel { forward: Some(sweep), pitch: down(scoop), ..rest(SegmentKind::Scoop) },
+            Travel { up: Some(lift), ..rest(SegmentKind::Lift) },
+            Travel { forward: Some(transport), ..rest(SegmentKind::Transport) },
+            Travel { pitch: Some(pour), ..rest(SegmentKind::Pour) },
+        ]
+    }
+
+    fn schedule<S: Real>(&self, theta: &[S; 5]) -> Vec<Segment<S>> {
+        self.clock.schedule(&self.travels(theta))
+    }
+
+    fn coordinates<S: Real>(&self, theta: &[S; 5]) -> Result<Vec<Coordinates<S>>, SkillError> {
+        let segments = self.schedule(theta);
+        let motion_s = segments.last().map_or(0.0, |segment| segment.end_s().value());
+        let horizon_s = f64::from(self.clock.horizon_steps) * self.clock.period_s;
+        // A millionth of a control step: end times are sums of rounded numbers.
+        if motion_s > horizon_s + 1e-6 * self.clock.period_s {
+            return Err(SkillError::TooLong { motion_s, horizon_s });
+        }
+        Ok(self.clock.sample(&segments))
+    }
+
+    fn control<S: Real>(&self, from: &Coordinates<S>, to: &Coordinates<S>) -> [S; 6] {
+        let [forward, up, pitch]: [S; 3] = std::array::from_fn(|k| to[k] - from[k]);
+        let along = |axis: f64, travel: S| travel * S::constant(axis);
+        [
+            along(self.forward[0], forward),
+            along(self.forward[1], forward),
+            up,
+            along(self.pitch_axis[0], pitch),
+            along(self.pitch_axis[1], pitch),
+            S::constant(0.0),
+        ]
+    }
+}
+
+/// Refuses components outside `[-1, 1]` and those that are not numbers.
+///
+/// # Errors
+/// [`SkillError::Theta`] for the first such component.
+pub fn check_theta(theta: &Theta) -> Result<(), SkillError> {
+    match theta.iter().position(|value| !(-1.0..=1.0).contains(value)) {
+        Some(index) => Err(SkillError::Theta { index, value: theta[index] }),
+        None => Ok(()),
+    }
+}
+
+fn clock(skill: &Skill, time: &Time, limits: &Limits) -> Clock {
+    let period_s = f64::from(time.control_period_us) * 1e-6;
+    let pace = |speed, caps| Pace { speed, caps, floor: speed * period_s };
+    Clock {
+        linear: pace(
+            skill.linear_speed_m_s,
+            Caps {
+                velocity: limits.linear_velocity_m_s,
+                acceleration: limits.linear_acceleration_m_s2,
+                jerk: limits.linear_jerk_m_s3,
+            },
+        ),
+        angular: pace(
+            skill.angular_speed_rad_s,
+            Caps {
+                velocity: limits.angular_velocity_rad_s,
+                acceleration: limits.angular_acceleration_rad_s2,
+                jerk: limits.angular_jerk_rad_s3,
+            },
+        ),
+        timing: skill.timing,
+        profile: skill.profile,
+        period_s,
+        horizon_steps: time.horizon_steps,
+    }
+}

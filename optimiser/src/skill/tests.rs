@@ -1,0 +1,346 @@
+use super::*;
+use crate::scene::{Profile, Timing};
+use proptest::prelude::*;
+
+const KINDS: [(Timing, Profile); 4] = [
+    (Timing::Continuous, Profile::MinimumJerk),
+    (Timing::Continuous, Profile::ConstantSpeed),
+    (Timing::Rounded, Profile::MinimumJerk),
+    (Timing::Rounded, Profile::ConstantSpeed),
+];
+
+fn skill(timing: Timing, profile: Profile) -> Skill {
+    Skill {
+        scooping_depth_m: [0.006, 0.020],
+        scooping_angle_deg: [0.0, 100.0],
+        lift_height_m: [0.02, 0.09],
+        transport_displacement_m: [0.04, 0.16],
+        pouring_angle_deg: [20.0, 160.0],
+        initial_theta: [[-1.0, 1.0]; 5],
+        heading_deg: 0.0,
+        approach_m: 0.02,
+        sweep_m: 0.03,
+        linear_speed_m_s: 0.1,
+        angular_speed_rad_s: 1.5,
+        timing,
+        profile,
+    }
+}
+
+fn time() -> Time {
+    Time { control_period_us: 10_000, substeps: 20, horizon_steps: 900, settle_s: 0.5 }
+}
+
+fn limits() -> Limits {
+    Limits {
+        workspace_min_m: [-1.0; 3],
+        workspace_max_m: [1.0; 3],
+        linear_velocity_m_s: 0.25,
+        linear_acceleration_m_s2: 1.5,
+        linear_jerk_m_s3: 30.0,
+        angular_velocity_rad_s: 4.0,
+        angular_acceleration_rad_s2: 25.0,
+        angular_jerk_rad_s3: 500.0,
+    }
+}
+
+fn map(timing: Timing, profile: Profile) -> SkillMap {
+    SkillMap::from_parts(&skill(timing, profile), &time(), &limits())
+}
+
+fn theta() -> impl Strategy<Value = Theta> {
+    prop::array::uniform5(-1.0..=1.0f64)
+}
+
+/// Sum of the controls from the start: displacement of the origin and (the axis never turning) rotation vector.
+fn total(controls: &[Control]) -> Control {
+    controls.iter().fold([0.0; 6], |sum, step| std::array::from_fn(|k| sum[k] + step[k]))
+}
+
+fn norm(v: &[f64]) -> f64 {
+    v.iter().map(|x| x * x).sum::<f64>().sqrt()
+}
+
+fn close(a: f64, b: f64, tolerance: f64) -> bool {
+    (a - b).abs() <= tolerance
+}
+
+/// Controls of the steps that lie wholly inside the segment.
+fn inside<'a>(map: &SkillMap, controls: &'a [Control], theta: &Theta, kind: SegmentKind) -> &'a [Control] {
+    let span = *map.segments(theta).iter().find(|span| span.kind == kind).unwrap();
+    let tick = |time_s: f64| time_s / 0.01;
+    &controls[(tick(span.start_s) - 1e-9).ceil() as usize..(tick(span.end_s) + 1e-9).floor() as usize]
+}
+
+#[test]
+fn theta_maps_affinely_and_exactly_at_the_ends() {
+    let map = map(Timing::Continuous, Profile::MinimumJerk);
+    assert_eq!(map.parameters(&[-1.0; 5]).map(f64::to_bits), map.bounds.map(|b| b[0].to_bits()));
+    assert_eq!(map.parameters(&[1.0; 5]).map(f64::to_bits), map.bounds.map(|b| b[1].to_bits()));
+    assert!(close(map.parameters(&[0.5; 5])[0], 0.0165, 1e-15));
+}
+
+#[test]
+fn theta_outside_its_range_is_refused_by_name() {
+    let map = map(Timing::Continuous, Profile::MinimumJerk);
+    for value in [1.000_001, -1.5, f64::NAN, f64::INFINITY] {
+        let error = map.controls(&[0.0, 0.0, 0.0, value, 0.0]).unwrap_err();
+        assert!(error.to_string().contains("transport displacement"), "{error}");
+    }
+}
+
+#[test]
+fn constant_speed_segments_move_at_their_speeds_in_their_directions() {
+    let theta = [0.1, 0.2, -0.3, 0.4, 0.5];
+    for timing in [Timing::Continuous, Timing::Rounded] {
+        let map = map(timing, Profile::ConstantSpeed);
+        let controls = map.controls(&theta).unwrap();
+        let moves = [
+            (SegmentKind::Approach, [0.0, 0.0, -0.001, 0.0, 0.0, 0.0]),
+            (SegmentKind::Insert, [0.0, 0.0, -0.001, 0.0, 0.0, 0.0]),
+            (SegmentKind::Lift, [0.0, 0.0, 0.001, 0.0, 0.0, 0.0]),
+            (SegmentKind::Transport, [0.001, 0.0, 0.0, 0.0, 0.0, 0.0]),
+            (SegmentKind::Pour, [0.0, 0.0, 0.0, 0.0, 0.015, 0.0]),
+        ];
+        for (kind, step) in moves {
+            // A rounded count changes the step by at most half a step in the segment's count.
+            let steps = inside(&map, &controls, &theta, kind);
+            let tolerance = if timing == Timing::Rounded { 0.6 / steps.len() as f64 } else { 1e-11 };
+            for control in steps {
+                for (found, wanted) in control.iter().zip(step) {
+                    assert!(
+                        close(*found, wanted, wanted.abs() * tolerance + 1e-15),
+                        "{kind:?} {found} {wanted}"
+                    );
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn continuous_constant_speed_ends_its_segments_at_the_sums_of_distance_over_speed() {
+    let theta = [0.1, 0.2, -0.3, 0.4, 0.5];
+    let map = map(Timing::Continuous, Profile::ConstantSpeed);
+    let [depth, scoop, lift, transport, pour] = map.parameters(&theta);
+    let scoop_s = ((0.03f64 / 0.1).powi(16) + (scoop / 1.5).powi(16)).powf(1.0 / 16.0);
+    let durations = [0.2, depth / 0.1, scoop_s, lift / 0.1, transport / 0.1, pour / 1.5];
+    let mut end_s = 0.0;
+    for (span, duration_s) in map.segments(&theta).iter().zip(durations) {
+        assert!(close(span.start_s, end_s, 1e-14));
+        end_s += duration_s;
+        assert!(close(span.end_s, end_s, 1e-14));
+    }
+}
+
+#[test]
+fn rounded_constant_speed_takes_the_papers_step_counts() {
+    let theta = [0.1, 0.2, -0.31, 0.4, 0.5];
+    let map = map(Timing::Rounded, Profile::ConstantSpeed);
+    let [depth, scoop, lift, transport, pour] = map.parameters(&theta);
+    let counts = [20.0, (depth / 0.001).round(), (scoop / 0.015).round(), (lift / 0.001).round()];
+    let counts = [&counts[..], &[(transport / 0.001).round(), (pour / 0.015).round()]].concat();
+    let mut end = 0.0;
+    for (span, count) in map.segments(&theta).iter().zip(counts) {
+        end += count;
+        assert!(close(span.end_s, end * 0.01, 1e-12), "{span:?} {end}");
+    }
+}
+
+#[test]
+fn minimum_jerk_segment_follows_the_quintic() {
+    let theta = [0.3; 5];
+    for timing in [Timing::Continuous, Timing::Rounded] {
+        let map = map(timing, Profile::MinimumJerk);
+        let controls = map.controls(&theta).unwrap();
+        let span = map.segments(&theta)[4];
+        let quintic = |t: f64| {
+            let r = ((t - span.start_s) / (span.end_s - span.start_s)).clamp(0.0, 1.0);
+            10.0 * r.powi(3) - 15.0 * r.powi(4) + 6.0 * r.powi(5)
+        };
+        let transport = map.parameters(&theta)[3];
+        for (i, control) in controls.iter().enumerate() {
+            let time = i as f64 * 0.01;
+            if time >= span.start_s && time + 0.01 <= span.end_s {
+                let step = transport * (quintic(time + 0.01) - quintic(time));
+                assert!(close(control[0], step, 1e-14), "{i}");
+            }
+        }
+    }
+}
+
+#[test]
+fn motion_longer_than_the_horizon_is_refused_with_both_times() {
+    for (timing, profile) in KINDS {
+        let short = Time { horizon_steps: 100, ..time() };
+        let map = SkillMap::from_parts(&skill(timing, profile), &short, &limits());
+        let error = map.controls(&[0.0; 5]).unwrap_err();
+        let SkillError::TooLong { motion_s, horizon_s } = error else { panic!("{error}") };
+        assert!(motion_s > 2.0 && close(horizon_s, 1.0, 1e-12));
+    }
+}
+
+#[test]
+fn motion_that_just_fits_the_horizon_is_accepted() {
+    let rounded = map(Timing::Rounded, Profile::MinimumJerk);
+    let end_s = rounded.segments(&[0.5; 5]).last().unwrap().end_s;
+    let fitting = Time { horizon_steps: (end_s / 0.01).round() as u32, ..time() };
+    let map = SkillMap::from_parts(&skill(Timing::Rounded, Profile::MinimumJerk), &fitting, &limits());
+    let full = total(&rounded.controls(&[0.5; 5]).unwrap());
+    let fitted = total(&map.controls(&[0.5; 5]).unwrap());
+    assert_eq!(full.map(f64::to_bits), fitted.map(f64::to_bits));
+}
+
+#[test]
+fn travels_of_zero_are_motions() {
+    for (timing, profile) in KINDS {
+        let still = Skill { sweep_m: 0.0, approach_m: 0.0, ..skill(timing, profile) };
+        let map = SkillMap::from_parts(&still, &time(), &limits());
+        let at = map.linearise(&[-1.0; 5]).unwrap();
+        assert!(at.controls.iter().flatten().all(|value| value.is_finite()));
+        assert!(at.jacobian.iter().flatten().flatten().all(|value| value.is_finite()));
+    }
+}
+
+#[test]
+fn the_scoop_kink_of_constant_speed_is_rounded_off_from_above() {
+    // Sweep and rotation take equally long: the duration is 2^(1/16) times either.
+    let equal = Skill {
+        scooping_angle_deg: [0.45f64.to_degrees(); 2],
+        ..skill(Timing::Continuous, Profile::ConstantSpeed)
+    };
+    let span = SkillMap::from_parts(&equal, &time(), &limits()).segments(&[0.0; 5])[2];
+    assert!(close(span.end_s - span.start_s, 0.3 * 2f64.powf(1.0 / 16.0), 1e-12));
+}
+
+/// Remainder of the linear model after a step of length `h` along `direction`.
+fn remainder(map: &SkillMap, theta: &Theta, direction: &Theta, h: f64) -> f64 {
+    let at = map.linearise(theta).unwrap();
+    let moved = map.controls(&std::array::from_fn(|k| theta[k] + h * direction[k])).unwrap();
+    let squares = moved.iter().zip(&at.controls).zip(&at.jacobian).map(|((moved, control), jacobian)| {
+        let residual = |row: usize| {
+            let linear: f64 = (0..5).map(|k| jacobian[row][k] * direction[k]).sum();
+            moved[row] - control[row] - h * linear
+        };
+        (0..6).map(|row| residual(row).powi(2)).sum::<f64>()
+    });
+    squares.sum::<f64>().sqrt()
+}
+
+#[test]
+fn taylor_remainder_of_the_smooth_mapping_falls_with_slope_two() {
+    let map = map(Timing::Continuous, Profile::MinimumJerk);
+    let (theta, direction) = ([0.1, -0.2, 0.3, 0.15, -0.4], [0.5, -0.7, 0.3, 0.6, 0.4]);
+    let remainders: Vec<f64> =
+        (0..5).map(|k| remainder(&map, &theta, &direction, 1e-2 * 0.5f64.powi(k))).collect();
+    for pair in remainders.windows(2) {
+        let slope = (pair[0] / pair[1]).log2();
+        assert!((slope - 2.0).abs() < 0.1, "slope {slope}: {remainders:?}");
+    }
+}
+
+/// Constant speed makes the mapping piecewise linear but for the scoop's duration, rounded timing linear as long as
+/// no count flips: the remainder, rather than falling with slope 2, is next to nothing.
+#[test]
+fn taylor_remainder_of_the_piecewise_linear_mappings_is_second_order_or_rounding() {
+    let (theta, direction) = ([0.1, -0.2, 0.3, 0.15, -0.4], [0.5, -0.7, 0.3, 0.6, 0.4]);
+    for (timing, profile) in &KINDS[1..] {
+        let map = map(*timing, *profile);
+        for h in [1e-4, 1e-5, 1e-6] {
+            let remainder = remainder(&map, &theta, &direction, h);
+            assert!(remainder <= 0.1 * h * h + 1e-14, "{timing:?} {profile:?} {h}: {remainder}");
+        }
+    }
+}
+
+proptest! {
+    #[test]
+    fn jacobian_agrees_with_central_differences(theta in prop::array::uniform5(-0.99..0.99f64)) {
+        let map = map(Timing::Continuous, Profile::MinimumJerk);
+        let at = map.linearise(&theta).unwrap();
+        let h = 1e-5;
+        for k in 0..5 {
+            let shifted = |sign: f64| {
+                let mut theta = theta;
+                theta[k] += sign * h;
+                map.controls(&theta).unwrap()
+            };
+            let (up, down) = (shifted(1.0), shifted(-1.0));
+            for i in 0..at.controls.len() {
+                for row in 0..6 {
+                    let difference = (up[i][row] - down[i][row]) / (2.0 * h);
+                    prop_assert!(close(at.jacobian[i][row][k], difference, 1e-7));
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn linearised_controls_are_the_controls(theta in theta()) {
+        for (timing, profile) in KINDS {
+            let map = map(timing, profile);
+            prop_assert_eq!(map.linearise(&theta).unwrap().controls, map.controls(&theta).unwrap());
+        }
+    }
+
+    #[test]
+    fn ends_where_the_parameters_say(theta in theta(), heading_deg in -180.0..180.0f64) {
+        for (timing, profile) in KINDS {
+            let skill = Skill { heading_deg, ..skill(timing, profile) };
+            let map = SkillMap::from_parts(&skill, &time(), &limits());
+            let [depth, scoop, lift, transport, pour] = map.parameters(&theta);
+            let (sin, cos) = heading_deg.to_radians().sin_cos();
+            let (forward, pitch) = (0.03 + transport, pour - scoop);
+            let wanted = [forward * cos, forward * sin, lift - depth - 0.02, -pitch * sin, pitch * cos, 0.0];
+            let found = total(&map.controls(&theta).unwrap());
+            for (found, wanted) in found.iter().zip(wanted) {
+                prop_assert!(close(*found, wanted, 1e-13));
+            }
+        }
+    }
+
+    #[test]
+    fn minimum_jerk_keeps_the_limits_by_construction(theta in theta(), speed in 0.02..0.24f64) {
+        for timing in [Timing::Continuous, Timing::Rounded] {
+            let skill = Skill { linear_speed_m_s: speed, ..skill(timing, Profile::MinimumJerk) };
+            let slow = Time { horizon_steps: 4000, ..time() };
+            let controls = SkillMap::from_parts(&skill, &slow, &limits()).controls(&theta).unwrap();
+            let (translation, rotation): (Vec<[f64; 3]>, Vec<[f64; 3]>) =
+                controls.iter().map(|c| ([c[0], c[1], c[2]], [c[3], c[4], c[5]])).unzip();
+            let limits = limits();
+            let linear = [limits.linear_velocity_m_s, limits.linear_acceleration_m_s2, limits.linear_jerk_m_s3];
+            let angular =
+                [limits.angular_velocity_rad_s, limits.angular_acceleration_rad_s2, limits.angular_jerk_rad_s3];
+            for (steps, limits) in [(translation, linear), (rotation, angular)] {
+                for (peak, limit) in peaks(&steps).into_iter().zip(limits) {
+                    prop_assert!(peak <= limit * (1.0 + 1e-9), "{timing:?} {peak} {limit}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn pull_back_is_the_transpose_of_the_jacobian(theta in theta(), direction in theta(), seed in any::<u64>()) {
+        let at = map(Timing::Continuous, Profile::MinimumJerk).linearise(&theta).unwrap();
+        let bars: Vec<Control> =
+            (0..at.controls.len() as u64).map(|i| std::array::from_fn(|k| (seed ^ (7 * i + k as u64)) as f64 / 1e19)).collect();
+        let pushed: f64 = at.jacobian.iter().zip(&bars).map(|(jacobian, bar)| {
+            (0..6).map(|row| bar[row] * (0..5).map(|k| jacobian[row][k] * direction[k]).sum::<f64>()).sum::<f64>()
+        }).sum();
+        let pulled: f64 = at.pull_back(&bars).iter().zip(direction).map(|(bar, d)| bar * d).sum();
+        prop_assert!(close(pushed, pulled, 1e-12 * (1.0 + pushed.abs())));
+    }
+}
+
+/// Largest first, second and third differences over the control period, from rest to rest.
+fn peaks(steps: &[[f64; 3]]) -> [f64; 3] {
+    let rest = [[0.0; 3]; 3];
+    let mut rates: Vec<[f64; 3]> = [&rest[..], steps, &rest[..]].concat();
+    rates.iter_mut().flatten().for_each(|value| *value /= 0.01);
+    std::array::from_fn(|order| {
+        if order > 0 {
+            rates = rates.windows(2).map(|w| std::array::from_fn(|k| (w[1][k] - w[0][k]) / 0.01)).collect();
+        }
+        rates.iter().map(|rate| norm(rate)).fold(0.0, f64::max)
+    })
+}

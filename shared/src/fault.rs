@@ -1,0 +1,192 @@
+//! Faults: stable numbers and one plain sentence each.
+//!
+//! A number, once given, is never reused. The hundreds are bands:
+//!
+//! | band | about                                                     |
+//! |------|-----------------------------------------------------------|
+//! | 1xx  | the stream of setpoints                                   |
+//! | 2xx  | limits, found by the executor before sending              |
+//! | 3xx  | limits, found by the arm's controller on receiving        |
+//! | 4xx  | session, handshake and states                             |
+//! | 5xx  | a person's decision                                       |
+
+use core::fmt;
+
+use serde::{Deserialize, Serialize};
+
+use crate::limits::Limit;
+
+/// Who found that a limit is broken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Side {
+    /// The executor, before sending.
+    Executor,
+    /// The arm's controller, on receiving.
+    Arm,
+}
+
+macro_rules! fault_codes {
+    ($($(#[$doc:meta])* $name:ident = $code:literal, $sentence:literal;)*) => {
+        /// What stopped a motion.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+        #[repr(u16)]
+        #[serde(into = "u16", try_from = "u16")]
+        pub enum FaultCode {
+            $(#[doc = $sentence] $(#[$doc])* $name = $code,)*
+        }
+
+        impl FaultCode {
+            /// All codes, in the order of their numbers.
+            pub const ALL: &'static [Self] = &[$(Self::$name),*];
+
+            /// The code's stable number.
+            #[must_use]
+            pub const fn number(self) -> u16 {
+                match self { $(Self::$name => $code,)* }
+            }
+
+            /// One plain sentence.
+            #[must_use]
+            pub const fn sentence(self) -> &'static str {
+                match self { $(Self::$name => $sentence,)* }
+            }
+        }
+
+        impl TryFrom<u16> for FaultCode {
+            type Error = UnknownFaultCode;
+
+            fn try_from(number: u16) -> Result<Self, UnknownFaultCode> {
+                match number {
+                    $($code => Ok(Self::$name),)*
+                    _ => Err(UnknownFaultCode(number)),
+                }
+            }
+        }
+    };
+}
+
+fault_codes! {
+    SetpointMissing = 101, "The next setpoint had not arrived when the arm needed it.";
+    SetpointRepeated = 102, "A setpoint arrived a second time with different content.";
+    SetpointBeyondCredit = 103, "A setpoint arrived for which the arm had granted no credit.";
+    SetpointPastEnd = 104, "A setpoint arrived for a tick after the announced end of the plan.";
+    SetpointNotRepresentable = 105, "A setpoint held a rotation of pi or more, or a jump across it.";
+    ArmSilent = 111, "The arm's controller stopped reporting.";
+    PlanUnreadable = 121, "The plan in memory could not be read to its end.";
+
+    GuardWorkspace = 201, "The executor refused a setpoint outside the workspace.";
+    GuardLinearVelocity = 202, "The executor refused a setpoint that breaks the limit on linear velocity.";
+    GuardLinearAcceleration = 203, "The executor refused a setpoint that breaks the limit on linear acceleration.";
+    GuardLinearJerk = 204, "The executor refused a setpoint that breaks the limit on linear jerk.";
+    GuardAngularVelocity = 205, "The executor refused a setpoint that breaks the limit on angular velocity.";
+    GuardAngularAcceleration = 206, "The executor refused a setpoint that breaks the limit on angular acceleration.";
+    GuardAngularJerk = 207, "The executor refused a setpoint that breaks the limit on angular jerk.";
+
+    ArmWorkspace = 301, "The arm refused a setpoint outside its workspace.";
+    ArmLinearVelocity = 302, "The arm refused a setpoint that breaks its limit on linear velocity.";
+    ArmLinearAcceleration = 303, "The arm refused a setpoint that breaks its limit on linear acceleration.";
+    ArmLinearJerk = 304, "The arm refused a setpoint that breaks its limit on linear jerk.";
+    ArmAngularVelocity = 305, "The arm refused a setpoint that breaks its limit on angular velocity.";
+    ArmAngularAcceleration = 306, "The arm refused a setpoint that breaks its limit on angular acceleration.";
+    ArmAngularJerk = 307, "The arm refused a setpoint that breaks its limit on angular jerk.";
+
+    SessionRefused = 401, "The arm refused the session: its version, control period, step count or limits do not fit.";
+    CommandRefused = 402, "A command arrived that the present state does not allow.";
+    AnchorElsewhere = 403, "The arm stands too far from the start pose of the plan.";
+    StateUnexpected = 404, "The arm left the state that the session needs.";
+
+    OperatorStop = 501, "A person stopped the motion.";
+}
+
+impl FaultCode {
+    /// The code for a broken limit.
+    #[must_use]
+    pub const fn from_limit(limit: Limit, side: Side) -> Self {
+        match (side, limit) {
+            (Side::Executor, Limit::Workspace(_)) => Self::GuardWorkspace,
+            (Side::Executor, Limit::LinearVelocity) => Self::GuardLinearVelocity,
+            (Side::Executor, Limit::LinearAcceleration) => Self::GuardLinearAcceleration,
+            (Side::Executor, Limit::LinearJerk) => Self::GuardLinearJerk,
+            (Side::Executor, Limit::AngularVelocity) => Self::GuardAngularVelocity,
+            (Side::Executor, Limit::AngularAcceleration) => Self::GuardAngularAcceleration,
+            (Side::Executor, Limit::AngularJerk) => Self::GuardAngularJerk,
+            (Side::Arm, Limit::Workspace(_)) => Self::ArmWorkspace,
+            (Side::Arm, Limit::LinearVelocity) => Self::ArmLinearVelocity,
+            (Side::Arm, Limit::LinearAcceleration) => Self::ArmLinearAcceleration,
+            (Side::Arm, Limit::LinearJerk) => Self::ArmLinearJerk,
+            (Side::Arm, Limit::AngularVelocity) => Self::ArmAngularVelocity,
+            (Side::Arm, Limit::AngularAcceleration) => Self::ArmAngularAcceleration,
+            (Side::Arm, Limit::AngularJerk) => Self::ArmAngularJerk,
+        }
+    }
+}
+
+impl From<FaultCode> for u16 {
+    fn from(code: FaultCode) -> Self {
+        code.number()
+    }
+}
+
+impl fmt::Display for FaultCode {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.sentence())
+    }
+}
+
+/// A number that is no fault code of this version.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct UnknownFaultCode(pub u16);
+
+impl fmt::Display for UnknownFaultCode {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} is not a fault code of this version", self.0)
+    }
+}
+
+impl core::error::Error for UnknownFaultCode {}
+
+/// A latched fault: what, and at which tick.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Fault {
+    /// What stopped the motion.
+    pub code: FaultCode,
+    /// The tick concerned.
+    pub tick: u32,
+}
+
+impl fmt::Display for Fault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "fault {} at tick {}: {}", self.code.number(), self.tick, self.code)
+    }
+}
+
+impl core::error::Error for Fault {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::string::ToString;
+
+    #[test]
+    fn numbers_are_pinned_and_sentences_are_sentences() {
+        let numbers = [
+            101, 102, 103, 104, 105, 111, 121, 201, 202, 203, 204, 205, 206, 207, 301, 302, 303, 304, 305,
+            306, 307, 401, 402, 403, 404, 501,
+        ];
+        assert!(FaultCode::ALL.iter().map(|code| code.number()).eq(numbers));
+        for code in FaultCode::ALL {
+            assert_eq!(FaultCode::try_from(code.number()), Ok(*code));
+            let sentence = code.to_string();
+            assert!(sentence.ends_with('.') && sentence.matches('.').count() == 1, "{sentence}");
+        }
+        assert_eq!(FaultCode::try_from(100), Err(UnknownFaultCode(100)));
+    }
+
+    #[test]
+    fn limits_map_to_the_same_place_in_both_bands() {
+        for limit in [Limit::LinearVelocity, Limit::LinearJerk, Limit::AngularAcceleration] {
+            let sides = [Side::Executor, Side::Arm].map(|side| FaultCode::from_limit(limit, side).number());
+            assert_eq!(sides.map(|number| number % 100).first(), sides.map(|number| number % 100).last());
+        }
+    }
+}
