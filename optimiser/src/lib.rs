@@ -1,1 +1,3 @@
-//! Placeholder.
+//! Differentiable MLS-MPM powder simulator and the optimiser of scooping skills.
+
+pub mod scene;
