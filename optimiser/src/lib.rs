@@ -2,7 +2,7 @@
 
 mod mpm;
 pub mod optim;
-mod real;
+pub mod real;
 pub mod rollout;
 pub mod scene;
 mod shape;

@@ -5,6 +5,28 @@
 
 use crate::real::Real;
 
+/// `[f(0), f(1), f(2)]`. `array::map` does the same, but is not always inlined, and a call inside a loop over
+/// lanes keeps it from becoming vector instructions.
+macro_rules! three {
+    ($i:ident => $value:expr) => {
+        [
+            {
+                let $i = 0usize;
+                $value
+            },
+            {
+                let $i = 1usize;
+                $value
+            },
+            {
+                let $i = 2usize;
+                $value
+            },
+        ]
+    };
+}
+pub(crate) use three;
+
 /// Three-vector.
 pub(crate) type Vec3<T> = [T; 3];
 /// 3x3 matrix, `m[row][column]`.

@@ -19,7 +19,7 @@
 
 use crate::real::Real;
 use crate::shape::{Dual, SignedDistance};
-use crate::small::{Mat3, Vec3, add, cross, dot, mul_vec, scale, sub, tr_mul_vec};
+use crate::small::{Mat3, Vec3, add, cross, dot, mul_vec, scale, sub, three, tr_mul_vec};
 
 /// A rigid body at one instant. `rotation` and `position` map its frame to the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -196,8 +196,8 @@ pub(crate) fn contact_adjoint<T: Real, D: SignedDistance<T>>(
 
     // s and n in the body's frame; Hessian of the distance times n_bar by dual numbers.
     let local_n_bar = tr_mul_vec(&body.rotation, n_bar);
-    let (_, turned) = shape.distance([0, 1, 2].map(|i| Dual { value: y[i], partial: local_n_bar[i] }));
-    let y_bar = [0, 1, 2].map(|i| s_bar * normal[i] + turned[i].partial);
+    let (_, turned) = shape.distance(three!(i => Dual { value: y[i], partial: local_n_bar[i] }));
+    let y_bar = three!(i => s_bar * normal[i] + turned[i].partial);
     let g = mul_vec(&body.rotation, y_bar);
 
     ContactBar {

@@ -12,7 +12,7 @@ use crate::mpm::p2g::{Places, affine};
 use crate::mpm::particles::{Group, LANES, Lanes, mat_of, set_mat, set_vec, vec_of};
 use crate::mpm::stencil::{TILE_EDGE, Tile, gather, gather_with_gradient, scatter, weight_slopes};
 use crate::real::Real;
-use crate::small::tr_mul_vec;
+use crate::small::{three, tr_mul_vec};
 use crate::shape::with_solid;
 
 /// Moves one block's particles. Returns whether all of them are still within the reach of their tile.
@@ -47,7 +47,7 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticles<'_, T> {
                 let m = gather(&tile, &places.stencil(l));
                 let f = places.f(l);
                 let v = [m.sum[0], m.sum[1], m.sum[2]];
-                let c = [0, 1, 2].map(|i| [0, 1, 2].map(|j| model.four_per_dx * (m.first[j][i] - v[i] * f[j])));
+                let c = three!(i => three!(j => model.four_per_dx * (m.first[j][i] - v[i] * f[j])));
                 set_vec(&mut output.v, l, v);
                 set_mat(&mut output.c, l, c);
             }
@@ -134,10 +134,10 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
             }
             for l in 0..living {
                 let f = places.f(l);
-                let a_dx = mat_of(&bar.c, l).map(|row| row.map(|x| model.four_per_dx * x));
+                let a_dx = three!(i => three!(j => model.four_per_dx * bar.c[3 * i + j][l]));
                 let stencil = places.stencil(l);
                 let q = affine(vec_of(&bar.v, l), &a_dx, f, T::ZERO);
-                let (moments, gradient) = gather_with_gradient(&tile, &stencil, &f.map(weight_slopes), &q);
+                let (moments, gradient) = gather_with_gradient(&tile, &stencil, &three!(i => weight_slopes(f[i])), &q);
                 scatter(self.tile_bar, &stencil, &q);
                 let through_f = tr_mul_vec(&a_dx, [moments.sum[0], moments.sum[1], moments.sum[2]]);
                 for axis in 0..3 {

@@ -8,6 +8,7 @@ use crate::mpm::particles::{LANES, Lanes, set_vec, vec_of};
 use crate::mpm::stencil::Tile;
 use crate::real::Real;
 use crate::shape::with_solid;
+use crate::small::three;
 
 /// Groups of lanes in a block's nodes.
 const CHUNKS: usize = BLOCK_NODES / LANES;
@@ -127,7 +128,7 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodesAdjoint<'_, T> {
             let b = vec_of(&bar[n / LANES], n % LANES);
             let [px, py, pz, m] = self.momentum[n];
             let inverse = if m > T::ZERO { T::ONE / m } else { T::ZERO };
-            let p_bar = b.map(|x| x * inverse);
+            let p_bar = three!(i => b[i] * inverse);
             let m_bar = -((p_bar[0] * px + p_bar[1] * py + p_bar[2] * pz) * inverse);
             *out = [p_bar[0], p_bar[1], p_bar[2], m_bar];
         }

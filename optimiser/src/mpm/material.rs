@@ -20,7 +20,7 @@
 //! A symmetric cotangent holds the entries of the full matrix: `dL = sum_ij bar_ij dE_ij` over all nine `ij`.
 
 use crate::real::Real;
-use crate::small::{Mat3, Sym3, Vec3, compose, full, mul, tr_mul_vec, transpose};
+use crate::small::{Mat3, Sym3, Vec3, compose, full, mul, three, tr_mul_vec, transpose};
 
 /// Constants of the return map.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -208,8 +208,8 @@ pub(crate) fn return_map<T: Real>(m: &Material<T>, trial: Sym3<T>, q: T) -> (Sym
     let p = principal(m, trial, q);
     let pressure = m.lambda * (p.eps_new[0] + p.eps_new[1] + p.eps_new[2]);
     let two_mu = m.mu + m.mu;
-    let tau = [0, 1, 2].map(|i| two_mu * p.eps_new[i] + pressure);
-    let grown = [0, 1, 2].map(|i| (p.eps_new[i] + p.eps_new[i]).exp_m1());
+    let tau = three!(i => two_mu * p.eps_new[i] + pressure);
+    let grown = three!(i => (p.eps_new[i] + p.eps_new[i]).exp_m1());
     (compose(&p.u, tau), compose(&p.u, grown), (p.t - m.tip).only_if(p.at_tip))
 }
 
@@ -229,20 +229,20 @@ pub(crate) fn return_map_adjoint<T: Real>(
     let ut = transpose(&p.u);
     let tb = mul(&mul(&ut, &full(tau_bar)), &p.u);
     let bb = mul(&mul(&ut, &full(strain_bar)), &p.u);
-    let stretch = [0, 1, 2].map(|i| T::ONE + (two * p.eps_new[i]).exp_m1());
+    let stretch = three!(i => T::ONE + (two * p.eps_new[i]).exp_m1());
 
     // Diagonal: from eps' back through the return to eps.
     let trace = m.lambda * (tb[0][0] + tb[1][1] + tb[2][2]);
-    let new_bar = [0, 1, 2].map(|i| two * m.mu * tb[i][i] + trace + two * stretch[i] * bb[i][i]);
+    let new_bar = three!(i => two * m.mu * tb[i][i] + trace + two * stretch[i] * bb[i][i]);
     let mean = third * (new_bar[0] + new_bar[1] + new_bar[2]);
     let along = p.d[0] * new_bar[0] + p.d[1] * new_bar[1] + p.d[2] * new_bar[2];
-    let eps_bar = [0, 1, 2].map(|i| {
+    let eps_bar = three!(i => {
         let cone = mean + p.keep * (new_bar[i] - mean - p.d[i] * along) - m.slope * along;
         let returned = if p.elastic { new_bar[i] } else { cone };
         if p.at_tip { q_bar } else { returned }
     });
-    let s2 = [0, 1, 2].map(|i| T::ONE + p.w[i]);
-    let diagonal = [0, 1, 2].map(|i| eps_bar[i] / (two * s2[i]));
+    let s2 = three!(i => T::ONE + p.w[i]);
+    let diagonal = three!(i => eps_bar[i] / (two * s2[i]));
 
     // Off the diagonal: how the eigenvectors turn. Divided differences through expm1 stay exact at w_i = w_j.
     let off = |i: usize, j: usize| {

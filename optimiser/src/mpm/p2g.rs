@@ -11,7 +11,7 @@ use crate::mpm::stencil::{
     Affine, Stencil, Tile, gather_with_gradient, scatter, weight_slopes, weights,
 };
 use crate::real::Real;
-use crate::small::{Mat3, Vec3, mul_vec, scale, sub, tr_mul_vec};
+use crate::small::{Mat3, Vec3, mul_vec, scale, sub, three, tr_mul_vec};
 
 /// Where the particles of a group stand in their block's tile.
 #[derive(Clone, Copy)]
@@ -46,7 +46,7 @@ impl<T: Real> Places<T> {
 
     #[inline(always)]
     pub(crate) fn stencil(&self, l: usize) -> Stencil<T> {
-        Stencil { start: self.start[l] as usize, w: self.f(l).map(weights) }
+        Stencil { start: self.start[l] as usize, w: three!(i => weights(self.f[i][l])) }
     }
 }
 
@@ -133,7 +133,7 @@ fn stress<T: Real>(model: &Model<T>, input: &Group<T>, output: &mut Group<T>, pa
 
 #[inline(always)]
 fn dt_times<T: Real>(dt: T, c: &Mat3<T>) -> Mat3<T> {
-    c.map(|row| row.map(|x| dt * x))
+    three!(i => three!(j => dt * c[i][j]))
 }
 
 /// Adjoint of [`ParticlesToTile`] for one block. On entry `bar` holds the cotangent of the new strain and
@@ -165,7 +165,7 @@ impl<T: Real> pulp::NullaryFnOnce for ParticlesToTileAdjoint<'_, T> {
                 let (moments, gradient) = gather_with_gradient(
                     &tile,
                     &payload.places.stencil(l),
-                    &f.map(weight_slopes),
+                    &three!(i => weight_slopes(f[i])),
                     &payload.affine(l, model.mass),
                 );
                 let sum = [moments.sum[0], moments.sum[1], moments.sum[2]];

@@ -55,7 +55,8 @@ impl<T: Real> Group<T> {
 
     #[inline(always)]
     pub(crate) fn strain_of(&self, l: usize) -> Sym3<T> {
-        [0, 1, 2, 3, 4, 5].map(|i| self.strain[i][l])
+        let s = &self.strain;
+        [s[0][l], s[1][l], s[2][l], s[3][l], s[4][l], s[5][l]]
     }
 }
 

@@ -173,5 +173,5 @@ pub(crate) fn gather_with_gradient<T: Real>(
         m.first[0] = plus(m.first[0], times(T::of(i as f64), sum_i));
         pi = plus(pi, a.steps[0]);
     }
-    (m, gradient.map(total))
+    (m, [total(gradient[0]), total(gradient[1]), total(gradient[2])])
 }

@@ -88,6 +88,13 @@ impl<T: Real> Workspace<T> {
         }
     }
 
+    /// Heap bytes that do not grow with the number of kept states.
+    pub(crate) fn bytes(&self) -> usize {
+        self.tiles.len() * size_of::<Tile<T>>()
+            + 3 * self.momentum.len() * size_of::<Nodes<T>>()
+            + self.spare.len() * size_of::<Payload<T>>()
+    }
+
     fn fit(&mut self, layout: &Layout, groups: usize) {
         let zero_nodes = [[T::ZERO; 4]; BLOCK_NODES];
         self.tiles.resize(layout.blocks.len(), empty_tile());

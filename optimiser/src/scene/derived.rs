@@ -70,12 +70,6 @@ impl Scene {
         self.particle_volume_m3() * self.powder.density_kg_m3
     }
 
-    /// Particles in the scene: volume of the fill box over volume of a particle, rounded.
-    pub fn particle_count(&self) -> usize {
-        let fill_volume_m3: f64 = self.powder.fill_size_m().iter().product();
-        (fill_volume_m3 / self.particle_volume_m3()).round() as usize
-    }
-
     /// Cells along x, y, z that cover the domain, without padding.
     pub fn cell_counts(&self) -> [usize; 3] {
         // 0.256 / 0.004 may round to just above 64; a millionth of a cell is no reason for another layer.

@@ -8,6 +8,7 @@ mod canonical;
 mod derived;
 mod embedded;
 mod error;
+mod packing;
 mod read;
 mod validate;
 

@@ -7,7 +7,7 @@
 use core::ops::{Add, Mul, Neg, Sub};
 
 use crate::real::Real;
-use crate::small::Vec3;
+use crate::small::{Vec3, three};
 
 /// What a signed distance may do with its numbers.
 pub(crate) trait Scalar<T: Real>:
@@ -224,11 +224,11 @@ impl<T: Real> SignedDistance<T> for Slab<T> {
 
 #[inline(always)]
 fn slab<T: Real, S: Scalar<T>>(y: [S; 3], centre: [T; 3], half: [T; 3]) -> (S, [S; 3]) {
-    let r = [0, 1, 2].map(|i| y[i] - S::constant(centre[i]));
-    let q = [0, 1, 2].map(|i| r[i].abs() - S::constant(half[i]));
-    let sign = [0, 1, 2].map(|i| S::constant(if r[i].value() < T::ZERO { -T::ONE } else { T::ONE }));
+    let r = three!(i => y[i] - S::constant(centre[i]));
+    let q = three!(i => r[i].abs() - S::constant(half[i]));
+    let sign = three!(i => S::constant(if r[i].value() < T::ZERO { -T::ONE } else { T::ONE }));
     // Outside: distance to the nearest point of face, edge or corner.
-    let out = q.map(S::positive_part);
+    let out = three!(i => q[i].positive_part());
     let distance = norm3::<T, S>(out);
     let inverse = distance.recip();
     // Inside: the nearest face decides.
@@ -241,7 +241,7 @@ fn slab<T: Real, S: Scalar<T>>(y: [S; 3], centre: [T; 3], half: [T; 3]) -> (S, [
     let face = [x_face, y_face, z_face];
     let zero = S::constant(T::ZERO);
     let normal =
-        [0, 1, 2].map(|i| S::choose(outside, out[i] * inverse * sign[i], S::choose(face[i], sign[i], zero)));
+        three!(i => S::choose(outside, out[i] * inverse * sign[i], S::choose(face[i], sign[i], zero)));
     (S::choose(outside, distance, deepest), normal)
 }
 
@@ -287,14 +287,14 @@ impl<T: Real> SignedDistance<T> for Ring<T> {
 impl<T: Real> SignedDistance<T> for Capsule<T> {
     #[inline(always)]
     fn distance<S: Scalar<T>>(&self, y: [S; 3]) -> (S, [S; 3]) {
-        let r = [0, 1, 2].map(|i| y[i] - S::constant(self.from[i]));
-        let axis = self.along.map(S::constant);
+        let r = three!(i => y[i] - S::constant(self.from[i]));
+        let axis = three!(i => S::constant(self.along[i]));
         let inverse = S::constant(T::ONE / crate::small::dot(self.along, self.along));
         let part = (r[0] * axis[0] + r[1] * axis[1] + r[2] * axis[2]) * inverse;
         let part = S::choose(part.value() > T::ONE, S::constant(T::ONE), part.positive_part());
-        let away = [0, 1, 2].map(|i| r[i] - part * axis[i]);
+        let away = three!(i => r[i] - part * axis[i]);
         let length = norm3::<T, S>(away);
         let scale = length.recip();
-        (length - S::constant(self.radius), away.map(|a| a * scale))
+        (length - S::constant(self.radius), three!(i => away[i] * scale))
     }
 }
