@@ -1,5 +1,7 @@
 //! From a bench description to a motion: simulation, gradient, skill, optimiser, plan.
 
+pub mod cli;
+pub mod memory;
 mod mpm;
 pub mod optim;
 pub mod real;

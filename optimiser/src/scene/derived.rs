@@ -5,6 +5,12 @@ use super::{Amount, Powder, Scene, Time};
 /// Edge of a grid block, in cells.
 pub const BLOCK_CELLS: usize = 4;
 
+/// The largest grid that is accepted, in cells with the padding.
+pub const MAX_CELLS: usize = 1 << 26;
+
+/// The most particles that are accepted.
+pub const MAX_PARTICLES: usize = 4_000_000;
+
 /// The highest CFL number at which a scene is accepted.
 pub const MAX_CFL: f64 = 0.5;
 
