@@ -1,6 +1,8 @@
-//! From a bench description to a motion: simulation, gradient, skill, optimiser, plan.
+//! Differentiable MLS-MPM powder simulator and the optimiser of scooping skills.
 
+pub mod cli;
 pub mod optim;
+pub mod report;
 pub mod rollout;
 pub mod scene;
 pub mod skill;

@@ -11,8 +11,9 @@
 
 use crate::{
     scene,
-    skill::{PARAMETER_NAMES, Theta},
+    skill::Theta,
 };
+use powderline_shared::plan::SKILL_PARAMETERS;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -45,7 +46,7 @@ pub struct RmsPropState {
 
 /// A gradient that no update can be made from.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
-#[error("the gradient with respect to the {name} is {value}", name = PARAMETER_NAMES[*index])]
+#[error("the gradient with respect to the {name} is {value}", name = SKILL_PARAMETERS[*index].0)]
 pub struct GradientError {
     /// Which component, from 0.
     pub index: usize,

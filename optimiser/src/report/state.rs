@@ -4,7 +4,8 @@
 //! magic "PLSTATE\0" (8) | version u32 LE (4) | body (postcard) | SHA-256 of everything before (32)
 //! ```
 
-use crate::{cli::Precision, optim::Search, scene::Digest};
+use crate::{optim::Search, scene::Digest};
+use powderline_shared::plan::Precision;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 use thiserror::Error;

@@ -1,7 +1,10 @@
 //! What the optimiser asks of a simulator.
 
-use crate::skill::{SkillError, Theta};
-use powderline_shared::displacement::Displacement;
+use crate::{
+    scene::Scene,
+    skill::{SkillError, Theta},
+};
+use powderline_shared::{displacement::Displacement, plan::Precision};
 use thiserror::Error;
 
 /// What one simulated motion achieved.
@@ -69,4 +72,33 @@ pub trait Evaluate {
         controls: &[Displacement],
         progress: Progress<'_>,
     ) -> Result<Evaluation, RolloutError>;
+}
+
+/// How a scene is simulated. Nothing here but seed and precision changes a bit of the result.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SimulatorSettings {
+    /// Seed of the packing.
+    pub seed: u64,
+    /// Number format of the powder's state.
+    pub precision: Precision,
+    /// Threads; as many as the machine has processors when not given.
+    pub threads: Option<usize>,
+    /// Most memory that the process may take, bytes; checkpoints are chosen to fit.
+    pub memory_bytes: u64,
+}
+
+/// Why a scene cannot be simulated with the given settings.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum SimulatorError {
+    /// This version of the program has none.
+    #[error("this version of the program cannot simulate yet")]
+    Missing,
+}
+
+/// The simulator of a scene: the one place where the commands get it from.
+///
+/// # Errors
+/// See [`SimulatorError`].
+pub fn simulator(_scene: &Scene, _settings: &SimulatorSettings) -> Result<Box<dyn Evaluate>, SimulatorError> {
+    Err(SimulatorError::Missing)
 }

@@ -1,12 +1,29 @@
 //! The description of a bench: what `scene.toml` holds, with SI units in the key names.
+//!
+//! A [`Scene`] that came out of [`Scene::load`] or [`Scene::from_toml`] is valid: every number lies in the
+//! range documented at its field and the fields agree with each other. World frame: z up, floor at z = 0, the
+//! simulated volume is `[0, domain.size_m]`. `scenes/bench.toml` is the commented example.
+
+mod canonical;
+mod derived;
+mod embedded;
+mod error;
+mod read;
+mod validate;
 
 use serde::{Deserialize, Serialize};
+
+pub use canonical::{DIGEST_VERSION, Digest};
+pub use derived::{BLOCK_CELLS, MAX_CFL};
+pub use embedded::{DEFAULT_SCENE, EMBEDDED_SCENES, embedded_scene};
+pub use error::SceneError;
+pub use read::MAX_SCENE_BYTES;
 
 /// A whole bench, as written in TOML.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Scene {
-    /// Name shown in reports.
+    /// Name shown in reports, 1 to 64 printable characters.
     pub name: String,
     /// Simulated volume and grid.
     pub domain: Domain,
@@ -14,7 +31,7 @@ pub struct Scene {
     pub powder: Powder,
     /// Control period, substeps and horizon.
     pub time: Time,
-    /// Open containers standing on the bench.
+    /// Open containers standing on the bench, 2 to 16, none overlapping another.
     pub container: Vec<Container>,
     /// Spoon or scoop, moved by the arm.
     pub tool: Tool,
@@ -32,52 +49,75 @@ pub struct Scene {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Domain {
+    /// Extent along x, y, z, metres; each 0.01 to 10, typically 0.1 to 0.5. Rounded up to whole cells.
     pub size_m: [f64; 3],
+    /// Edge of a grid cell, metres; 0.0001 to 0.1, typically 0.002 to 0.005.
     pub cell_m: f64,
+    /// Gravity, m/s^2; each component -100 to 100, on Earth `[0, 0, -9.81]`.
     pub gravity_m_s2: [f64; 3],
-    /// Coulomb friction of the domain's floor and walls.
+    /// Coulomb friction of the domain's floor and walls, dimensionless; 0 to 2, typically 0.4.
     pub friction: f64,
-    /// Width over which contact with tool, containers fades out beyond a surface, in cells.
+    /// Width over which contact with tool and containers fades out beyond a surface, in cells; 0.01 to 2,
+    /// typically 0.25.
     pub contact_band_cells: f64,
 }
 
+/// Powder: its initial box, its sampling by particles and its material.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Powder {
+    /// Lower corner of the box filled with powder, metres, world frame; inside the source container.
     pub fill_min_m: [f64; 3],
+    /// Upper corner of the box filled with powder, metres, world frame; inside the source container.
     pub fill_max_m: [f64; 3],
+    /// Particles per grid cell of powder; 1 to 64, typically 8.
     pub particles_per_cell: u32,
+    /// Seed of the initial packing; 0 to 2^63 - 1 (the largest integer in TOML).
     pub seed: u64,
+    /// Young's modulus, pascal; 100 to 1e9, typically 1e4. Real grains are stiffer; the CFL number limits it.
     pub youngs_modulus_pa: f64,
+    /// Poisson's ratio, dimensionless; 0 to 0.49, typically 0.2.
     pub poissons_ratio: f64,
+    /// Bulk density, kg/m^3; 10 to 25,000, typically 1000.
     pub density_kg_m3: f64,
+    /// Angle of internal friction, degrees; 0 to 60, typically 35.
     pub friction_angle_deg: f64,
+    /// Cohesion (isotropic tensile strength), pascal; 0 (dry sand) to 1e5, for cohesive powder about 50.
     pub cohesion_pa: f64,
 }
 
+/// Control period, substeps and horizon.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Time {
-    /// Control period, microseconds (one control step, one tick on the wire).
+    /// Control period, microseconds (one control step, one tick on the wire); 100 to 1,000,000, typically
+    /// 10,000.
     pub control_period_us: u32,
-    /// MPM substeps in one control step.
+    /// MPM substeps in one control step; 1 to 10,000, typically 20. The CFL number sets the lower end.
     pub substeps: u32,
-    /// Control steps in the whole motion.
+    /// Control steps in the whole motion; 1 to 100,000, typically 500. The longest skill must fit in.
     pub horizon_steps: u32,
-    /// Time the powder is given to settle, tool at rest at its start pose, before the motion starts.
+    /// Time the powder is given to settle, tool at rest at its start pose, before the motion starts, seconds;
+    /// 0 to 60, typically 0.2.
     pub settle_s: f64,
 }
 
+/// A container standing in the domain, open at the top.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Container {
+    /// Name, 1 to 64 printable characters, unique in the scene; `objective` refers to it.
     pub name: String,
-    /// Centre of the inner floor.
+    /// Centre of the inner floor, metres, world frame. The container's floor plate lies below it, one wall
+    /// thickness thick.
     pub position_m: [f64; 3],
-    /// Rotation about the vertical.
+    /// Rotation about the vertical, degrees, counter-clockwise from above; -360 to 360.
     pub yaw_deg: f64,
+    /// Thickness of walls and floor, metres; half a cell to 1, typically one cell.
     pub wall_thickness_m: f64,
+    /// Coulomb friction of walls and floor, dimensionless; 0 to 2, typically 0.4.
     pub friction: f64,
+    /// Shape and inner dimensions.
     pub shape: ContainerShape,
 }
 
@@ -85,8 +125,19 @@ pub struct Container {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum ContainerShape {
-    Box { inner_size_m: [f64; 3] },
-    Cylinder { inner_radius_m: f64, inner_height_m: f64 },
+    /// Rectangular box.
+    Box {
+        /// Inner length (x), width (y) and height (z) in the container's own frame, metres; each one cell to
+        /// 10.
+        inner_size_m: [f64; 3],
+    },
+    /// Upright round cylinder.
+    Cylinder {
+        /// Inner radius, metres; one cell to 10.
+        inner_radius_m: f64,
+        /// Inner height, metres; one cell to 10.
+        inner_height_m: f64,
+    },
 }
 
 /// The tool's own frame: origin at the middle of the opening (rim plane), +z out of the opening, +x the
@@ -94,123 +145,201 @@ pub enum ContainerShape {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Tool {
+    /// Shape and inner dimensions.
     pub shape: ToolShape,
+    /// Thickness of the tool's walls, outside the inner dimensions, metres; half a cell to 1, typically one
+    /// cell.
     pub wall_thickness_m: f64,
+    /// Coulomb friction of the tool, dimensionless; 0 to 2, typically 0.4.
     pub friction: f64,
-    /// Start position of the tool's origin.
+    /// Start position of the tool's origin, metres, world frame.
     pub start_position_m: [f64; 3],
-    /// Start pitch: how far the opening is tilted from straight up towards the scooping direction.
+    /// Start pitch, degrees: how far the opening is tilted from straight up towards the scooping direction;
+    /// -90 to 90, typically 50.
     pub start_pitch_deg: f64,
+    /// Rod that joins the tool to the arm.
     pub handle: Handle,
 }
 
+/// Inner dimensions of the tool.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum ToolShape {
-    /// Hemispherical bowl.
-    Bowl { inner_radius_m: f64 },
-    /// Box scoop, open at +x (front) and +z (top): inner length (x), width (y), height (z).
-    BoxScoop { inner_size_m: [f64; 3] },
+    /// Hemispherical bowl, below the rim plane.
+    Bowl {
+        /// Inner radius, metres; one cell to 1, typically 0.016.
+        inner_radius_m: f64,
+    },
+    /// Box scoop, open at +x (front) and +z (top), walls at -x, -y, +y and -z.
+    BoxScoop {
+        /// Inner length (x), width (y) and height (z), metres; each one cell to 1.
+        inner_size_m: [f64; 3],
+    },
 }
 
-/// Straight round rod (capsule) that starts at the tool's rear rim and runs along -x, raised by `rise_deg` towards +z.
+/// Straight round rod (capsule) that starts at the tool's rear rim and runs along -x, raised by `rise_deg`
+/// towards +z.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Handle {
+    /// Length of the capsule's axis, metres; 0.001 to 1, typically 0.05.
     pub length_m: f64,
+    /// Radius, metres; a quarter of a cell to 0.1, typically one cell.
     pub radius_m: f64,
+    /// Angle between the rod and the tool's -x axis, degrees, positive towards +z; -90 to 90, typically 70.
     pub rise_deg: f64,
 }
 
-/// Theta in [-1, 1]^5 maps affinely to these bounds (low at -1, high at +1).
+/// Theta in [-1, 1]^5 maps affinely to these bounds (low at -1, high at +1); low equal to high fixes a
+/// parameter.
+///
+/// The motion: straight down by `approach_m` + depth; pitch back by the scooping angle while moving `sweep_m`
+/// forward; straight up by the lift; forward by the transport displacement; pitch forward by the pouring
+/// angle; rest until the horizon.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Skill {
+    /// Depth of the tool's lowest point below the powder's surface, metres; 0.0001 to 1.
     pub scooping_depth_m: [f64; 2],
+    /// Rotation of the opening back up (pitch decreases by it), degrees; 1 to 180.
     pub scooping_angle_deg: [f64; 2],
+    /// Height of the lift from the end of the scoop, metres; 0.001 to 5.
     pub lift_height_m: [f64; 2],
+    /// Horizontal travel along the heading after the lift, metres; 0.001 to 5.
     pub transport_displacement_m: [f64; 2],
+    /// Rotation of the opening towards the heading (pitch increases by it), degrees; 1 to 180.
     pub pouring_angle_deg: [f64; 2],
-    /// Where theta starts: each component drawn uniformly from this range by the run's seed.
+    /// Where theta starts: each component drawn uniformly from this range by the run's seed; -1 to 1.
     pub initial_theta: [[f64; 2]; 5],
-    /// Horizontal direction of scooping and transport, counter-clockwise from +x.
+    /// Horizontal direction of scooping and transport, degrees counter-clockwise from +x; -360 to 360.
     pub heading_deg: f64,
-    /// Downward travel from the start pose to the powder's surface, before the scooping depth.
+    /// Downward travel from the start pose until the tool's lowest point meets the powder's surface, before
+    /// the scooping depth, metres; 0.0001 to 1, typically 0.02.
     pub approach_m: f64,
-    /// Forward travel during the scoop segment.
+    /// Forward travel during the scoop segment, metres; 0 to 1, typically 0.016.
     pub sweep_m: f64,
-    /// Mean linear speed of each translating segment.
+    /// Mean linear speed of each translating segment, m/s; 0.001 to 5, typically 0.1. With `minimum_jerk` the
+    /// peak is 1.875 times as high.
     pub linear_speed_m_s: f64,
-    /// Mean angular speed of the scoop and pour segments.
+    /// Mean angular speed of the scoop and pour segments, rad/s; 0.01 to 50, typically 1.5. With
+    /// `minimum_jerk` the peak is 1.875 times as high.
     pub angular_speed_rad_s: f64,
+    /// How segment lengths become segment times.
     pub timing: Timing,
+    /// How the speed runs within a segment.
     pub profile: Profile,
 }
 
+/// How segment lengths become segment times.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Timing { Rounded, Continuous }
+pub enum Timing {
+    /// Every segment is rounded to whole control steps, as in the paper; the gradient takes the count as fixed.
+    Rounded,
+    /// Segments end at exact times and the motion is sampled at every control step.
+    Continuous,
+}
 
+/// How the speed runs within a segment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Profile { ConstantSpeed, MinimumJerk }
+pub enum Profile {
+    /// The mean speed throughout, as in the paper; velocity jumps at both ends.
+    ConstantSpeed,
+    /// Quintic from rest to rest.
+    MinimumJerk,
+}
 
 /// Motion limits of the arm, of the tool's origin.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Limits {
+    /// Lower corner of the box that the tool's origin must stay in, metres, world frame; -10 to 10.
     pub workspace_min_m: [f64; 3],
+    /// Upper corner of that box, metres, world frame; -10 to 10.
     pub workspace_max_m: [f64; 3],
+    /// Speed, m/s; 0.001 to 100.
     pub linear_velocity_m_s: f64,
+    /// Acceleration, m/s^2; 0.001 to 10,000.
     pub linear_acceleration_m_s2: f64,
+    /// Jerk, m/s^3; 0.001 to 1e7.
     pub linear_jerk_m_s3: f64,
+    /// Angular speed, rad/s; 0.001 to 1000.
     pub angular_velocity_rad_s: f64,
+    /// Angular acceleration, rad/s^2; 0.001 to 100,000.
     pub angular_acceleration_rad_s2: f64,
+    /// Angular jerk, rad/s^3; 0.001 to 1e8.
     pub angular_jerk_rad_s3: f64,
 }
 
+/// What is wanted: how much powder, where, and how it is judged.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Objective {
     /// Name of the source container.
     pub source: String,
-    /// Name of the target container.
+    /// Name of the target container, another one.
     pub target: String,
-    /// The point that the loss draws the powder to.
+    /// The point that the loss draws the powder to, metres, world frame; inside the domain.
     pub p_target_m: [f64; 3],
     /// How much powder should arrive.
     pub amount: Amount,
+    /// How the distance of a particle from `p_target_m` is measured.
     pub norm: Norm,
+    /// Which particles the loss sees.
     pub observation: Observation,
 }
 
+/// How much powder should arrive in the target container.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Amount { Particles(u32), MassKg(f64) }
+pub enum Amount {
+    /// Particles; 1 to all of them.
+    Particles(u32),
+    /// Mass, kilogram; above 0, up to all of it. Rounded to whole particles.
+    MassKg(f64),
+}
 
+/// How a particle's distance from the target point is measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Norm { Euclidean, L1 }
+pub enum Norm {
+    /// Straight-line distance.
+    Euclidean,
+    /// Sum of the distances along x, y and z.
+    L1,
+}
 
 /// Which particles the loss sees at the end of the motion.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Observation {
+    /// Every particle.
     All,
     /// A fixed random subset of this many particles.
-    Subsample { particles: u32 },
+    Subsample {
+        /// Size of the subset; 1 to all particles.
+        particles: u32,
+    },
     /// The particles that a camera above would see: the highest of each pixel column.
-    VisibleFromAbove { pixel_m: f64 },
+    VisibleFromAbove {
+        /// Edge of a square pixel on the ground, metres; 0.0001 to 0.1.
+        pixel_m: f64,
+    },
 }
 
+/// Optimiser settings (RMSprop with a curriculum).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Optimiser {
+    /// Epochs; 1 to 100,000, in the paper 30.
     pub epochs: u32,
-    /// Epochs in which only depth, angle and lift are updated.
+    /// Epochs in which only depth, angle and lift are updated; 0 to 100,000, in the paper 15.
     pub curriculum_epochs: u32,
+    /// Learning rate, in units of theta; above 0, up to 10, in the paper 0.05.
     pub learning_rate: f64,
-    /// RMSprop's decay of the squared gradient.
+    /// RMSprop's decay of the squared gradient, dimensionless; 0 to below 1, in the paper 0.9.
     pub beta: f64,
+    /// RMSprop's guard against division by zero, in units of the gradient; above 0, up to 1, typically 1e-8.
     pub epsilon: f64,
 }

@@ -1,0 +1,33 @@
+//! Writing a scene: TOML for people, and a digest that identifies it.
+
+use sha2::{Digest as _, Sha256};
+
+use super::{Scene, SceneError};
+
+/// SHA-256 over a scene's canonical form.
+pub type Digest = [u8; 32];
+
+/// Version of the canonical form; raised whenever a field is added, removed, renamed or moved, so that equal
+/// digests always mean equal scenes.
+pub const DIGEST_VERSION: u32 = 1;
+
+impl Scene {
+    /// The scene as TOML. It loads back to an equal scene, every float to the same bits.
+    ///
+    /// # Errors
+    /// [`SceneError::Unwritable`] for a seed above 2^63 - 1, which a loaded scene never has.
+    pub fn to_toml(&self) -> Result<String, SceneError> {
+        toml::to_string(self).map_err(|error| SceneError::Unwritable { reason: error.to_string() })
+    }
+
+    /// Digest of the resolved scene: SHA-256 over [`DIGEST_VERSION`] (little-endian) and the postcard encoding
+    /// of all fields in declaration order, floats as their bits. Comments, layout and key order of the file
+    /// do not matter.
+    pub fn digest(&self) -> Digest {
+        let body = postcard::to_allocvec(self).expect("a scene holds nothing that postcard cannot encode");
+        let mut hasher = Sha256::new();
+        hasher.update(DIGEST_VERSION.to_le_bytes());
+        hasher.update(&body);
+        hasher.finalize().into()
+    }
+}

@@ -1,0 +1,102 @@
+//! Quantities that follow from a scene's fields.
+
+use super::{Amount, Powder, Scene, Time};
+
+/// Edge of a grid block, in cells.
+pub const BLOCK_CELLS: usize = 4;
+
+/// The highest CFL number at which a scene is accepted.
+pub const MAX_CFL: f64 = 0.5;
+
+impl Time {
+    /// Control period, seconds.
+    pub fn control_period_s(&self) -> f64 {
+        f64::from(self.control_period_us) * 1e-6
+    }
+
+    /// Length of an MPM substep, seconds.
+    pub fn dt_sub_s(&self) -> f64 {
+        self.control_period_s() / f64::from(self.substeps)
+    }
+
+    /// Length of the whole motion, seconds.
+    pub fn horizon_s(&self) -> f64 {
+        self.control_period_s() * f64::from(self.horizon_steps)
+    }
+
+    /// Control steps of the settling phase: `settle_s` rounded up to whole control steps.
+    pub fn settle_steps(&self) -> u32 {
+        // The subtrahend keeps 0.2 s / 10 ms at 20 steps although the quotient may round to 20.000000000000004.
+        (self.settle_s / self.control_period_s() - 1e-9).ceil().max(0.0) as u32
+    }
+}
+
+impl Powder {
+    /// First Lame parameter lambda = E nu / ((1 + nu) (1 - 2 nu)), pascal.
+    pub fn lame_lambda_pa(&self) -> f64 {
+        let (e, nu) = (self.youngs_modulus_pa, self.poissons_ratio);
+        e * nu / ((1.0 + nu) * (1.0 - 2.0 * nu))
+    }
+
+    /// Shear modulus mu = E / (2 (1 + nu)), pascal.
+    pub fn lame_mu_pa(&self) -> f64 {
+        self.youngs_modulus_pa / (2.0 * (1.0 + self.poissons_ratio))
+    }
+
+    /// P-wave modulus M = lambda + 2 mu, pascal.
+    pub fn p_wave_modulus_pa(&self) -> f64 {
+        self.lame_lambda_pa() + 2.0 * self.lame_mu_pa()
+    }
+
+    /// Speed of pressure waves, sqrt(M / density), m/s.
+    pub fn sound_speed_m_s(&self) -> f64 {
+        (self.p_wave_modulus_pa() / self.density_kg_m3).sqrt()
+    }
+
+    /// Extent of the fill box, metres.
+    pub fn fill_size_m(&self) -> [f64; 3] {
+        std::array::from_fn(|axis| self.fill_max_m[axis] - self.fill_min_m[axis])
+    }
+}
+
+impl Scene {
+    /// Volume of one particle at rest, cell^3 / particles_per_cell, m^3.
+    pub fn particle_volume_m3(&self) -> f64 {
+        self.domain.cell_m.powi(3) / f64::from(self.powder.particles_per_cell)
+    }
+
+    /// Mass of one particle, kilogram.
+    pub fn particle_mass_kg(&self) -> f64 {
+        self.particle_volume_m3() * self.powder.density_kg_m3
+    }
+
+    /// Particles in the scene: volume of the fill box over volume of a particle, rounded.
+    pub fn particle_count(&self) -> usize {
+        let fill_volume_m3: f64 = self.powder.fill_size_m().iter().product();
+        (fill_volume_m3 / self.particle_volume_m3()).round() as usize
+    }
+
+    /// Cells along x, y, z that cover the domain, without padding.
+    pub fn cell_counts(&self) -> [usize; 3] {
+        // 0.256 / 0.004 may round to just above 64; a millionth of a cell is no reason for another layer.
+        self.domain.size_m.map(|size_m| (size_m / self.domain.cell_m - 1e-6).ceil() as usize)
+    }
+
+    /// Blocks of 4 x 4 x 4 cells along x, y, z, with the padding of one block at either end.
+    pub fn block_counts(&self) -> [usize; 3] {
+        self.cell_counts().map(|cells| cells.div_ceil(BLOCK_CELLS) + 2)
+    }
+
+    /// Courant number sqrt(P-wave modulus / density) dt_sub / cell, dimensionless; at most [`MAX_CFL`].
+    pub fn cfl_number(&self) -> f64 {
+        self.powder.sound_speed_m_s() * self.time.dt_sub_s() / self.domain.cell_m
+    }
+
+    /// Particles wanted in the target container; a mass is rounded to whole particles, at least one.
+    pub fn target_count(&self) -> usize {
+        match self.objective.amount {
+            Amount::Particles(count) => count as usize,
+            Amount::MassKg(mass_kg) => ((mass_kg / self.particle_mass_kg()).round() as usize).max(1),
+        }
+    }
+}

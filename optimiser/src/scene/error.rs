@@ -1,0 +1,99 @@
+//! What can be wrong with a scene, each as one sentence.
+
+use thiserror::Error;
+
+/// Why a scene was refused. Displays as one sentence that names the file and, where there is one, the field,
+/// its value and what would be right.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum SceneError {
+    /// Neither an embedded scene nor a file.
+    #[error("there is no scene and no file called `{name}`; the embedded scenes are {known}")]
+    UnknownName {
+        /// What was asked for.
+        name: String,
+        /// Names of the embedded scenes.
+        known: String,
+    },
+    /// The operating system refused to read the file.
+    #[error("{file} cannot be read: {reason}")]
+    Unreadable {
+        /// The scene file.
+        file: String,
+        /// The operating system's reason.
+        reason: String,
+    },
+    /// A folder, a pipe or a device.
+    #[error("{file} is {what}, not a file; the path of a scene in TOML would be right")]
+    NotAFile {
+        /// The path.
+        file: String,
+        /// What it is instead.
+        what: &'static str,
+    },
+    /// Larger than any scene can sensibly be; it was not read.
+    #[error("{file} holds {bytes} bytes, but a scene has at most {limit} bytes")]
+    TooLarge {
+        /// The scene file.
+        file: String,
+        /// Its size, bytes.
+        bytes: u64,
+        /// [`super::MAX_SCENE_BYTES`].
+        limit: u64,
+    },
+    /// Not UTF-8.
+    #[error("{file} is not a text file: byte {offset} is not valid UTF-8; a scene in TOML would be right")]
+    NotText {
+        /// The scene file.
+        file: String,
+        /// Offset of the first bad byte.
+        offset: usize,
+    },
+    /// Nothing but white space and comments.
+    #[error("{file} is empty; a scene in TOML would be right (`scenes/bench.toml` is an example)")]
+    Empty {
+        /// The scene file.
+        file: String,
+    },
+    /// Not TOML.
+    #[error("{file} is not valid TOML at line {line}, column {column}: {reason}")]
+    Syntax {
+        /// The scene file.
+        file: String,
+        /// Line, from 1.
+        line: usize,
+        /// Column, from 1.
+        column: usize,
+        /// The parser's reason.
+        reason: String,
+    },
+    /// Unknown or missing field, or a value of the wrong type.
+    #[error("{file}: {field} at line {line}: {reason}")]
+    Structure {
+        /// The scene file.
+        file: String,
+        /// Dotted path of the field, or of the table that it belongs to.
+        field: String,
+        /// Line, from 1.
+        line: usize,
+        /// What is wrong and what would be right.
+        reason: String,
+    },
+    /// A value out of its range, or at odds with the other fields.
+    #[error("{file}: {field} is {value}, but {expected}")]
+    Invalid {
+        /// The scene file.
+        file: String,
+        /// Dotted path of the field.
+        field: String,
+        /// Its value.
+        value: String,
+        /// What would be right.
+        expected: String,
+    },
+    /// The scene holds a number that TOML has no notation for.
+    #[error("the scene cannot be written as TOML: {reason}")]
+    Unwritable {
+        /// The writer's reason.
+        reason: String,
+    },
+}

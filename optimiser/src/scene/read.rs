@@ -1,0 +1,109 @@
+//! Reading a scene: by name, from a file, from text.
+
+use std::fs::File;
+use std::io::Read;
+use std::path::Path;
+
+use super::{Scene, SceneError, embedded};
+
+/// A scene file longer than this is refused without being read, bytes.
+pub const MAX_SCENE_BYTES: u64 = 1 << 20;
+
+impl Scene {
+    /// Loads an embedded scene by name (`bench`, `bench-small`, `bench-fine`) or a scene file by path.
+    ///
+    /// A name wins over a file of the same name in the working folder; write `./bench` for the file.
+    ///
+    /// # Errors
+    /// A [`SceneError`] that names the file and what would be right.
+    pub fn load(path_or_name: &str) -> Result<Self, SceneError> {
+        match embedded::embedded_scene(path_or_name) {
+            Some(text) => Self::from_toml(path_or_name, text),
+            None => Self::from_toml(path_or_name, &read_text(path_or_name)?),
+        }
+    }
+
+    /// Reads and validates a scene from TOML. `source_name` stands for the file in messages.
+    ///
+    /// # Errors
+    /// A [`SceneError`] that names the field, its value and what would be right.
+    pub fn from_toml(source_name: &str, text: &str) -> Result<Self, SceneError> {
+        if text.lines().all(|line| line.trim_start().is_empty() || line.trim_start().starts_with('#')) {
+            return Err(SceneError::Empty { file: source_name.to_owned() });
+        }
+        let scene: Scene = parse(source_name, text)?;
+        scene.validate(source_name)?;
+        Ok(scene)
+    }
+}
+
+fn read_text(path: &str) -> Result<String, SceneError> {
+    let file = || path.to_owned();
+    let unreadable =
+        |error: std::io::Error| SceneError::Unreadable { file: file(), reason: error.to_string() };
+    // A bare word that is no file was meant as the name of a scene.
+    if !Path::new(path).exists() && !path.contains(['/', '\\', '.']) {
+        return Err(SceneError::UnknownName { name: file(), known: embedded::known_names() });
+    }
+    let metadata = std::fs::metadata(path).map_err(unreadable)?;
+    if metadata.is_dir() {
+        return Err(SceneError::NotAFile { file: file(), what: "a folder" });
+    }
+    if !metadata.is_file() {
+        return Err(SceneError::NotAFile { file: file(), what: "a pipe or a device" });
+    }
+    let too_large = |bytes| SceneError::TooLarge { file: file(), bytes, limit: MAX_SCENE_BYTES };
+    if metadata.len() > MAX_SCENE_BYTES {
+        return Err(too_large(metadata.len()));
+    }
+    let mut bytes = Vec::new();
+    // The file may have grown since it was measured.
+    File::open(path)
+        .and_then(|opened| opened.take(MAX_SCENE_BYTES + 1).read_to_end(&mut bytes))
+        .map_err(unreadable)?;
+    if bytes.len() as u64 > MAX_SCENE_BYTES {
+        return Err(too_large(bytes.len() as u64));
+    }
+    String::from_utf8(bytes)
+        .map_err(|error| SceneError::NotText { file: file(), offset: error.utf8_error().valid_up_to() })
+}
+
+fn parse(source_name: &str, text: &str) -> Result<Scene, SceneError> {
+    let syntax = |error: &toml::de::Error| {
+        let (line, column) = position(text, error);
+        SceneError::Syntax { file: source_name.to_owned(), line, column, reason: one_line(error.message()) }
+    };
+    let deserializer = toml::Deserializer::parse(text).map_err(|error| syntax(&error))?;
+    serde_path_to_error::deserialize(deserializer).map_err(|error| {
+        let path = error.path().to_string();
+        SceneError::Structure {
+            file: source_name.to_owned(),
+            field: if path == "." { "the scene".to_owned() } else { path },
+            line: position(text, error.inner()).0,
+            reason: in_plain_words(error.inner().message()),
+        }
+    })
+}
+
+/// Line and column of an error, from 1.
+fn position(text: &str, error: &toml::de::Error) -> (usize, usize) {
+    let offset = error.span().map_or(0, |span| span.start).min(text.len());
+    let before = &text.as_bytes()[..offset];
+    let line_start = before.iter().rposition(|&byte| byte == b'\n').map_or(0, |newline| newline + 1);
+    (before.iter().filter(|&&byte| byte == b'\n').count() + 1, offset - line_start + 1)
+}
+
+fn one_line(message: &str) -> String {
+    message.split_whitespace().collect::<Vec<_>>().join(" ")
+}
+
+/// Serde speaks of Rust types; the reader of a scene file knows numbers.
+fn in_plain_words(message: &str) -> String {
+    let words = [
+        ("expected f64", "expected a number"),
+        ("expected u32", "expected a whole number from 0 to 4294967295"),
+        ("expected u64", "expected a whole number from 0 to 9223372036854775807"),
+        ("expected a sequence", "expected a list"),
+    ];
+    words.iter().fold(one_line(message), |text, (rust, plain)| text.replace(rust, plain))
+}

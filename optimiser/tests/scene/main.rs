@@ -1,0 +1,3 @@
+//! Scenes: reading, refusing, writing, packing.
+
+mod shipped;

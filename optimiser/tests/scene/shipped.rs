@@ -1,0 +1,25 @@
+//! The scenes that come with the program.
+
+use powderline_optimiser::scene::{EMBEDDED_SCENES, Scene};
+
+#[test]
+fn shipped_scenes_are_valid_and_round_trip() {
+    for (name, _) in EMBEDDED_SCENES {
+        let scene = Scene::load(name).unwrap();
+        assert_eq!(scene.name, name);
+        let again = Scene::from_toml("again", &scene.to_toml().unwrap()).unwrap();
+        assert_eq!(again, scene);
+        assert_eq!(again.digest(), scene.digest());
+    }
+}
+
+#[test]
+fn figures_of_the_shipped_scenes() {
+    let figures = |name| {
+        let scene = Scene::load(name).unwrap();
+        (scene.particle_count(), scene.cell_counts(), scene.block_counts(), scene.target_count())
+    };
+    assert_eq!(figures("bench"), (11_264, [64, 24, 52], [18, 8, 15], 850));
+    assert_eq!(figures("bench-small"), (2_772, [44, 16, 32], [13, 6, 10], 200));
+    assert_eq!(figures("bench-fine"), (90_112, [128, 48, 104], [34, 14, 28], 6_800));
+}
