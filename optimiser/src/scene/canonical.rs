@@ -2,7 +2,7 @@
 
 use sha2::{Digest as _, Sha256};
 
-use super::{Scene, SceneError};
+use super::Scene;
 
 /// SHA-256 over a scene's canonical form.
 pub type Digest = [u8; 32];
@@ -13,11 +13,8 @@ pub const DIGEST_VERSION: u32 = 1;
 
 impl Scene {
     /// The scene as TOML. It loads back to an equal scene, every float to the same bits.
-    ///
-    /// # Errors
-    /// [`SceneError::Unwritable`] for a seed above 2^63 - 1, which a loaded scene never has.
-    pub fn to_toml(&self) -> Result<String, SceneError> {
-        toml::to_string(self).map_err(|error| SceneError::Unwritable { reason: error.to_string() })
+    pub fn to_toml(&self) -> String {
+        toml::to_string(self).expect("every field has a notation in TOML")
     }
 
     /// Digest of the resolved scene: SHA-256 over [`DIGEST_VERSION`] (little-endian) and the postcard encoding

@@ -5,6 +5,12 @@ use super::{Amount, Powder, Scene, Time};
 /// Edge of a grid block, in cells.
 pub const BLOCK_CELLS: usize = 4;
 
+/// The largest grid that is accepted, in cells with the padding.
+pub const MAX_CELLS: usize = 1 << 26;
+
+/// The most particles that are accepted.
+pub const MAX_PARTICLES: usize = 4_000_000;
+
 /// The highest CFL number at which a scene is accepted.
 pub const MAX_CFL: f64 = 0.5;
 
@@ -68,12 +74,6 @@ impl Scene {
     /// Mass of one particle, kilogram.
     pub fn particle_mass_kg(&self) -> f64 {
         self.particle_volume_m3() * self.powder.density_kg_m3
-    }
-
-    /// Particles in the scene: volume of the fill box over volume of a particle, rounded.
-    pub fn particle_count(&self) -> usize {
-        let fill_volume_m3: f64 = self.powder.fill_size_m().iter().product();
-        (fill_volume_m3 / self.particle_volume_m3()).round() as usize
     }
 
     /// Cells along x, y, z that cover the domain, without padding.

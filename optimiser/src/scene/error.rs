@@ -90,10 +90,4 @@ pub enum SceneError {
         /// What would be right.
         expected: String,
     },
-    /// The scene holds a number that TOML has no notation for.
-    #[error("the scene cannot be written as TOML: {reason}")]
-    Unwritable {
-        /// The writer's reason.
-        reason: String,
-    },
 }

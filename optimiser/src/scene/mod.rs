@@ -8,13 +8,20 @@ mod canonical;
 mod derived;
 mod embedded;
 mod error;
+pub(crate) mod figures;
+mod packing;
+mod path;
 mod read;
+mod remarks;
+mod solid;
+mod timing;
+mod tool_body;
 mod validate;
 
 use serde::{Deserialize, Serialize};
 
 pub use canonical::{DIGEST_VERSION, Digest};
-pub use derived::{BLOCK_CELLS, MAX_CFL};
+pub use derived::{BLOCK_CELLS, MAX_CELLS, MAX_CFL, MAX_PARTICLES};
 pub use embedded::{DEFAULT_SCENE, EMBEDDED_SCENES, embedded_scene};
 pub use error::SceneError;
 pub use read::MAX_SCENE_BYTES;
@@ -72,7 +79,7 @@ pub struct Powder {
     pub fill_max_m: [f64; 3],
     /// Particles per grid cell of powder; 1 to 64, typically 8.
     pub particles_per_cell: u32,
-    /// Seed of the initial packing; 0 to 2^63 - 1 (the largest integer in TOML).
+    /// Seed of the initial packing; 0 to 2^64 - 1.
     pub seed: u64,
     /// Young's modulus, pascal; 100 to 1e9, typically 1e4. Real grains are stiffer; the CFL number limits it.
     pub youngs_modulus_pa: f64,

@@ -1,6 +1,12 @@
 //! Whether a scene makes sense; the first thing wrong is reported as one sentence.
 
-use super::{MAX_CFL, Scene, SceneError};
+mod checker;
+mod fields;
+mod layout;
+mod reach;
+
+use super::{Container, Scene, SceneError};
+use checker::Checker;
 
 impl Scene {
     /// Checks every field's range and the rules between fields. `file` stands for the scene in messages.
@@ -8,16 +14,38 @@ impl Scene {
     /// # Errors
     /// [`SceneError::Invalid`] with the field, its value and what would be right.
     pub fn validate(&self, file: &str) -> Result<(), SceneError> {
-        let cfl = self.cfl_number();
-        // Not `cfl > MAX_CFL`: a NaN must be refused.
-        if cfl <= MAX_CFL {
-            return Ok(());
-        }
-        Err(SceneError::Invalid {
-            file: file.to_owned(),
-            field: "powder.youngs_modulus_pa".to_owned(),
-            value: self.powder.youngs_modulus_pa.to_string(),
-            expected: format!("the CFL number is {cfl} and must be at most {MAX_CFL}"),
-        })
+        let checker = Checker { file };
+        // Each check may rely on those before it.
+        fields::check(&checker, self)?;
+        layout::check_size(&checker, self)?;
+        layout::check_cfl(&checker, self)?;
+        layout::check_containers(&checker, self)?;
+        layout::check_objective(&checker, self)?;
+        layout::check_powder(&checker, self)?;
+        layout::check_start(&checker, self)?;
+        reach::check(&checker, self)
+    }
+
+    /// The container that the powder starts in.
+    ///
+    /// # Panics
+    /// If the scene was not validated and names no such container.
+    pub fn source(&self) -> &Container {
+        self.container_named(&self.objective.source)
+    }
+
+    /// The container that the powder should go to.
+    ///
+    /// # Panics
+    /// If the scene was not validated and names no such container.
+    pub fn target(&self) -> &Container {
+        self.container_named(&self.objective.target)
+    }
+
+    fn container_named(&self, name: &str) -> &Container {
+        self.container
+            .iter()
+            .find(|container| container.name == name)
+            .expect("a validated scene has its source and its target")
     }
 }

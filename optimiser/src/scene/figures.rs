@@ -1,0 +1,52 @@
+//! Numbers in messages.
+
+/// A number as a person would write it into the file.
+pub(crate) fn plain(value: f64) -> String {
+    let magnitude = value.abs();
+    if value.is_nan() {
+        "nan".to_owned()
+    } else if value.is_infinite() || magnitude < f64::MIN_POSITIVE || (1e-4..1e7).contains(&magnitude) {
+        value.to_string()
+    } else {
+        format!("{value:e}")
+    }
+}
+
+/// Numbers as a list in TOML.
+pub(crate) fn list(values: &[f64]) -> String {
+    format!("[{}]", values.iter().map(|value| plain(*value)).collect::<Vec<_>>().join(", "))
+}
+
+/// A computed number, to `digits` significant digits.
+pub(crate) fn about(value: f64, digits: usize) -> String {
+    plain(format!("{value:.*e}", digits.saturating_sub(1)).parse().unwrap_or(value))
+}
+
+/// A computed upper limit, rounded down to three significant digits so that it may be taken as it stands.
+pub(crate) fn at_most(value: f64) -> String {
+    if value <= 0.0 || !value.is_finite() {
+        return plain(value);
+    }
+    let unit = 10f64.powf(value.log10().floor() - 2.0);
+    // The small surplus keeps a limit that is itself a round number.
+    about((value / unit + 1e-6).floor() * unit, 3)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_read_like_those_in_a_file() {
+        assert_eq!(plain(0.004), "0.004");
+        assert_eq!(plain(1e300), "1e300");
+        assert_eq!(plain(-0.00001), "-1e-5");
+        assert_eq!(plain(f64::NAN), "nan");
+        assert_eq!(plain(f64::NEG_INFINITY), "-inf");
+        assert_eq!(plain(0.0), "0");
+        assert_eq!(about(0.123_456, 3), "0.123");
+        assert_eq!(at_most(14_399.9), "14300");
+        assert_eq!(at_most(0.02), "0.02");
+        assert_eq!(at_most(0.019_99), "0.0199");
+    }
+}

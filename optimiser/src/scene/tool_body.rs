@@ -1,0 +1,127 @@
+//! Where the tool reaches at a given pose.
+//!
+//! The body stands for its convex hull: the cavity counts as solid, which only matters for things inside it. World
+//! axes of the tool at heading h and pitch p: x = cos p h - sin p z, y = z x h, z = sin p h + cos p z.
+
+use super::solid::{Hull, Vec3, apart, dot};
+use super::{Scene, Tool, ToolShape};
+
+impl Tool {
+    /// Distance from the tool's origin to its lowest point when the opening looks straight up, metres.
+    pub fn body_depth_m(&self) -> f64 {
+        self.body_reach([0.0, 0.0, -1.0])
+    }
+
+    /// Ends of the handle's axis in the tool's frame: the middle of the rear rim, and the far end, metres.
+    pub fn handle_axis_m(&self) -> [[f64; 3]; 2] {
+        let half_wall = 0.5 * self.wall_thickness_m;
+        let rear = match self.shape {
+            ToolShape::Bowl { inner_radius_m } => inner_radius_m + half_wall,
+            ToolShape::BoxScoop { inner_size_m } => 0.5 * inner_size_m[0] + half_wall,
+        };
+        let (sin, cos) = self.handle.rise_deg.to_radians().sin_cos();
+        let length = self.handle.length_m;
+        [[-rear, 0.0, 0.0], [-rear - length * cos, 0.0, length * sin]]
+    }
+
+    /// Reach of the body from the tool's origin, tool frame.
+    fn body_reach(&self, direction: Vec3) -> f64 {
+        let [x, y, z] = direction;
+        let wall = self.wall_thickness_m;
+        match self.shape {
+            ToolShape::Bowl { inner_radius_m } => {
+                let below_rim = if z > 0.0 { x.hypot(y) } else { x.hypot(y).hypot(z) };
+                (inner_radius_m + wall) * below_rim
+            }
+            ToolShape::BoxScoop { inner_size_m: [length, width, height] } => {
+                let along = if x > 0.0 { 0.5 * length * x } else { -(0.5 * length + wall) * x };
+                along + (0.5 * width + wall) * y.abs() + (height + wall) * (-z).max(0.0)
+            }
+        }
+    }
+
+    fn handle_reach(&self, direction: Vec3) -> f64 {
+        let [near, far] = self.handle_axis_m();
+        dot(near, direction).max(dot(far, direction)) + self.handle.radius_m
+    }
+}
+
+/// The tool somewhere in the world.
+pub(super) struct PlacedTool<'a> {
+    tool: &'a Tool,
+    origin: Vec3,
+    /// The tool's x, y, z in the world frame.
+    axes: [Vec3; 3],
+}
+
+impl<'a> PlacedTool<'a> {
+    pub(super) fn new(scene: &'a Scene, origin: Vec3, pitch_deg: f64) -> Self {
+        let (sin_h, cos_h) = scene.skill.heading_deg.to_radians().sin_cos();
+        let (sin_p, cos_p) = pitch_deg.to_radians().sin_cos();
+        let axes = [
+            [cos_p * cos_h, cos_p * sin_h, -sin_p],
+            [-sin_h, cos_h, 0.0],
+            [sin_p * cos_h, sin_p * sin_h, cos_p],
+        ];
+        Self { tool: &scene.tool, origin, axes }
+    }
+
+    fn to_tool(&self, direction: Vec3) -> Vec3 {
+        self.axes.map(|axis| dot(axis, direction))
+    }
+
+    /// Largest p . `direction` over the body, world frame.
+    pub(super) fn body_reach(&self, direction: Vec3) -> f64 {
+        dot(self.origin, direction) + self.tool.body_reach(self.to_tool(direction))
+    }
+
+    /// Largest p . `direction` over the handle, world frame.
+    pub(super) fn handle_reach(&self, direction: Vec3) -> f64 {
+        dot(self.origin, direction) + self.tool.handle_reach(self.to_tool(direction))
+    }
+
+    /// Whether the body stays clear of a convex solid with the face normals `axes`.
+    pub(super) fn body_clears(&self, axes: &[Vec3], solid: &Hull) -> bool {
+        apart(axes, |d| self.body_reach(d), |d| solid.reach(d))
+    }
+
+    /// Whether the handle stays clear of a convex solid with the face normals `axes`.
+    pub(super) fn handle_clears(&self, axes: &[Vec3], solid: &Hull) -> bool {
+        apart(axes, |d| self.handle_reach(d), |d| solid.reach(d))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bowl_reaches_a_radius_down_at_any_pitch_up_to_a_right_angle() {
+        let scene = Scene::load("bench").unwrap();
+        for pitch in [-90.0, -50.0, 0.0, 50.0, 90.0] {
+            let tool = PlacedTool::new(&scene, [0.0; 3], pitch);
+            assert!((tool.body_reach([0.0, 0.0, -1.0]) - 0.020).abs() < 1e-15);
+        }
+        // Upside down only the rim is left on top... of nothing: the bowl then reaches up.
+        let tool = PlacedTool::new(&scene, [0.0; 3], 180.0);
+        assert!(tool.body_reach([0.0, 0.0, -1.0]).abs() < 1e-15);
+        assert!((tool.body_reach([0.0, 0.0, 1.0]) - 0.020).abs() < 1e-15);
+    }
+
+    #[test]
+    fn positive_pitch_lowers_the_lip_towards_the_heading() {
+        let scene = Scene::load("bench").unwrap();
+        let tool = PlacedTool::new(&scene, [0.0; 3], 90.0);
+        // The opening looks along +x: nothing of the bowl lies before its rim plane.
+        assert!(tool.body_reach([1.0, 0.0, 0.0]).abs() < 1e-15);
+        assert!((tool.body_reach([-1.0, 0.0, 0.0]) - 0.020).abs() < 1e-15);
+    }
+
+    #[test]
+    fn handle_rises_behind_the_bowl() {
+        let scene = Scene::load("bench").unwrap();
+        let [near, far] = scene.tool.handle_axis_m();
+        assert!((near[0] + 0.018).abs() < 1e-15);
+        assert!(far[0] < near[0] && far[2] > 0.04);
+    }
+}

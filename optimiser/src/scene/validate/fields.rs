@@ -1,0 +1,159 @@
+//! The range of every single field, as documented at the field.
+
+use super::checker::{Checked, Checker, Range};
+use crate::scene::figures::plain;
+use crate::scene::{
+    Amount, Container, ContainerShape, Domain, Limits, Objective, Observation, Optimiser, Powder, Scene,
+    Skill, Time, Tool, ToolShape,
+};
+
+const FRICTION: Range = Range::closed(0.0, 2.0);
+const WORLD_M: Range = Range::closed(-10.0, 10.0);
+const TURN_DEG: Range = Range::closed(-360.0, 360.0);
+
+/// Checks every field on its own.
+pub(super) fn check(checker: &Checker<'_>, scene: &Scene) -> Checked {
+    checker.name("name", &scene.name)?;
+    domain(checker, &scene.domain)?;
+    powder(checker, &scene.powder)?;
+    time(checker, &scene.time)?;
+    for (index, one) in scene.container.iter().enumerate() {
+        container(checker, index, one, scene.domain.cell_m)?;
+    }
+    tool(checker, &scene.tool, scene.domain.cell_m)?;
+    skill(checker, &scene.skill)?;
+    limits(checker, &scene.limits)?;
+    objective(checker, &scene.objective)?;
+    optimiser(checker, &scene.optimiser)
+}
+
+fn domain(checker: &Checker<'_>, domain: &Domain) -> Checked {
+    checker.vector("domain.size_m", &domain.size_m, Range::closed(0.01, 10.0))?;
+    checker.number("domain.cell_m", domain.cell_m, Range::closed(1e-4, 0.1))?;
+    checker.vector("domain.gravity_m_s2", &domain.gravity_m_s2, Range::closed(-100.0, 100.0))?;
+    checker.number("domain.friction", domain.friction, FRICTION)?;
+    checker.number("domain.contact_band_cells", domain.contact_band_cells, Range::closed(0.01, 2.0))
+}
+
+fn powder(checker: &Checker<'_>, powder: &Powder) -> Checked {
+    checker.vector("powder.fill_min_m", &powder.fill_min_m, WORLD_M)?;
+    checker.vector("powder.fill_max_m", &powder.fill_max_m, WORLD_M)?;
+    checker.count("powder.particles_per_cell", powder.particles_per_cell, 1, 64)?;
+    checker.number("powder.youngs_modulus_pa", powder.youngs_modulus_pa, Range::closed(100.0, 1e9))?;
+    checker.number("powder.poissons_ratio", powder.poissons_ratio, Range::closed(0.0, 0.49))?;
+    checker.number("powder.density_kg_m3", powder.density_kg_m3, Range::closed(10.0, 25_000.0))?;
+    checker.number("powder.friction_angle_deg", powder.friction_angle_deg, Range::closed(0.0, 60.0))?;
+    checker.number("powder.cohesion_pa", powder.cohesion_pa, Range::closed(0.0, 1e5))
+}
+
+fn time(checker: &Checker<'_>, time: &Time) -> Checked {
+    checker.count("time.control_period_us", time.control_period_us, 100, 1_000_000)?;
+    checker.count("time.substeps", time.substeps, 1, 10_000)?;
+    checker.count("time.horizon_steps", time.horizon_steps, 1, 100_000)?;
+    checker.number("time.settle_s", time.settle_s, Range::closed(0.0, 60.0))
+}
+
+fn container(checker: &Checker<'_>, index: usize, container: &Container, cell_m: f64) -> Checked {
+    let field = |name: &str| format!("container[{index}].{name}");
+    let inner = Range::closed(cell_m, 10.0);
+    checker.name(&field("name"), &container.name)?;
+    checker.vector(&field("position_m"), &container.position_m, WORLD_M)?;
+    checker.number(&field("yaw_deg"), container.yaw_deg, TURN_DEG)?;
+    wall(checker, &field("wall_thickness_m"), container.wall_thickness_m, cell_m)?;
+    checker.number(&field("friction"), container.friction, FRICTION)?;
+    match &container.shape {
+        ContainerShape::Box { inner_size_m } => {
+            checker.vector(&field("shape.inner_size_m"), inner_size_m, inner)
+        }
+        ContainerShape::Cylinder { inner_radius_m, inner_height_m } => {
+            checker.number(&field("shape.inner_radius_m"), *inner_radius_m, inner)?;
+            checker.number(&field("shape.inner_height_m"), *inner_height_m, inner)
+        }
+    }
+}
+
+/// Walls much thinner than a cell would let powder through.
+fn wall(checker: &Checker<'_>, field: &str, thickness_m: f64, cell_m: f64) -> Checked {
+    checker.number(field, thickness_m, Range::above(0.0, 1.0))?;
+    let least_m = 0.5 * cell_m;
+    if thickness_m >= least_m * (1.0 - 1e-9) {
+        return Ok(());
+    }
+    Err(checker.invalid(
+        field,
+        plain(thickness_m),
+        format!("it must be at least half a cell, {} for domain.cell_m = {}", plain(least_m), plain(cell_m)),
+    ))
+}
+
+fn tool(checker: &Checker<'_>, tool: &Tool, cell_m: f64) -> Checked {
+    let inner = Range::closed(cell_m, 1.0);
+    match &tool.shape {
+        ToolShape::Bowl { inner_radius_m } => {
+            checker.number("tool.shape.inner_radius_m", *inner_radius_m, inner)?;
+        }
+        ToolShape::BoxScoop { inner_size_m } => {
+            checker.vector("tool.shape.inner_size_m", inner_size_m, inner)?;
+        }
+    }
+    wall(checker, "tool.wall_thickness_m", tool.wall_thickness_m, cell_m)?;
+    checker.number("tool.friction", tool.friction, FRICTION)?;
+    checker.vector("tool.start_position_m", &tool.start_position_m, WORLD_M)?;
+    checker.number("tool.start_pitch_deg", tool.start_pitch_deg, Range::closed(-90.0, 90.0))?;
+    checker.number("tool.handle.length_m", tool.handle.length_m, Range::closed(0.001, 1.0))?;
+    checker.number("tool.handle.radius_m", tool.handle.radius_m, Range::closed(0.25 * cell_m, 0.1))?;
+    checker.number("tool.handle.rise_deg", tool.handle.rise_deg, Range::closed(-90.0, 90.0))
+}
+
+fn skill(checker: &Checker<'_>, skill: &Skill) -> Checked {
+    let angle = Range::closed(1.0, 180.0);
+    let travel = Range::closed(0.001, 5.0);
+    checker.bounds("skill.scooping_depth_m", skill.scooping_depth_m, Range::closed(1e-4, 1.0))?;
+    checker.bounds("skill.scooping_angle_deg", skill.scooping_angle_deg, angle)?;
+    checker.bounds("skill.lift_height_m", skill.lift_height_m, travel)?;
+    checker.bounds("skill.transport_displacement_m", skill.transport_displacement_m, travel)?;
+    checker.bounds("skill.pouring_angle_deg", skill.pouring_angle_deg, angle)?;
+    for (index, bounds) in skill.initial_theta.iter().enumerate() {
+        checker.bounds(&format!("skill.initial_theta[{index}]"), *bounds, Range::closed(-1.0, 1.0))?;
+    }
+    checker.number("skill.heading_deg", skill.heading_deg, TURN_DEG)?;
+    checker.number("skill.approach_m", skill.approach_m, Range::closed(1e-4, 1.0))?;
+    checker.number("skill.sweep_m", skill.sweep_m, Range::closed(0.0, 1.0))?;
+    checker.number("skill.linear_speed_m_s", skill.linear_speed_m_s, Range::closed(0.001, 5.0))?;
+    checker.number("skill.angular_speed_rad_s", skill.angular_speed_rad_s, Range::closed(0.01, 50.0))
+}
+
+fn limits(checker: &Checker<'_>, limits: &Limits) -> Checked {
+    checker.vector("limits.workspace_min_m", &limits.workspace_min_m, WORLD_M)?;
+    checker.vector("limits.workspace_max_m", &limits.workspace_max_m, WORLD_M)?;
+    for (name, value, high) in [
+        ("linear_velocity_m_s", limits.linear_velocity_m_s, 100.0),
+        ("linear_acceleration_m_s2", limits.linear_acceleration_m_s2, 1e4),
+        ("linear_jerk_m_s3", limits.linear_jerk_m_s3, 1e7),
+        ("angular_velocity_rad_s", limits.angular_velocity_rad_s, 1e3),
+        ("angular_acceleration_rad_s2", limits.angular_acceleration_rad_s2, 1e5),
+        ("angular_jerk_rad_s3", limits.angular_jerk_rad_s3, 1e8),
+    ] {
+        checker.number(&format!("limits.{name}"), value, Range::closed(0.001, high))?;
+    }
+    Ok(())
+}
+
+fn objective(checker: &Checker<'_>, objective: &Objective) -> Checked {
+    checker.vector("objective.p_target_m", &objective.p_target_m, WORLD_M)?;
+    if let Amount::MassKg(mass_kg) = objective.amount {
+        checker.number("objective.amount.mass_kg", mass_kg, Range::above(0.0, 1e6))?;
+    }
+    if let Observation::VisibleFromAbove { pixel_m } = objective.observation {
+        checker.number("objective.observation.pixel_m", pixel_m, Range::closed(1e-4, 0.1))?;
+    }
+    Ok(())
+}
+
+fn optimiser(checker: &Checker<'_>, optimiser: &Optimiser) -> Checked {
+    checker.count("optimiser.epochs", optimiser.epochs, 1, 100_000)?;
+    checker.count("optimiser.curriculum_epochs", optimiser.curriculum_epochs, 0, 100_000)?;
+    checker.number("optimiser.learning_rate", optimiser.learning_rate, Range::above(0.0, 10.0))?;
+    checker.number("optimiser.beta", optimiser.beta, Range::below(0.0, 1.0))?;
+    checker.number("optimiser.epsilon", optimiser.epsilon, Range::above(0.0, 1.0))
+}

@@ -1,0 +1,273 @@
+//! Sizes that follow from the fields, and the places of containers, powder and tool at the start.
+
+use super::checker::{Checked, Checker};
+use crate::scene::figures::{about, at_most, list, plain};
+use crate::scene::solid::{Hull, TOUCH_M, Vec3};
+use crate::scene::tool_body::PlacedTool;
+use crate::scene::{BLOCK_CELLS, Container, MAX_CELLS, MAX_CFL, MAX_PARTICLES, Scene};
+
+/// World directions with the name of their coordinate and their sign.
+pub(super) const SIDES: [(Vec3, usize); 6] = [
+    ([-1.0, 0.0, 0.0], 0),
+    ([1.0, 0.0, 0.0], 0),
+    ([0.0, -1.0, 0.0], 1),
+    ([0.0, 1.0, 0.0], 1),
+    ([0.0, 0.0, -1.0], 2),
+    ([0.0, 0.0, 1.0], 2),
+];
+
+/// Names of the coordinates.
+pub(super) const AXIS_NAMES: [&str; 3] = ["x", "y", "z"];
+
+/// Grid cells and particles within what the program is made for.
+pub(super) fn check_size(checker: &Checker<'_>, scene: &Scene) -> Checked {
+    for axis in 0..3 {
+        if scene.powder.fill_min_m[axis] >= scene.powder.fill_max_m[axis] {
+            return Err(checker.invalid(
+                "powder.fill_max_m",
+                list(&scene.powder.fill_max_m),
+                format!(
+                    "it must exceed powder.fill_min_m = {} in every component",
+                    list(&scene.powder.fill_min_m)
+                ),
+            ));
+        }
+    }
+    let cells = scene.block_counts().iter().map(|blocks| (blocks * BLOCK_CELLS) as f64).product::<f64>();
+    too_many(checker, scene, cells, MAX_CELLS as f64, "grid cells, padding included,")?;
+    too_many(checker, scene, scene.particle_count() as f64, MAX_PARTICLES as f64, "particles")?;
+    if scene.particle_count() == 0 {
+        return Err(checker.invalid(
+            "powder.fill_max_m",
+            list(&scene.powder.fill_max_m),
+            "the box from powder.fill_min_m to there is smaller than a particle; a larger box would be right",
+        ));
+    }
+    Ok(())
+}
+
+fn too_many(checker: &Checker<'_>, scene: &Scene, count: f64, limit: f64, what: &str) -> Checked {
+    if count <= limit {
+        return Ok(());
+    }
+    let cell_m = scene.domain.cell_m;
+    // Half as much again as the count alone asks for covers the padding and is quick to try.
+    let right_m = cell_m * (1.5 * count / limit).cbrt();
+    Err(checker.invalid(
+        "domain.cell_m",
+        plain(cell_m),
+        format!(
+            "that makes {} {what} and at most {limit} are allowed; about {} would be right",
+            about(count, 3),
+            about(right_m, 2)
+        ),
+    ))
+}
+
+/// Courant condition.
+pub(super) fn check_cfl(checker: &Checker<'_>, scene: &Scene) -> Checked {
+    let cfl = scene.cfl_number();
+    if cfl <= MAX_CFL {
+        return Ok(());
+    }
+    let modulus_pa = scene.powder.youngs_modulus_pa;
+    let substeps = (f64::from(scene.time.substeps) * cfl / MAX_CFL).ceil();
+    Err(checker.invalid(
+        "powder.youngs_modulus_pa",
+        plain(modulus_pa),
+        format!(
+            "the CFL number sqrt(P-wave modulus / density) * dt_sub / cell is then {} and must be at most {}; \
+             time.substeps of at least {} or powder.youngs_modulus_pa of at most {} would be right",
+            about(cfl, 3),
+            MAX_CFL,
+            about(substeps, 12),
+            at_most(modulus_pa * (MAX_CFL / cfl).powi(2))
+        ),
+    ))
+}
+
+/// Containers: how many, their names, inside the domain, clear of each other.
+pub(super) fn check_containers(checker: &Checker<'_>, scene: &Scene) -> Checked {
+    let containers = &scene.container;
+    if !(2..=16).contains(&containers.len()) {
+        return Err(checker.invalid(
+            "container",
+            format!("a list of {}", containers.len()),
+            "a scene has 2 to 16 containers, one of them the source and one the target",
+        ));
+    }
+    for (index, container) in containers.iter().enumerate() {
+        let field = |name: &str| format!("container[{index}].{name}");
+        if containers[..index].iter().any(|other| other.name == container.name) {
+            return Err(checker.invalid(
+                field("name"),
+                format!("{:?}", container.name),
+                "another container has that name already; every container needs its own",
+            ));
+        }
+        let outer = container.outer();
+        inside_domain(
+            checker,
+            scene,
+            &field("position_m"),
+            &container.position_m,
+            "the container",
+            |direction| outer.reach(direction),
+        )?;
+        if let Some(other) = containers[..index].iter().find(|other| !containers_apart(container, other)) {
+            return Err(checker.invalid(
+                field("position_m"),
+                list(&container.position_m),
+                format!(
+                    "there container {:?} overlaps container {:?}; they must stand apart",
+                    container.name, other.name
+                ),
+            ));
+        }
+    }
+    Ok(())
+}
+
+fn containers_apart(a: &Container, b: &Container) -> bool {
+    let axes: Vec<Vec3> = a.axes().into_iter().chain(b.axes()).collect();
+    let (a, b) = (a.outer(), b.outer());
+    crate::scene::solid::apart(&axes, |d| a.reach(d), |d| b.reach(d))
+}
+
+/// Refuses what reaches out of the simulated volume.
+pub(super) fn inside_domain(
+    checker: &Checker<'_>,
+    scene: &Scene,
+    field: &str,
+    value: &[f64],
+    what: &str,
+    reach: impl Fn(Vec3) -> f64,
+) -> Checked {
+    for (direction, axis) in SIDES {
+        let sign = direction[axis];
+        let side_m = sign * reach(direction);
+        let size_m = scene.domain.size_m[axis];
+        if !(-TOUCH_M..=size_m + TOUCH_M).contains(&side_m) {
+            return Err(checker.invalid(
+                field,
+                list(value),
+                format!(
+                    "{what} would then reach {} = {}, outside the domain, which goes from 0 to {}",
+                    AXIS_NAMES[axis],
+                    about(side_m, 4),
+                    plain(size_m)
+                ),
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// Source, target, target point and amount.
+pub(super) fn check_objective(checker: &Checker<'_>, scene: &Scene) -> Checked {
+    use crate::scene::{Amount, Observation};
+    let objective = &scene.objective;
+    named_container(checker, scene, "objective.source", &objective.source)?;
+    named_container(checker, scene, "objective.target", &objective.target)?;
+    if objective.source == objective.target {
+        return Err(checker.invalid(
+            "objective.target",
+            format!("{:?}", objective.target),
+            "that is objective.source; the target must be another container",
+        ));
+    }
+    let p_target = objective.p_target_m;
+    if (0..3).any(|axis| !(0.0..=scene.domain.size_m[axis]).contains(&p_target[axis])) {
+        return Err(checker.invalid(
+            "objective.p_target_m",
+            list(&p_target),
+            format!("it must lie in the domain, which goes from [0, 0, 0] to {}", list(&scene.domain.size_m)),
+        ));
+    }
+    let count = scene.particle_count();
+    let whole_kg = count as f64 * scene.particle_mass_kg();
+    let particles = |field: &str, particles: u32| {
+        checker.count(field, particles, 1, u32::try_from(count).unwrap_or(u32::MAX))
+    };
+    match objective.amount {
+        Amount::Particles(wanted) => particles("objective.amount.particles", wanted)?,
+        Amount::MassKg(wanted_kg) if wanted_kg > whole_kg * (1.0 + 1e-9) => {
+            return Err(checker.invalid(
+                "objective.amount.mass_kg",
+                plain(wanted_kg),
+                format!("the scene holds no more than {} kg of powder", about(whole_kg, 4)),
+            ));
+        }
+        Amount::MassKg(_) => {}
+    }
+    match objective.observation {
+        Observation::Subsample { particles: size } => particles("objective.observation.particles", size),
+        Observation::All | Observation::VisibleFromAbove { .. } => Ok(()),
+    }
+}
+
+fn named_container(checker: &Checker<'_>, scene: &Scene, field: &str, name: &str) -> Checked {
+    if scene.container.iter().any(|container| container.name == name) {
+        return Ok(());
+    }
+    let known: Vec<String> =
+        scene.container.iter().map(|container| format!("{:?}", container.name)).collect();
+    let shown: String = name.chars().take(64).collect();
+    Err(checker.invalid(field, format!("{shown:?}"), format!("the containers are {}", known.join(", "))))
+}
+
+/// Powder inside the domain and inside the source container.
+pub(super) fn check_powder(checker: &Checker<'_>, scene: &Scene) -> Checked {
+    let powder = &scene.powder;
+    let fill = powder.fill_box();
+    let below_zero = powder.fill_min_m.iter().any(|low| *low < -TOUCH_M);
+    let (field, value) = if below_zero {
+        ("powder.fill_min_m", powder.fill_min_m)
+    } else {
+        ("powder.fill_max_m", powder.fill_max_m)
+    };
+    inside_domain(checker, scene, field, &value, "the powder", |direction| fill.reach(direction))?;
+    let source = scene.source();
+    if source.holds_box(powder.fill_min_m, powder.fill_max_m) {
+        return Ok(());
+    }
+    let floor_m = source.position_m[2];
+    Err(checker.invalid(
+        "powder.fill_min_m",
+        format!("{} and powder.fill_max_m {}", list(&powder.fill_min_m), list(&powder.fill_max_m)),
+        format!(
+            "that box is not inside container {:?} around [{}, {}], from z = {} to {}",
+            source.name,
+            plain(source.position_m[0]),
+            plain(source.position_m[1]),
+            plain(floor_m),
+            about(floor_m + source.inner_height_m(), 6)
+        ),
+    ))
+}
+
+/// Tool at its start pose: inside the domain, clear of powder and containers.
+pub(super) fn check_start(checker: &Checker<'_>, scene: &Scene) -> Checked {
+    let start = scene.tool.start_position_m;
+    let tool = PlacedTool::new(scene, start, scene.tool.start_pitch_deg);
+    let field = "tool.start_position_m";
+    inside_domain(checker, scene, field, &start, "the tool", |direction| tool.body_reach(direction))?;
+    inside_domain(checker, scene, field, &start, "the tool's handle", |direction| {
+        tool.handle_reach(direction)
+    })?;
+    let overlap = |what: String| {
+        Err(checker.invalid(
+            field,
+            list(&start),
+            format!("there the tool overlaps {what}; it must start clear"),
+        ))
+    };
+    let clears =
+        |axes: &[Vec3], solid: &Hull| tool.body_clears(axes, solid) && tool.handle_clears(axes, solid);
+    if !clears(&[[0.0, 0.0, 1.0]], &scene.powder.fill_box()) {
+        return overlap("the powder".to_owned());
+    }
+    let blocking =
+        scene.container.iter().find(|one| one.pieces().iter().any(|piece| !clears(&one.axes(), piece)));
+    blocking.map_or(Ok(()), |one| overlap(format!("container {:?}", one.name)))
+}

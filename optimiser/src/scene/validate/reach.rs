@@ -1,0 +1,177 @@
+//! Whether every skill within the bounds fits: workspace, domain, the source's floor and walls, the horizon.
+
+use super::checker::{Checked, Checker};
+use super::layout::{AXIS_NAMES, inside_domain};
+use crate::scene::figures::{about, at_most, list, plain};
+use crate::scene::path::{Stage, pitches};
+use crate::scene::solid::TOUCH_M;
+use crate::scene::tool_body::PlacedTool;
+use crate::scene::{Profile, Scene};
+
+/// Everything about the motions that can be judged without making one.
+pub(super) fn check(checker: &Checker<'_>, scene: &Scene) -> Checked {
+    check_workspace_box(checker, scene)?;
+    check_floor(checker, scene)?;
+    check_scoop_walls(checker, scene)?;
+    for stage in scene.stages() {
+        check_workspace(checker, scene, &stage)?;
+        check_domain(checker, scene, &stage)?;
+    }
+    check_speed(checker, scene)?;
+    check_horizon(checker, scene)
+}
+
+fn check_workspace_box(checker: &Checker<'_>, scene: &Scene) -> Checked {
+    let (low, high) = (scene.limits.workspace_min_m, scene.limits.workspace_max_m);
+    if (0..3).all(|axis| low[axis] < high[axis]) {
+        return Ok(());
+    }
+    Err(checker.invalid(
+        "limits.workspace_max_m",
+        list(&high),
+        format!("it must exceed limits.workspace_min_m = {} in every component", list(&low)),
+    ))
+}
+
+fn check_workspace(checker: &Checker<'_>, scene: &Scene, stage: &Stage) -> Checked {
+    for origin in &stage.origins {
+        for (axis, coordinate) in origin.iter().enumerate() {
+            let (low, high) = (scene.limits.workspace_min_m[axis], scene.limits.workspace_max_m[axis]);
+            if !(low - TOUCH_M..=high + TOUCH_M).contains(coordinate) {
+                return Err(checker.invalid(
+                    stage.field,
+                    list(&stage.value),
+                    format!(
+                        "the tool's origin would then be at {} = {}, outside the limits' workspace, which goes \
+                         from {} to {}",
+                        AXIS_NAMES[axis],
+                        about(*coordinate, 4),
+                        plain(low),
+                        plain(high)
+                    ),
+                ));
+            }
+        }
+    }
+    Ok(())
+}
+
+/// The body only: what the handle meets outside the domain is none of the simulation's business.
+fn check_domain(checker: &Checker<'_>, scene: &Scene, stage: &Stage) -> Checked {
+    for origin in &stage.origins {
+        for pitch_deg in pitches(stage.pitch_deg) {
+            let tool = PlacedTool::new(scene, *origin, pitch_deg);
+            inside_domain(checker, scene, stage.field, &stage.value, "the tool", |direction| {
+                tool.body_reach(direction)
+            })?;
+        }
+    }
+    Ok(())
+}
+
+/// The deepest scoop stays above the source's floor.
+fn check_floor(checker: &Checker<'_>, scene: &Scene) -> Checked {
+    let (tool, skill) = (&scene.tool, &scene.skill);
+    let start = tool.start_position_m;
+    let scoop_pitch = [tool.start_pitch_deg - skill.scooping_angle_deg[1], tool.start_pitch_deg];
+    let lowest_m = pitches(scoop_pitch)
+        .map(|pitch_deg| -PlacedTool::new(scene, start, pitch_deg).body_reach([0.0, 0.0, -1.0]))
+        .fold(f64::INFINITY, f64::min);
+    let floor_m = scene.source().position_m[2];
+    let room_m = lowest_m - skill.approach_m - floor_m;
+    if skill.scooping_depth_m[1] <= room_m + TOUCH_M {
+        return Ok(());
+    }
+    Err(checker.invalid(
+        "skill.scooping_depth_m",
+        list(&skill.scooping_depth_m),
+        format!(
+            "at the deepest scoop the tool would go {} m below the floor of container {:?}; at most {} would be \
+             right",
+            about(skill.scooping_depth_m[1] - room_m, 3),
+            scene.source().name,
+            at_most(room_m)
+        ),
+    ))
+}
+
+/// Going down and scooping keep clear of the source's walls at every depth and angle.
+fn check_scoop_walls(checker: &Checker<'_>, scene: &Scene) -> Checked {
+    let source = scene.source();
+    let (axes, pieces) = (source.axes(), source.pieces());
+    let walls = &pieces[1..];
+    let clears = |(origin, pitch_deg)| {
+        let tool = PlacedTool::new(scene, origin, pitch_deg);
+        walls.iter().all(|wall| tool.body_clears(&axes, wall))
+    };
+    if !scene.insert_poses().all(clears) {
+        return Err(checker.invalid(
+            "tool.start_position_m",
+            list(&scene.tool.start_position_m),
+            format!(
+                "on its way down from there the tool would hit a wall of container {:?}; a start further inside \
+                 would be right",
+                source.name
+            ),
+        ));
+    }
+    if !scene.scoop_poses().all(clears) {
+        return Err(checker.invalid(
+            "skill.sweep_m",
+            plain(scene.skill.sweep_m),
+            format!(
+                "while scooping the tool would hit a wall of container {:?}; a shorter sweep or a start further \
+                 back would be right",
+                source.name
+            ),
+        ));
+    }
+    Ok(())
+}
+
+/// Minimum-jerk segments are stretched until the limits hold; constant-speed ones are not.
+fn check_speed(checker: &Checker<'_>, scene: &Scene) -> Checked {
+    let (skill, limits) = (&scene.skill, &scene.limits);
+    let too_fast = |field: &str, speed: f64, limit_field: &str, limit: f64| {
+        if skill.profile == Profile::MinimumJerk || speed <= limit {
+            return Ok(());
+        }
+        Err(checker.invalid(
+            field,
+            plain(speed),
+            format!("{limit_field} = {} allows no more with profile = \"constant_speed\"", plain(limit)),
+        ))
+    };
+    too_fast(
+        "skill.linear_speed_m_s",
+        skill.linear_speed_m_s,
+        "limits.linear_velocity_m_s",
+        limits.linear_velocity_m_s,
+    )?;
+    too_fast(
+        "skill.angular_speed_rad_s",
+        skill.angular_speed_rad_s,
+        "limits.angular_velocity_rad_s",
+        limits.angular_velocity_rad_s,
+    )
+}
+
+fn check_horizon(checker: &Checker<'_>, scene: &Scene) -> Checked {
+    let longest_s = scene.longest_skill_s();
+    let horizon_s = scene.time.horizon_s();
+    let slack_s = 1e-6 * scene.time.control_period_s();
+    if longest_s <= horizon_s + slack_s {
+        return Ok(());
+    }
+    let steps = (longest_s / scene.time.control_period_s()).ceil();
+    Err(checker.invalid(
+        "time.horizon_steps",
+        scene.time.horizon_steps,
+        format!(
+            "that is {} s and the longest skill within the bounds takes {} s; at least {} would be right",
+            about(horizon_s, 4),
+            about(longest_s, 4),
+            about(steps, 12)
+        ),
+    ))
+}
