@@ -1,7 +1,10 @@
 //! What a command ends with when it does not succeed.
 
 use crate::{
-    report::folder::FolderError, rollout::{RolloutError, SimulatorError}, scene::SceneError, skill::SkillError,
+    report::folder::FolderError,
+    rollout::{RolloutError, SimulatorError},
+    scene::SceneError,
+    skill::SkillError,
 };
 use std::{fmt, io, process::ExitCode};
 

@@ -11,7 +11,7 @@ use serde::Serialize;
 use std::{
     fmt::Write as _,
     fs::File,
-    io::{Read, Write},
+    io::Read,
     path::{Path, PathBuf},
 };
 
@@ -69,8 +69,8 @@ struct Parameter {
 pub(super) fn execute(arguments: &InspectArgs, context: &mut Context<'_>) -> Result<(), CliError> {
     let bytes = read_plan(&arguments.plan)?;
     let path = arguments.plan.display();
-    let plan =
-        PlanReader::new(&bytes).map_err(|error| CliError::Input(format!("{path} is no usable plan: {error}")))?;
+    let plan = PlanReader::new(&bytes)
+        .map_err(|error| CliError::Input(format!("{path} is no usable plan: {error}")))?;
     let report = Report::new(&plan);
     if arguments.json {
         return context.json(&report);
@@ -127,7 +127,11 @@ impl Report {
     }
 
     fn write_text(&self, text: &mut String) -> std::fmt::Result {
-        writeln!(text, "Plan {}, made by optimise {} with seed {} in {}", self.content_hash, self.optimiser_version, self.seed, self.precision)?;
+        writeln!(
+            text,
+            "Plan {}, made by optimise {} with seed {} in {}",
+            self.content_hash, self.optimiser_version, self.seed, self.precision
+        )?;
         writeln!(text, "for the scene with digest {}.\n", self.scene_digest)?;
         writeln!(
             text,
@@ -159,7 +163,12 @@ impl Report {
         let millimetres = |position: [f64; 3]| position.map(|x| format!("{:.1}", 1e3 * x)).join(", ");
         let [x, y, z, rx, ry, rz] = self.displacement;
         let turn_deg = (rx * rx + ry * ry + rz * rz).sqrt().to_degrees();
-        writeln!(text, "\nStarts at ({}) mm, ends at ({}) mm:", millimetres(self.start.position_m), millimetres(self.end.position_m))?;
+        writeln!(
+            text,
+            "\nStarts at ({}) mm, ends at ({}) mm:",
+            millimetres(self.start.position_m),
+            millimetres(self.end.position_m)
+        )?;
         writeln!(text, "moved by ({}) mm and turned by {turn_deg:.1} deg.\n", millimetres([x, y, z]))?;
         if let Some(broken) = &self.limit_broken {
             return writeln!(text, "It breaks its own limits: {broken}.");
@@ -171,7 +180,12 @@ impl Report {
             ("linear acceleration", limits.linear_acceleration_m_s2, "m/s^2", used.linear_acceleration),
             ("linear jerk", limits.linear_jerk_m_s3, "m/s^3", used.linear_jerk),
             ("angular velocity", limits.angular_velocity_rad_s, "rad/s", used.angular_velocity),
-            ("angular acceleration", limits.angular_acceleration_rad_s2, "rad/s^2", used.angular_acceleration),
+            (
+                "angular acceleration",
+                limits.angular_acceleration_rad_s2,
+                "rad/s^2",
+                used.angular_acceleration,
+            ),
             ("angular jerk", limits.angular_jerk_rad_s3, "rad/s^3", used.angular_jerk),
         ] {
             writeln!(text, "{name:<24}uses {:>5.1} % of {limit} {unit}", 100.0 * share)?;

@@ -37,7 +37,9 @@ use std::{
 /// Optimises a skill that scoops, carries and pours powder, and writes it as a plan for an arm.
 #[derive(Debug, Parser)]
 #[command(name = "optimise", version, args_conflicts_with_subcommands = true)]
-#[command(after_help = "Without a command, `optimise [OPTIONS] [SCENE]` means `optimise run [OPTIONS] [SCENE]`.")]
+#[command(
+    after_help = "Without a command, `optimise [OPTIONS] [SCENE]` means `optimise run [OPTIONS] [SCENE]`."
+)]
 struct Cli {
     #[command(subcommand)]
     command: Option<Command>,

@@ -51,6 +51,11 @@ pub struct Resources {
 impl Resources {
     /// Settings of the simulator.
     pub fn settings(&self, seed: u64, precision: Precision) -> SimulatorSettings {
-        SimulatorSettings { seed, precision, threads: self.threads.map(usize::from), memory_bytes: self.memory }
+        SimulatorSettings {
+            seed,
+            precision,
+            threads: self.threads.map(usize::from),
+            memory_bytes: self.memory,
+        }
     }
 }

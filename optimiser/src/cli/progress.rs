@@ -1,7 +1,7 @@
 //! Live progress on standard error: a line that is redrawn on a terminal, one line per epoch elsewhere.
 
-use crate::report::words::{duration, grouped};
 use crate::optim::EpochRecord;
+use crate::report::words::{duration, grouped};
 use std::{
     io::Write,
     time::{Duration, Instant},
@@ -54,7 +54,8 @@ impl<'a> Progress<'a> {
         self.drawn = Some(Instant::now());
         let share = (done as f64 / total.max(1) as f64).clamp(0.0, 1.0);
         let filled = (share * BAR_CELLS as f64) as usize;
-        let left = self.left_s(share).map(|left| format!(", about {} left", duration(left))).unwrap_or_default();
+        let left =
+            self.left_s(share).map(|left| format!(", about {} left", duration(left))).unwrap_or_default();
         // A terminal that cannot be written to is no reason to stop a run.
         let _ = write!(
             self.out,
@@ -134,7 +135,10 @@ mod tests {
         progress.epoch(&record(0), 30, &[record(0)]);
         let text = String::from_utf8(out).unwrap();
         assert_eq!(text.lines().count(), 1, "{text}");
-        assert!(text.contains("1158.940") && text.contains("1,854") && text.contains("about 1 min left"), "{text}");
+        assert!(
+            text.contains("1158.940") && text.contains("1,854") && text.contains("about 1 min left"),
+            "{text}"
+        );
     }
 
     #[test]
@@ -144,6 +148,9 @@ mod tests {
         progress.begin("epoch 1/30", 29, &[record(0)]);
         progress.clear();
         let text = String::from_utf8(out).unwrap();
-        assert!(text.contains("\r\x1b[2Kepoch 1/30 [....................]   0 %, about 1 min left"), "{text:?}");
+        assert!(
+            text.contains("\r\x1b[2Kepoch 1/30 [....................]   0 %, about 1 min left"),
+            "{text:?}"
+        );
     }
 }

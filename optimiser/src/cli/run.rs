@@ -20,10 +20,7 @@ use crate::{
 };
 use clap::Args;
 use powderline_shared::plan::Precision;
-use std::{
-    io::Write,
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
 
 /// Arguments of `optimise run`.
 #[derive(Clone, Debug, Args)]
@@ -76,7 +73,11 @@ pub(super) fn execute(arguments: &RunArgs, context: &mut Context<'_>) -> Result<
     let resumable = format!("what was evaluated is saved, go on with: {}", resume_command(run.folder.path()));
     if run.state.finished {
         let path = run.folder.path().display();
-        writeln!(context.out, "The run in {path} is finished; --epochs with more than {} prolongs it.", run.state.search.epochs())?;
+        writeln!(
+            context.out,
+            "The run in {path} is finished; --epochs with more than {} prolongs it.",
+            run.state.search.epochs()
+        )?;
         return Ok(());
     }
     let plan = run.complete(arguments, context).map_err(|error| error.with_remark(&resumable))?;
@@ -102,14 +103,16 @@ impl Run {
             Some(path) => RunFolder::create(path)?,
             None => RunFolder::create_numbered(&Path::new("runs").join(default_name(&scene.name, seed)))?,
         };
-        folder.replace(SCENE, scene.to_toml()?.as_bytes())?;
+        folder.replace(SCENE, scene.to_toml().as_bytes())?;
         folder.replace(STATE, &state.to_bytes())?;
         Ok(Self { folder, rule: RmsProp::from(&scene.optimiser), scene, map, state })
     }
 
     fn resume(arguments: &RunArgs, path: &Path) -> Result<Self, CliError> {
         let folder = RunFolder::open(path)?;
-        let damaged = |error| CliError::Input(format!("{} cannot be resumed from: {error}", folder.file(STATE).display()));
+        let damaged = |error| {
+            CliError::Input(format!("{} cannot be resumed from: {error}", folder.file(STATE).display()))
+        };
         let mut state = RunState::from_bytes(&folder.read(STATE)?).map_err(damaged)?;
         let scene = saved_scene(&folder, &state)?;
         refuse_differences(arguments, path, &state)?;
@@ -214,7 +217,8 @@ impl Run {
             quantised: &quantised,
             evaluation: &evaluation,
         };
-        let plan = parts.to_bytes().map_err(|error| CliError::Failed(format!("no plan can be made: {error}")))?;
+        let plan =
+            parts.to_bytes().map_err(|error| CliError::Failed(format!("no plan can be made: {error}")))?;
         self.folder.replace(PLAN, &plan)?;
         self.state.finished = true;
         self.folder.replace(STATE, &self.state.to_bytes())?;
@@ -224,7 +228,9 @@ impl Run {
 
     fn conclude(&self, plan: &Evaluation, context: &mut Context<'_>) -> Result<(), CliError> {
         let search = &self.state.search;
-        if let ([first, ..], Some(last), Some(best)) = (search.history(), search.history().last(), search.best()) {
+        if let ([first, ..], Some(last), Some(best)) =
+            (search.history(), search.history().last(), search.best())
+        {
             write!(context.out, "\n{}", Finding { map: &self.map, first, best, last, plan }.text())?;
         }
         let path = self.folder.file(PLAN);
@@ -287,7 +293,9 @@ fn refuse_differences(arguments: &RunArgs, path: &Path, state: &RunState) -> Res
         let digest = Scene::load(name)?.digest();
         if digest != state.scene {
             let [asked, saved] = [digest, state.scene].map(|digest| hex(&digest[..4]));
-            return refuse(format!("was started with another scene than `{name}` (digest {saved}, not {asked})"));
+            return refuse(format!(
+                "was started with another scene than `{name}` (digest {saved}, not {asked})"
+            ));
         }
     }
     if let Some(seed) = arguments.seed.filter(|seed| *seed != state.seed) {
@@ -304,7 +312,9 @@ fn refuse_differences(arguments: &RunArgs, path: &Path, state: &RunState) -> Res
 fn prolong(state: &mut RunState, epochs: u32) -> Result<(), CliError> {
     let now = state.search.epochs();
     if epochs < now {
-        return Err(CliError::Input(format!("--epochs is {epochs}, but the run has {now}; it can only be prolonged")));
+        return Err(CliError::Input(format!(
+            "--epochs is {epochs}, but the run has {now}; it can only be prolonged"
+        )));
     }
     if epochs > now {
         state.search.extend(epochs);

@@ -6,7 +6,10 @@ use super::{
     options::{DEFAULT_PRECISION, DEFAULT_SEED, PrecisionArg, precision_name},
 };
 use crate::{
-    report::{folder, words::{grouped, hex}},
+    report::{
+        folder,
+        words::{grouped, hex},
+    },
     rollout::{Evaluation, SimulatorSettings},
     scene::{DEFAULT_SCENE, Scene},
     skill::{SkillMap, Theta, check_theta, controls_of},
@@ -17,10 +20,7 @@ use powderline_shared::{
     plan::{PlanHeader, PlanReader, Precision},
 };
 use serde::Serialize;
-use std::{
-    io::Write,
-    path::{Path, PathBuf},
-};
+use std::path::{Path, PathBuf};
 
 /// Arguments of `optimise simulate`.
 #[derive(Clone, Debug, Args)]
@@ -147,13 +147,16 @@ fn scene_beside(plan: &Path) -> Option<String> {
 /// Five numbers in [-1, 1], separated by commas.
 fn parse_theta(text: &str) -> Result<Theta, CliError> {
     let wrong = |why: &str| {
-        CliError::Input(format!("--theta is `{text}`, but five numbers in [-1, 1], separated by commas, would be right: {why}"))
+        CliError::Input(format!(
+            "--theta is `{text}`, but five numbers in [-1, 1], separated by commas, would be right: {why}"
+        ))
     };
     let numbers = text
         .split(',')
         .map(|part| part.trim().parse().map_err(|_| wrong(&format!("`{}` is no number", part.trim()))))
         .collect::<Result<Vec<f64>, _>>()?;
-    let theta = numbers.try_into().map_err(|numbers: Vec<f64>| wrong(&format!("there are {}", numbers.len())))?;
+    let theta =
+        numbers.try_into().map_err(|numbers: Vec<f64>| wrong(&format!("there are {}", numbers.len())))?;
     check_theta(&theta)?;
     Ok(theta)
 }
@@ -224,7 +227,10 @@ impl Report {
         if let Some(plan) = &self.plan {
             text += &match plan.reproduced {
                 true => "Loss and indicator are exactly those that the plan reports.\n".to_string(),
-                false => format!("The plan reports a loss of {} m and an indicator of {}.\n", plan.loss, plan.indicator),
+                false => format!(
+                    "The plan reports a loss of {} m and an indicator of {}.\n",
+                    plan.loss, plan.indicator
+                ),
             };
         }
         text

@@ -20,7 +20,11 @@ pub fn parse_size(text: &str) -> Result<u64, String> {
         "mib" | "m" => 1024.0 * 1024.0,
         "gib" | "g" => 1024.0 * 1024.0 * 1024.0,
         "tib" | "t" => 1024.0 * 1024.0 * 1024.0 * 1024.0,
-        _ => return Err(format!("`{unit}` is not a unit of size; use one of B, kB, MB, GB, TB, KiB, MiB, GiB, TiB")),
+        _ => {
+            return Err(format!(
+                "`{unit}` is not a unit of size; use one of B, kB, MB, GB, TB, KiB, MiB, GiB, TiB"
+            ));
+        }
     };
     let bytes = number * factor;
     // 2^53: beyond it whole bytes are no longer told apart, and no machine is so large.

@@ -9,10 +9,7 @@
 //! starts, from zero, with its first update. The gradient is neither clipped nor rescaled: a step is at most
 //! lr / sqrt(1 - beta) in any component whatever the gradient's size.
 
-use crate::{
-    scene,
-    skill::Theta,
-};
+use crate::{scene, skill::Theta};
 use powderline_shared::plan::SKILL_PARAMETERS;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;

@@ -2,7 +2,7 @@
 
 use crate::optim::EpochRecord;
 use plotters::{
-    coord::{Shift, types::{RangedCoordf64}},
+    coord::{Shift, types::RangedCoordf64},
     prelude::*,
 };
 use powderline_shared::plan::SKILL_PARAMETERS;
@@ -45,8 +45,7 @@ pub struct Curves<'a> {
 }
 
 type Area<'s> = DrawingArea<SVGBackend<'s>, Shift>;
-type Chart<'a, 's> =
-    ChartContext<'a, SVGBackend<'s>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
+type Chart<'a, 's> = ChartContext<'a, SVGBackend<'s>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 type Drawn = Result<(), Box<dyn std::error::Error>>;
 
 /// One line of a panel.
@@ -81,7 +80,10 @@ impl Curves<'_> {
         let (upper, theta) = body.split_vertically(560);
         let (loss, indicator) = upper.split_vertically(290);
         self.panel(&loss, &self.single("loss (m)", COLOURS[0], |record| record.loss))?;
-        self.panel(&indicator, &self.single("indicator: particles still missing", COLOURS[1], |r| r.indicator as f64))?;
+        self.panel(
+            &indicator,
+            &self.single("indicator: particles still missing", COLOURS[1], |r| r.indicator as f64),
+        )?;
         self.panel(&theta, &self.theta())?;
         root.present()?;
         Ok(())
@@ -154,13 +156,15 @@ fn draw_line(chart: &mut Chart<'_, '_>, line: &Line) -> Drawn {
     let colour = line.colour;
     let drawn = chart.draw_series(LineSeries::new(line.points.iter().copied(), colour.stroke_width(2)))?;
     if let Some(label) = line.label {
-        drawn.label(label).legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], colour.stroke_width(2)));
+        drawn
+            .label(label)
+            .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], colour.stroke_width(2)));
     }
     chart.draw_series(line.points.iter().map(|&point| Circle::new(point, 2, colour.filled())))?;
     Ok(())
 }
 
-fn legend(chart: &mut Chart<'_, '_>) -> Drawn {
+fn legend<'a, 's: 'a>(chart: &mut Chart<'a, 's>) -> Drawn {
     chart
         .configure_series_labels()
         .position(SeriesLabelPosition::LowerRight)
@@ -173,7 +177,8 @@ fn legend(chart: &mut Chart<'_, '_>) -> Drawn {
 
 /// The range of the values with a margin, never empty.
 fn padded(values: impl Iterator<Item = f64>) -> Range<f64> {
-    let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
+    let (low, high) =
+        values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
     if low > high {
         return 0.0..1.0;
     }
@@ -202,7 +207,8 @@ mod tests {
     fn svg(epochs: u32) -> String {
         let history: Vec<_> = (0..epochs).map(record).collect();
         let best = history.last();
-        let curves = Curves { title: "bench, seed 1", history: &history, epochs: 30, curriculum_epochs: 15, best };
+        let curves =
+            Curves { title: "bench, seed 1", history: &history, epochs: 30, curriculum_epochs: 15, best };
         curves.to_svg().unwrap()
     }
 

@@ -5,9 +5,7 @@ use crate::{
     scene::Scene,
     skill::{LSB, Quantised, SkillMap, Theta},
 };
-use powderline_shared::plan::{
-    PlanError, PlanHeader, PlanWriter, Precision, StartPose, Version, WriteError,
-};
+use powderline_shared::plan::{PlanError, PlanHeader, PlanWriter, Precision, StartPose, Version, WriteError};
 use std::convert::Infallible;
 
 /// What a plan is made of.

@@ -51,7 +51,8 @@ impl RunState {
     /// The file's bytes.
     pub fn to_bytes(&self) -> Vec<u8> {
         let head = [&MAGIC[..], &VERSION.to_le_bytes()].concat();
-        let mut bytes = postcard::to_extend(self, head).expect("a state holds nothing that postcard cannot encode");
+        let mut bytes =
+            postcard::to_extend(self, head).expect("a state holds nothing that postcard cannot encode");
         let checksum = Sha256::digest(&bytes);
         bytes.extend_from_slice(&checksum);
         bytes

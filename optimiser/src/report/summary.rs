@@ -32,7 +32,8 @@ impl Finding<'_> {
         let _ = writeln!(text, "{}", self.verdict());
         let _ = writeln!(text, "{}", self.powder());
         let _ = writeln!(text, "\n{:<24}{:>12}{:>14}", "skill", "at epoch 0", "in the plan");
-        let [first, best] = [self.first.theta, self.best.theta].map(|theta: Theta| self.map.parameters(&theta));
+        let [first, best] =
+            [self.first.theta, self.best.theta].map(|theta: Theta| self.map.parameters(&theta));
         for (index, (name, _)) in SKILL_PARAMETERS.iter().enumerate() {
             let [from, to] = [first[index], best[index]].map(|value| parameter(index, value));
             let _ = writeln!(text, "{name:<24}{from:>12}{to:>14}");
@@ -107,7 +108,14 @@ mod tests {
             plan: &plan,
         };
         let text = finding.text();
-        for part in ["from 1200.000 m", "epoch 27 (by 6.0 %)", "851 particles", "1 more than the 850", "20.0 mm", "160.0 deg"] {
+        for part in [
+            "from 1200.000 m",
+            "epoch 27 (by 6.0 %)",
+            "851 particles",
+            "1 more than the 850",
+            "20.0 mm",
+            "160.0 deg",
+        ] {
             assert!(text.contains(part), "{part} in {text}");
         }
         let none = Finding { best: &record(0, 1200.0), ..finding };

@@ -24,13 +24,13 @@ pub use real::{Dual5, Real};
 
 use crate::scene::{Limits, Scene, Skill, Time, Tool};
 use duration::{Caps, Pace};
+use motion::{Clock, Coordinates, Segment, Travel};
 use powderline_shared::{
     displacement::SetpointError,
     limits::{LimitsError, Violation},
     plan::SKILL_PARAMETERS,
     pose::Pose,
 };
-use motion::{Clock, Coordinates, Segment, Travel};
 use thiserror::Error;
 
 /// Normalised skill parameters: depth, scoop angle, lift, transport, pour angle, each in `[-1, 1]`.

@@ -194,7 +194,8 @@ fn motion_that_just_fits_the_horizon_is_accepted() {
     let rounded = map(Timing::Rounded, Profile::MinimumJerk);
     let end_s = rounded.segments(&[0.5; 5]).last().unwrap().end_s;
     let fitting = Time { horizon_steps: (end_s / 0.01).round() as u32, ..time() };
-    let map = SkillMap::from_parts(&skill(Timing::Rounded, Profile::MinimumJerk), &fitting, &limits(), &tool());
+    let map =
+        SkillMap::from_parts(&skill(Timing::Rounded, Profile::MinimumJerk), &fitting, &limits(), &tool());
     let full = total(&rounded.controls(&[0.5; 5]).unwrap());
     let fitted = total(&map.controls(&[0.5; 5]).unwrap());
     assert_eq!(full.map(f64::to_bits), fitted.map(f64::to_bits));
@@ -342,10 +343,10 @@ proptest! {
             // In the tool's words: the same place, the opening tilted by start pitch - scoop + pour.
             let heading = exp_so3(&[0.0, 0.0, heading_deg.to_radians()].into());
             let pitch = 30f64.to_radians() - scoop + pour;
+            let heading = Pose { position_m: map.start_pose().position_m, orientation: heading };
             let wanted = Pose {
-                position_m: map.start_pose().position_m
-                    + heading * nalgebra::Vector3::new(0.03 + transport, 0.0, lift - depth - 0.02),
-                orientation: heading * exp_so3(&[0.0, pitch, 0.0].into()),
+                position_m: heading.world_from_tool(&[0.03 + transport, 0.0, lift - depth - 0.02].into()),
+                orientation: heading.orientation * exp_so3(&[0.0, pitch, 0.0].into()),
             };
             let error = end.displacement_to(&wanted).components();
             prop_assert!(norm(&error) < 1e-12, "{error:?}");
