@@ -10,7 +10,7 @@ use powderline_shared::plan::Precision;
 
 /// Arguments of `optimise gradcheck`.
 #[derive(Clone, Debug, Args)]
-pub struct GradcheckArgs {
+pub(super) struct GradcheckArgs {
     /// Scene: an embedded name or a TOML file [default: bench]
     #[arg(value_name = "SCENE")]
     pub scene: Option<String>,

@@ -17,7 +17,7 @@ use std::{
 
 /// Arguments of `optimise inspect`.
 #[derive(Clone, Debug, Args)]
-pub struct InspectArgs {
+pub(super) struct InspectArgs {
     /// The plan
     #[arg(value_name = "PLAN")]
     pub plan: PathBuf,

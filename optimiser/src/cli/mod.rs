@@ -4,6 +4,7 @@
 //! Results go to standard output, progress and errors (one sentence) to standard error. With `--json` standard output
 //! holds one JSON object and nothing else.
 
+mod check;
 mod error;
 mod gradcheck;
 mod inspect;
@@ -16,6 +17,7 @@ mod size;
 #[cfg(test)]
 mod tests;
 
+pub use check::{CheckArgs, CheckReport, MemoryRow};
 pub use error::CliError;
 pub use interrupt::Interrupt;
 pub use options::{PrecisionArg, Resources};
@@ -51,6 +53,8 @@ struct Cli {
 enum Command {
     /// Optimise a skill and write the plan (the default)
     Run(run::RunArgs),
+    /// Validate a scene and say what it will cost
+    Check(check::CheckArgs),
     /// Simulate one skill, or a plan again
     Simulate(simulate::SimulateArgs),
     /// Compare the gradient with finite differences
@@ -69,9 +73,9 @@ pub struct Context<'a> {
     /// Whether the person asked to stop.
     pub interrupt: Interrupt,
     /// Standard output.
-    pub out: &'a mut dyn Write,
+    pub out: &'a mut (dyn Write + Send),
     /// Standard error.
-    pub err: &'a mut dyn Write,
+    pub err: &'a mut (dyn Write + Send),
     /// Whether standard error is a terminal.
     pub live: bool,
 }
@@ -89,7 +93,7 @@ pub fn main() -> ExitCode {
     let mut context = Context {
         factory: &simulator,
         interrupt: Interrupt::install(),
-        out: &mut io::stdout().lock(),
+        out: &mut io::stdout(),
         err: &mut io::stderr(),
         live: io::stderr().is_terminal(),
     };
@@ -118,6 +122,7 @@ where
     match cli.command {
         None => run::execute(&cli.run, context),
         Some(Command::Run(arguments)) => run::execute(&arguments, context),
+        Some(Command::Check(arguments)) => check::run(&arguments, context.out),
         Some(Command::Simulate(arguments)) => simulate::execute(&arguments, context),
         Some(Command::Gradcheck(arguments)) => gradcheck::execute(&arguments, context),
         Some(Command::Inspect(arguments)) => inspect::execute(&arguments, context),

@@ -14,7 +14,7 @@ const BAR_CELLS: usize = 20;
 
 /// Shows how far a command is.
 pub struct Progress<'a> {
-    out: &'a mut dyn Write,
+    out: &'a mut (dyn Write + Send),
     /// Whether `out` is a terminal, on which a line can be drawn over.
     live: bool,
     /// What is being done, such as `epoch 3/30`.
@@ -27,7 +27,7 @@ pub struct Progress<'a> {
 
 impl<'a> Progress<'a> {
     /// Progress shown on `out`.
-    pub fn new(out: &'a mut dyn Write, live: bool) -> Self {
+    pub fn new(out: &'a mut (dyn Write + Send), live: bool) -> Self {
         Self { out, live, task: String::new(), started: Instant::now(), drawn: None, later: None }
     }
 

@@ -24,7 +24,7 @@ use std::path::{Path, PathBuf};
 
 /// Arguments of `optimise run`.
 #[derive(Clone, Debug, Args)]
-pub struct RunArgs {
+pub(super) struct RunArgs {
     /// Scene: the name of an embedded one (bench, bench-small, bench-fine) or a TOML file [default: bench]
     #[arg(value_name = "SCENE")]
     pub scene: Option<String>,
@@ -122,7 +122,7 @@ impl Run {
         let map = SkillMap::new(&scene);
         map.check_all_corners()?;
         // The state leads: a line too many or too few, from a run that was ended between two writes, is put right.
-        let lines: String = state.search.history().iter().map(|record| json_line(record)).collect();
+        let lines: String = state.search.history().iter().map(json_line).collect();
         folder.replace(METRICS, lines.as_bytes())?;
         folder.replace(STATE, &state.to_bytes())?;
         Ok(Self { folder, rule: RmsProp::from(&scene.optimiser), scene, map, state })

@@ -25,7 +25,7 @@ use std::path::{Path, PathBuf};
 /// Arguments of `optimise simulate`.
 #[derive(Clone, Debug, Args)]
 #[group(id = "motion", required = true, multiple = false, args = ["theta", "plan"])]
-pub struct SimulateArgs {
+pub(super) struct SimulateArgs {
     /// Scene: an embedded name or a TOML file [default: the scene.toml beside the plan, otherwise bench]
     #[arg(value_name = "SCENE")]
     pub scene: Option<String>,

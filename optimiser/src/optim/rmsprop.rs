@@ -76,8 +76,8 @@ impl RmsProp {
     /// A component of the gradient that takes part, or its square, is not finite.
     pub fn update(&self, state: &RmsPropState, gradient: &Theta) -> Result<RmsPropState, GradientError> {
         let mut next = RmsPropState { updates: state.updates + 1, ..*state };
-        for index in 0..self.active_components(state.updates) {
-            let g = gradient[index];
+        let active = self.active_components(state.updates);
+        for (index, &g) in gradient.iter().enumerate().take(active) {
             let mean_square = self.beta * state.mean_square[index] + (1.0 - self.beta) * g * g;
             if !mean_square.is_finite() {
                 return Err(GradientError { index, value: g });

@@ -193,7 +193,7 @@ pub struct Handle {
     pub length_m: f64,
     /// Radius, metres; a quarter of a cell to 0.1, typically one cell.
     pub radius_m: f64,
-    /// Angle between the rod and the tool's -x axis, degrees, positive towards +z; -90 to 90, typically 70.
+    /// Angle between the rod and the tool's -x axis, degrees, positive towards +z; -90 to 90, typically 75.
     pub rise_deg: f64,
 }
 

@@ -23,11 +23,3 @@ fn figures_of_the_shipped_scenes() {
     assert_eq!(figures("bench-small"), (2_772, [44, 16, 32], [13, 6, 10], 200));
     assert_eq!(figures("bench-fine"), (90_112, [128, 48, 104], [34, 14, 28], 6_800));
 }
-
-#[test]
-fn r() {
-    for (name, _) in EMBEDDED_SCENES {
-        let scene = Scene::load(name).unwrap();
-        println!("{name} {:?} {} {}", scene.remarks(), scene.longest_skill_s(), scene.cfl_number());
-    }
-}

@@ -1,0 +1,195 @@
+//! `optimise check`: resolves and validates a scene and says what it will cost.
+
+use std::fmt;
+use std::io::Write;
+
+use clap::Args;
+use serde::Serialize;
+
+use super::CliError;
+use crate::memory::{MemoryEstimate, Precision, Schedule, ScheduleEstimate, memory_estimate};
+use crate::scene::figures::about;
+use crate::scene::{DEFAULT_SCENE, MAX_CFL, Scene};
+
+/// Arguments of `optimise check`.
+#[derive(Debug, Args)]
+pub struct CheckArgs {
+    /// Name of an embedded scene (bench, bench-small, bench-fine) or path of a scene file.
+    #[arg(default_value = DEFAULT_SCENE)]
+    pub scene: String,
+    /// Prints one JSON object instead of text.
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// What `optimise check` reports.
+#[derive(Clone, Debug, Serialize)]
+pub struct CheckReport {
+    /// The scene's name.
+    pub scene: String,
+    /// Digest of the resolved scene, hexadecimal.
+    pub digest: String,
+    /// Particles.
+    pub particles: usize,
+    /// Mass of one particle, kilogram.
+    pub particle_mass_kg: f64,
+    /// Particles wanted in the target container.
+    pub target_particles: usize,
+    /// Edge of a grid cell, metres.
+    pub cell_m: f64,
+    /// Cells along x, y, z, without padding.
+    pub cells: [usize; 3],
+    /// Blocks of 4 x 4 x 4 cells along x, y, z, with one block of padding at either end.
+    pub blocks: [usize; 3],
+    /// Courant number.
+    pub cfl_number: f64,
+    /// The highest Courant number that is accepted.
+    pub max_cfl_number: f64,
+    /// MPM substeps in one control step.
+    pub substeps: u32,
+    /// Length of an MPM substep, seconds.
+    pub dt_sub_s: f64,
+    /// Control steps in the whole motion.
+    pub horizon_steps: u32,
+    /// Length of the whole motion, seconds.
+    pub horizon_s: f64,
+    /// Settling time before the motion, seconds.
+    pub settle_s: f64,
+    /// Longest skill within the bounds, seconds.
+    pub longest_skill_s: f64,
+    /// Memory of a rollout with its gradient, bytes, per precision and checkpoint schedule.
+    pub memory: Vec<MemoryRow>,
+    /// What is allowed but worth knowing.
+    pub remarks: Vec<String>,
+}
+
+/// Memory need of one precision and checkpoint schedule.
+#[derive(Clone, Debug, Serialize)]
+pub struct MemoryRow {
+    /// `f32` or `f64`.
+    pub precision: &'static str,
+    /// `every_step`, `strided` or `binomial`.
+    pub schedule: &'static str,
+    /// Control steps between lasting checkpoints, of `strided`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub stride: Option<u32>,
+    /// Checkpoints kept at a time, of `binomial`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub checkpoints: Option<u32>,
+    /// Peak memory, bytes.
+    pub bytes: u64,
+    /// How often each control step is computed forward, at most.
+    pub forward_runs: u32,
+}
+
+/// Runs `optimise check`.
+///
+/// # Errors
+/// [`CliError::Scene`] for a bad scene, [`CliError::Output`] if `out` refuses.
+pub fn run(args: &CheckArgs, out: &mut dyn Write) -> Result<(), CliError> {
+    let report = CheckReport::new(&Scene::load(&args.scene)?);
+    if args.json {
+        serde_json::to_writer(&mut *out, &report).map_err(std::io::Error::from)?;
+        writeln!(out)?;
+    } else {
+        write!(out, "{report}")?;
+    }
+    Ok(())
+}
+
+impl CheckReport {
+    /// Gathers the figures of a valid scene.
+    pub fn new(scene: &Scene) -> Self {
+        Self {
+            scene: scene.name.clone(),
+            digest: scene.digest().iter().map(|byte| format!("{byte:02x}")).collect(),
+            particles: scene.particle_count(),
+            particle_mass_kg: scene.particle_mass_kg(),
+            target_particles: scene.target_count(),
+            cell_m: scene.domain.cell_m,
+            cells: scene.cell_counts(),
+            blocks: scene.block_counts(),
+            cfl_number: scene.cfl_number(),
+            max_cfl_number: MAX_CFL,
+            substeps: scene.time.substeps,
+            dt_sub_s: scene.time.dt_sub_s(),
+            horizon_steps: scene.time.horizon_steps,
+            horizon_s: scene.time.horizon_s(),
+            settle_s: scene.time.settle_s,
+            longest_skill_s: scene.longest_skill_s(),
+            memory: [(Precision::F32, "f32"), (Precision::F64, "f64")]
+                .into_iter()
+                .flat_map(|(precision, name)| memory_rows(name, memory_estimate(scene, precision)))
+                .collect(),
+            remarks: scene.remarks(),
+        }
+    }
+}
+
+fn memory_rows(precision: &'static str, estimate: MemoryEstimate) -> impl Iterator<Item = MemoryRow> {
+    estimate.schedules.into_iter().map(move |row| memory_row(precision, row))
+}
+
+fn memory_row(precision: &'static str, row: ScheduleEstimate) -> MemoryRow {
+    let (schedule, stride, checkpoints) = match row.schedule {
+        Schedule::EveryStep => ("every_step", None, None),
+        Schedule::Strided { stride } => ("strided", Some(stride), None),
+        Schedule::Binomial { checkpoints } => ("binomial", None, Some(checkpoints)),
+    };
+    MemoryRow { precision, schedule, stride, checkpoints, bytes: row.bytes, forward_runs: row.forward_runs }
+}
+
+impl fmt::Display for CheckReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [cells_x, cells_y, cells_z] = self.cells;
+        let [blocks_x, blocks_y, blocks_z] = self.blocks;
+        let powder_kg = self.particles as f64 * self.particle_mass_kg;
+        writeln!(f, "{} is a valid scene.", self.scene)?;
+        writeln!(
+            f,
+            "particles      {} of {} mg, {} g of powder; {} wanted in the target",
+            self.particles,
+            about(1e6 * self.particle_mass_kg, 4),
+            about(1e3 * powder_kg, 4),
+            self.target_particles
+        )?;
+        writeln!(
+            f,
+            "grid           {cells_x} x {cells_y} x {cells_z} cells of {} mm; with padding {blocks_x} x {blocks_y} x \
+             {blocks_z} blocks of 4 x 4 x 4 cells",
+            about(1e3 * self.cell_m, 4)
+        )?;
+        writeln!(
+            f,
+            "CFL number     {} (at most {}) with {} substeps of {} us",
+            about(self.cfl_number, 3),
+            self.max_cfl_number,
+            self.substeps,
+            about(1e6 * self.dt_sub_s, 4)
+        )?;
+        writeln!(
+            f,
+            "horizon        {} control steps, {} s, after {} s of settling",
+            self.horizon_steps,
+            about(self.horizon_s, 6),
+            about(self.settle_s, 6)
+        )?;
+        writeln!(f, "longest skill  {} s", about(self.longest_skill_s, 3))?;
+        writeln!(f, "memory for a rollout with its gradient, by what is kept:")?;
+        self.memory.iter().try_for_each(|row| writeln!(f, "  {row}"))?;
+        self.remarks.iter().try_for_each(|remark| writeln!(f, "Note: {remark}."))
+    }
+}
+
+impl fmt::Display for MemoryRow {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let kept = match (self.stride, self.checkpoints) {
+            (Some(stride), _) => format!("every {stride} control steps"),
+            (_, Some(checkpoints)) => format!("{checkpoints} control steps (binomial)"),
+            _ => "every control step".to_owned(),
+        };
+        let mebibytes = self.bytes as f64 / f64::from(1 << 20);
+        let runs = self.forward_runs;
+        write!(f, "{}  {kept:<28} {mebibytes:>9.1} MiB, {runs} forward runs", self.precision)
+    }
+}
