@@ -1,9 +1,13 @@
-//! Differentiable MLS-MPM powder simulator and the optimiser of scooping skills.
+//! From a bench description to a motion: simulation, gradient, skill, optimiser, plan.
 
 pub mod cli;
 pub mod memory;
+mod mpm;
 pub mod optim;
+pub mod real;
 pub mod report;
 pub mod rollout;
 pub mod scene;
+mod shape;
 pub mod skill;
+mod small;

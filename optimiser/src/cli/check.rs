@@ -86,7 +86,7 @@ pub struct MemoryRow {
 ///
 /// # Errors
 /// [`CliError::Scene`] for a bad scene, [`CliError::Output`] if `out` refuses.
-pub fn run(args: &CheckArgs, out: &mut dyn Write) -> Result<(), CliError> {
+pub(super) fn run(args: &CheckArgs, out: &mut dyn Write) -> Result<(), CliError> {
     let report = CheckReport::new(&Scene::load(&args.scene)?);
     if args.json {
         serde_json::to_writer(&mut *out, &report).map_err(std::io::Error::from)?;

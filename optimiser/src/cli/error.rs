@@ -1,11 +1,6 @@
 //! What a command ends with when it does not succeed.
 
-use crate::{
-    report::folder::FolderError,
-    rollout::{RolloutError, SimulatorError},
-    scene::SceneError,
-    skill::SkillError,
-};
+use crate::{report::folder::FolderError, rollout::RolloutError, scene::SceneError, skill::SkillError};
 use std::{fmt, io, process::ExitCode};
 
 /// One sentence for the person, and the exit code that goes with it.
@@ -65,18 +60,12 @@ impl From<SkillError> for CliError {
     }
 }
 
-impl From<SimulatorError> for CliError {
-    fn from(error: SimulatorError) -> Self {
-        Self::Failed(error.to_string())
-    }
-}
-
 impl From<RolloutError> for CliError {
     fn from(error: RolloutError) -> Self {
         match error {
             RolloutError::Stopped => Self::Interrupted(error.to_string()),
             RolloutError::Skill(skill) => skill.into(),
-            RolloutError::NonFinite { .. } => Self::Failed(error.to_string()),
+            _ => Self::Failed(error.to_string()),
         }
     }
 }

@@ -25,7 +25,7 @@ pub use progress::Progress;
 pub use size::{format_size, parse_size};
 
 use crate::{
-    rollout::{Evaluate, SimulatorError, SimulatorSettings, simulator},
+    rollout::{Evaluate, RolloutError, SimulatorSettings, boxed_simulator},
     scene::Scene,
 };
 use clap::{Parser, Subcommand};
@@ -64,7 +64,7 @@ enum Command {
 }
 
 /// Where a command gets its simulator from.
-pub type Factory<'a> = &'a dyn Fn(&Scene, &SimulatorSettings) -> Result<Box<dyn Evaluate>, SimulatorError>;
+pub type Factory<'a> = &'a dyn Fn(&Scene, &SimulatorSettings) -> Result<Box<dyn Evaluate>, RolloutError>;
 
 /// What surrounds a command.
 pub struct Context<'a> {
@@ -91,7 +91,7 @@ impl Context<'_> {
 /// The whole program: parses the arguments, runs the command, prints the error if there is one.
 pub fn main() -> ExitCode {
     let mut context = Context {
-        factory: &simulator,
+        factory: &boxed_simulator,
         interrupt: Interrupt::install(),
         out: &mut io::stdout(),
         err: &mut io::stderr(),

@@ -88,7 +88,7 @@ struct Done {
 fn optimise_for(patience: u64, arguments: &[&str]) -> Done {
     let interrupt = Interrupt::default();
     let patience = Rc::new(Cell::new(patience));
-    let factory = |scene: &Scene, _: &SimulatorSettings| -> Result<Box<dyn Evaluate>, SimulatorError> {
+    let factory = |scene: &Scene, _: &SimulatorSettings| -> Result<Box<dyn Evaluate>, RolloutError> {
         let (interrupt, patience) = (interrupt.clone(), patience.clone());
         Ok(Box::new(Ends { map: SkillMap::new(scene), interrupt, patience }))
     };

@@ -1,9 +1,13 @@
 //! What the optimiser asks of a simulator.
 
-use crate::{
-    scene::Scene,
-    skill::{SkillError, Theta},
-};
+pub(crate) mod outcome;
+pub(crate) mod path;
+pub(crate) mod schedule;
+mod simulator;
+
+pub use simulator::Simulator;
+
+use crate::skill::{SkillError, Theta};
 use powderline_shared::{displacement::Displacement, plan::Precision};
 use thiserror::Error;
 
@@ -23,7 +27,7 @@ pub struct Evaluation {
 }
 
 /// Called now and then with work units done and in total; `false` stops the rollout with [`RolloutError::Stopped`].
-pub type Progress<'a> = &'a mut dyn FnMut(u64, u64) -> bool;
+pub type Progress<'a> = &'a mut (dyn FnMut(u64, u64) -> bool + Send);
 
 /// Why a rollout has no result.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -44,6 +48,24 @@ pub enum RolloutError {
         substep: u32,
         /// Particle.
         particle: u32,
+    },
+    /// A particle left the simulated volume.
+    #[error(
+        "particle {particle} left the simulated volume in control step {step}, substep {substep}: a larger domain or more substeps would hold it"
+    )]
+    Escaped {
+        /// Control step.
+        step: u32,
+        /// Substep within the control step.
+        substep: u32,
+        /// Particle.
+        particle: u32,
+    },
+    /// The operating system refused to start the threads.
+    #[error("{threads} threads could not be started: ask for fewer")]
+    Threads {
+        /// How many.
+        threads: usize,
     },
     /// The skill is not a motion.
     #[error(transparent)]
@@ -87,18 +109,42 @@ pub struct SimulatorSettings {
     pub memory_bytes: u64,
 }
 
-/// Why a scene cannot be simulated with the given settings.
-#[derive(Clone, Debug, PartialEq, Error)]
-pub enum SimulatorError {
-    /// This version of the program has none.
-    #[error("this version of the program cannot simulate yet")]
-    Missing,
-}
-
-/// The simulator of a scene: the one place where the commands get it from.
+/// The simulator of a validated scene: the one place where the commands get it from.
 ///
 /// # Errors
-/// See [`SimulatorError`].
-pub fn simulator(_scene: &Scene, _settings: &SimulatorSettings) -> Result<Box<dyn Evaluate>, SimulatorError> {
-    Err(SimulatorError::Missing)
+/// [`RolloutError::Threads`] if the threads cannot be started.
+pub fn boxed_simulator(
+    scene: &crate::scene::Scene,
+    settings: &SimulatorSettings,
+) -> Result<Box<dyn Evaluate>, RolloutError> {
+    let SimulatorSettings { seed, precision, threads, memory_bytes } = *settings;
+    let threads = threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
+    Ok(match precision {
+        Precision::F32 => Box::new(simulator::<f32>(scene, seed, threads, memory_bytes)?),
+        Precision::F64 => Box::new(simulator::<f64>(scene, seed, threads, memory_bytes)?),
+    })
+}
+
+/// A simulator of a validated scene with the initial packing of a seed.
+///
+/// # Errors
+/// [`RolloutError::Threads`] if the threads cannot be started.
+pub fn simulator<T: crate::real::Real>(
+    scene: &crate::scene::Scene,
+    seed: u64,
+    threads: usize,
+    memory_bytes: u64,
+) -> Result<Simulator<T>, RolloutError> {
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .map_err(|_| RolloutError::Threads { threads })?;
+    Ok(Simulator::new(scene, scene.particle_positions_m(seed), start_pose(scene), pool, memory_bytes))
+}
+
+fn start_pose(scene: &crate::scene::Scene) -> powderline_shared::pose::Pose {
+    use powderline_shared::pose::exp_so3;
+    let pitch = exp_so3(&[0.0, scene.tool.start_pitch_deg.to_radians(), 0.0].into());
+    let heading = exp_so3(&[0.0, 0.0, scene.skill.heading_deg.to_radians()].into());
+    powderline_shared::pose::Pose { position_m: scene.tool.start_position_m.into(), orientation: heading * pitch }
 }

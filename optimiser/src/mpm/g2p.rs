@@ -1,0 +1,150 @@
+//! Grid to particle: velocity and affine velocity, contact at the particle, advection.
+//!
+//! `v = sum w v_i`, `C = (4/dx^2) sum w v_i (x_i - x)^T` (APIC for quadratic splines), then contact, then
+//! `x' = x + dt v'`.
+
+use crate::mpm::Model;
+use crate::mpm::contact::{Motion, MotionBar, contact};
+use crate::mpm::grid_update::contact_lanes_adjoint;
+use crate::mpm::layout::{Block, Grid, Nodes, empty_tile, load_tile};
+use crate::mpm::obstacle::Touching;
+use crate::mpm::p2g::{Places, affine};
+use crate::mpm::particles::{Group, LANES, Lanes, mat_of, set_mat, set_vec, vec_of};
+use crate::mpm::stencil::{TILE_EDGE, Tile, gather, gather_with_gradient, scatter, weight_slopes};
+use crate::real::Real;
+use crate::small::{three, tr_mul_vec};
+use crate::shape::with_solid;
+
+/// Moves one block's particles. Returns whether all of them are still within the reach of their tile.
+pub(crate) struct TileToParticles<'a, T> {
+    pub(crate) model: &'a Model<T>,
+    pub(crate) tool: &'a Motion<T>,
+    pub(crate) block: &'a Block,
+    pub(crate) velocity: &'a [Nodes<T>],
+    pub(crate) input: &'a [Group<T>],
+    pub(crate) output: &'a mut [Group<T>],
+}
+
+impl<T: Real> pulp::NullaryFnOnce for TileToParticles<'_, T> {
+    type Output = bool;
+
+    #[inline(always)]
+    fn call(self) -> bool {
+        let model = self.model;
+        let shift = Grid::tile_shift(self.block.coord).map(T::of);
+        let mut tile = empty_tile();
+        load_tile(self.block, self.velocity, &mut tile);
+        let touching = model.obstacles.at_particles(&model.grid, self.block.coord, self.tool);
+        let mut all_inside = true;
+        for g in 0..self.input.len() {
+            let (input, output) = (&self.input[g], &mut self.output[g]);
+            let mut places = Places::ZERO;
+            places.locate(model.inverse_dx, shift, &input.x);
+            let living = self.block.living(g);
+            output.v = [[T::ZERO; LANES]; 3];
+            output.c = [[T::ZERO; LANES]; 9];
+            for l in 0..living {
+                let m = gather(&tile, &places.stencil(l));
+                let f = places.f(l);
+                let v = [m.sum[0], m.sum[1], m.sum[2]];
+                let c = three!(i => three!(j => model.four_per_dx * (m.first[j][i] - v[i] * f[j])));
+                set_vec(&mut output.v, l, v);
+                set_mat(&mut output.c, l, c);
+            }
+            for t in &touching {
+                contact_particles(t, &input.x, &mut output.v);
+            }
+            let mut inside = [true; LANES];
+            for l in 0..LANES {
+                for axis in 0..3 {
+                    let x = input.x[axis][l] + model.dt * output.v[axis][l];
+                    output.x[axis][l] = x;
+                    let base = x * model.inverse_dx + shift[axis] - T::of(0.5);
+                    inside[l] &= base >= T::ZERO && base < T::of((TILE_EDGE - 2) as f64);
+                }
+            }
+            all_inside &= inside[..living].iter().all(|b| *b);
+        }
+        all_inside
+    }
+}
+
+#[inline(always)]
+fn contact_particles<T: Real>(t: &Touching<'_, T>, x: &[Lanes<T>; 3], v: &mut [Lanes<T>; 3]) {
+    with_solid!(t.piece.shape, solid => {
+        for l in 0..LANES {
+            let after = contact(&solid, t.motion, &t.piece.particle_law, vec_of(x, l), vec_of(v, l));
+            set_vec(v, l, after);
+        }
+    });
+}
+
+/// Adjoint of [`TileToParticles`] for one block: scatters the cotangent of the nodes' velocities into a tile.
+/// On return `bar.x` is the cotangent of the input positions as far as this stage goes; `bar.v` and `bar.c`
+/// are used up.
+pub(crate) struct TileToParticlesAdjoint<'a, T> {
+    pub(crate) model: &'a Model<T>,
+    pub(crate) tool: &'a Motion<T>,
+    pub(crate) block: &'a Block,
+    pub(crate) velocity: &'a [Nodes<T>],
+    pub(crate) input: &'a [Group<T>],
+    pub(crate) bar: &'a mut [Group<T>],
+    pub(crate) tile_bar: &'a mut Tile<T>,
+}
+
+impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
+    type Output = MotionBar;
+
+    #[inline(always)]
+    fn call(self) -> MotionBar {
+        let model = self.model;
+        let shift = Grid::tile_shift(self.block.coord).map(T::of);
+        let mut tile = empty_tile();
+        load_tile(self.block, self.velocity, &mut tile);
+        *self.tile_bar = empty_tile();
+        let touching = model.obstacles.at_particles(&model.grid, self.block.coord, self.tool);
+        let mut tool_bar = MotionBar::default();
+        let mut before = Vec::with_capacity(touching.len());
+        for g in 0..self.input.len() {
+            let (input, bar) = (&self.input[g], &mut self.bar[g]);
+            let mut places = Places::ZERO;
+            places.locate(model.inverse_dx, shift, &input.x);
+            let living = self.block.living(g);
+            // x' = x + dt v'
+            for axis in 0..3 {
+                for l in 0..LANES {
+                    bar.v[axis][l] += model.dt * bar.x[axis][l];
+                }
+            }
+            if !touching.is_empty() {
+                let mut v = [[T::ZERO; LANES]; 3];
+                for l in 0..living {
+                    let m = gather(&tile, &places.stencil(l));
+                    set_vec(&mut v, l, [m.sum[0], m.sum[1], m.sum[2]]);
+                }
+                before.clear();
+                for t in &touching {
+                    before.push(v);
+                    contact_particles(t, &input.x, &mut v);
+                }
+                for (t, v) in touching.iter().zip(&before).rev() {
+                    let law = &t.piece.particle_law;
+                    contact_lanes_adjoint(t, law, &input.x, v, &mut bar.v, Some(&mut bar.x), &mut tool_bar);
+                }
+            }
+            for l in 0..living {
+                let f = places.f(l);
+                let a_dx = three!(i => three!(j => model.four_per_dx * bar.c[3 * i + j][l]));
+                let stencil = places.stencil(l);
+                let q = affine(vec_of(&bar.v, l), &a_dx, f, T::ZERO);
+                let (moments, gradient) = gather_with_gradient(&tile, &stencil, &three!(i => weight_slopes(f[i])), &q);
+                scatter(self.tile_bar, &stencil, &q);
+                let through_f = tr_mul_vec(&a_dx, [moments.sum[0], moments.sum[1], moments.sum[2]]);
+                for axis in 0..3 {
+                    bar.x[axis][l] += model.inverse_dx * (gradient[axis] - through_f[axis]);
+                }
+            }
+        }
+        tool_bar
+    }
+}

@@ -1,0 +1,180 @@
+//! Grid update: momentum to velocity, gravity, contact at the nodes.
+
+use crate::mpm::Model;
+use crate::mpm::contact::{Motion, MotionBar, contact, contact_adjoint};
+use crate::mpm::layout::{BLOCK_EDGE, BLOCK_NODES, NodeBlock, Nodes, sum_tiles};
+use crate::mpm::obstacle::Touching;
+use crate::mpm::particles::{LANES, Lanes, set_vec, vec_of};
+use crate::mpm::stencil::Tile;
+use crate::real::Real;
+use crate::shape::with_solid;
+use crate::small::three;
+
+/// Groups of lanes in a block's nodes.
+const CHUNKS: usize = BLOCK_NODES / LANES;
+
+/// Positions or velocities of a block's nodes.
+type NodeLanes<T> = [[Lanes<T>; 3]; CHUNKS];
+
+/// Sums one node block's tiles and finds its velocities after gravity and contact.
+pub(crate) struct UpdateNodes<'a, T> {
+    pub(crate) model: &'a Model<T>,
+    pub(crate) tool: &'a Motion<T>,
+    pub(crate) node: &'a NodeBlock,
+    pub(crate) tiles: &'a [Tile<T>],
+    /// Momentum and mass.
+    pub(crate) momentum: &'a mut Nodes<T>,
+    pub(crate) velocity: &'a mut Nodes<T>,
+}
+
+impl<T: Real> pulp::NullaryFnOnce for UpdateNodes<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        *self.momentum = sum_tiles(self.node, self.tiles);
+        let mut v = free_velocity(self.model, self.momentum);
+        let touching = self.model.obstacles.at_nodes(&self.model.grid, self.node.coord, self.tool);
+        if !touching.is_empty() {
+            let x = positions(self.model, self.node);
+            for t in &touching {
+                contact_nodes(t, &x, &mut v);
+            }
+        }
+        for (n, out) in self.velocity.iter_mut().enumerate() {
+            let lanes = &v[n / LANES];
+            *out = [lanes[0][n % LANES], lanes[1][n % LANES], lanes[2][n % LANES], T::ZERO];
+        }
+    }
+}
+
+#[inline(always)]
+fn free_velocity<T: Real>(model: &Model<T>, momentum: &Nodes<T>) -> NodeLanes<T> {
+    let mut v = [[[T::ZERO; LANES]; 3]; CHUNKS];
+    for (chunk, out) in v.iter_mut().enumerate() {
+        for l in 0..LANES {
+            let [px, py, pz, m] = momentum[chunk * LANES + l];
+            let inverse = if m > T::ZERO { T::ONE / m } else { T::ZERO };
+            let g = model.gravity_dt;
+            set_vec(out, l, [px * inverse + g[0], py * inverse + g[1], pz * inverse + g[2]]);
+        }
+    }
+    v
+}
+
+#[inline(always)]
+fn positions<T: Real>(model: &Model<T>, node: &NodeBlock) -> NodeLanes<T> {
+    let origin = model.grid.block_origin(node.coord).map(T::of);
+    let mut x = [[[T::ZERO; LANES]; 3]; CHUNKS];
+    for n in 0..BLOCK_NODES {
+        let ijk = [n / (BLOCK_EDGE * BLOCK_EDGE), n / BLOCK_EDGE % BLOCK_EDGE, n % BLOCK_EDGE];
+        for axis in 0..3 {
+            x[n / LANES][axis][n % LANES] = origin[axis] + model.dx * T::of(ijk[axis] as f64);
+        }
+    }
+    x
+}
+
+#[inline(always)]
+fn contact_nodes<T: Real>(t: &Touching<'_, T>, x: &NodeLanes<T>, v: &mut NodeLanes<T>) {
+    with_solid!(t.piece.shape, solid => {
+        for (x, v) in x.iter().zip(v) {
+            for l in 0..LANES {
+                let after = contact(&solid, t.motion, &t.piece.node_law, vec_of(x, l), vec_of(v, l));
+                set_vec(v, l, after);
+            }
+        }
+    });
+}
+
+/// Adjoint of [`UpdateNodes`]: from the tiles of velocity cotangents to cotangents of momentum and mass, and of the
+/// tool's motion.
+pub(crate) struct UpdateNodesAdjoint<'a, T> {
+    pub(crate) model: &'a Model<T>,
+    pub(crate) tool: &'a Motion<T>,
+    pub(crate) node: &'a NodeBlock,
+    pub(crate) velocity_bar_tiles: &'a [Tile<T>],
+    pub(crate) momentum: &'a Nodes<T>,
+    pub(crate) momentum_bar: &'a mut Nodes<T>,
+}
+
+impl<T: Real> pulp::NullaryFnOnce for UpdateNodesAdjoint<'_, T> {
+    type Output = MotionBar;
+
+    #[inline(always)]
+    fn call(self) -> MotionBar {
+        let incoming = sum_tiles(self.node, self.velocity_bar_tiles);
+        let mut bar = [[[T::ZERO; LANES]; 3]; CHUNKS];
+        for (n, b) in incoming.iter().enumerate() {
+            set_vec(&mut bar[n / LANES], n % LANES, [b[0], b[1], b[2]]);
+        }
+        let mut tool_bar = MotionBar::default();
+        let touching = self.model.obstacles.at_nodes(&self.model.grid, self.node.coord, self.tool);
+        if !touching.is_empty() {
+            let x = positions(self.model, self.node);
+            let mut before = vec![free_velocity(self.model, self.momentum)];
+            for t in &touching[..touching.len() - 1] {
+                let mut v = before[before.len() - 1];
+                contact_nodes(t, &x, &mut v);
+                before.push(v);
+            }
+            for (t, v) in touching.iter().zip(&before).rev() {
+                for ((x, v), bar) in x.iter().zip(v).zip(&mut bar) {
+                    contact_lanes_adjoint(t, &t.piece.node_law, x, v, bar, None, &mut tool_bar);
+                }
+            }
+        }
+        for (n, out) in self.momentum_bar.iter_mut().enumerate() {
+            let b = vec_of(&bar[n / LANES], n % LANES);
+            let [px, py, pz, m] = self.momentum[n];
+            let inverse = if m > T::ZERO { T::ONE / m } else { T::ZERO };
+            let p_bar = three!(i => b[i] * inverse);
+            let m_bar = -((p_bar[0] * px + p_bar[1] * py + p_bar[2] * pz) * inverse);
+            *out = [p_bar[0], p_bar[1], p_bar[2], m_bar];
+        }
+        tool_bar
+    }
+}
+
+/// Adjoint of contact for [`LANES`] points: `bar` goes from the velocity after contact to the one before;
+/// positions' and the tool's cotangents are added to.
+#[inline(always)]
+pub(crate) fn contact_lanes_adjoint<T: Real>(
+    t: &Touching<'_, T>,
+    law: &crate::mpm::contact::Law<T>,
+    x: &[Lanes<T>; 3],
+    v: &[Lanes<T>; 3],
+    bar: &mut [Lanes<T>; 3],
+    x_bar: Option<&mut [Lanes<T>; 3]>,
+    tool_bar: &mut MotionBar,
+) {
+    let mut sums = [[T::ZERO; LANES]; 12];
+    with_solid!(t.piece.shape, solid => {
+        for l in 0..LANES {
+            let b = contact_adjoint(&solid, t.motion, law, vec_of(x, l), vec_of(v, l), vec_of(bar, l));
+            set_vec(bar, l, b.v);
+            for i in 0..3 {
+                sums[i][l] = b.x[i];
+                sums[3 + i][l] = b.rotation[i];
+                sums[6 + i][l] = b.velocity[i];
+                sums[9 + i][l] = b.angular_velocity[i];
+            }
+        }
+    });
+    if let Some(x_bar) = x_bar {
+        for i in 0..3 {
+            for l in 0..LANES {
+                x_bar[i][l] += sums[i][l];
+            }
+        }
+    }
+    if t.moving {
+        let total = |i: usize| sums[i].iter().map(|x| x.to_f64()).sum::<f64>();
+        for i in 0..3 {
+            tool_bar.position[i] -= total(i);
+            tool_bar.rotation[i] += total(3 + i);
+            tool_bar.velocity[i] += total(6 + i);
+            tool_bar.angular_velocity[i] += total(9 + i);
+        }
+    }
+}

@@ -1,0 +1,74 @@
+//! The moving least squares material point method (Hu et al. 2018), forward and adjoint.
+//!
+//! One substep is three stages, each with its adjoint beside it in one file:
+//! [`p2g`] (material and scatter), [`grid_update`] (gravity and contact at nodes), [`g2p`] (gather, contact at
+//! particles, advection). [`substep`] runs them over all blocks.
+//!
+//! Kernels are written for one particle and looped over the lanes of a group; the loop is what becomes vector
+//! instructions, with the widest instruction set found at run time. No multiply-add is contracted, so the
+//! bits are the same on every machine.
+
+pub(crate) mod contact;
+pub(crate) mod g2p;
+pub(crate) mod grid_update;
+pub(crate) mod layout;
+pub(crate) mod material;
+pub(crate) mod obstacle;
+pub(crate) mod p2g;
+pub(crate) mod particles;
+pub(crate) mod stencil;
+pub(crate) mod substep;
+
+use crate::real::Real;
+use crate::scene::Scene;
+
+/// Everything that does not change during a rollout.
+#[derive(Clone, Debug)]
+pub(crate) struct Model<T> {
+    pub(crate) grid: layout::Grid,
+    pub(crate) obstacles: obstacle::Obstacles<T>,
+    pub(crate) material: material::Material<T>,
+    pub(crate) dt: T,
+    pub(crate) dx: T,
+    pub(crate) inverse_dx: T,
+    pub(crate) four_per_dx: T,
+    /// Mass of a particle, kg.
+    pub(crate) mass: T,
+    /// Mass times cell size: `m C dx`.
+    pub(crate) mass_dx: T,
+    /// `dt V0 (4/dx^2) dx`: what the stress is multiplied with in `A dx`.
+    pub(crate) stress_dx: T,
+    /// Gravity times substep, m/s.
+    pub(crate) gravity_dt: [T; 3],
+    pub(crate) arch: pulp::Arch,
+}
+
+impl<T: Real> Model<T> {
+    pub(crate) fn new(scene: &Scene) -> Self {
+        let grid = layout::Grid::new(scene.domain.size_m, scene.domain.cell_m);
+        let dx = scene.domain.cell_m;
+        let dt = f64::from(scene.time.control_period_us) * 1e-6 / f64::from(scene.time.substeps);
+        let volume = dx * dx * dx / f64::from(scene.powder.particles_per_cell);
+        let mass = volume * scene.powder.density_kg_m3;
+        let powder = &scene.powder;
+        Self {
+            grid,
+            obstacles: obstacle::Obstacles::new(scene, &grid),
+            material: material::Material::new(
+                powder.youngs_modulus_pa,
+                powder.poissons_ratio,
+                powder.friction_angle_deg.to_radians(),
+                powder.cohesion_pa,
+            ),
+            dt: T::of(dt),
+            dx: T::of(dx),
+            inverse_dx: T::of(1.0 / dx),
+            four_per_dx: T::of(4.0 / dx),
+            mass: T::of(mass),
+            mass_dx: T::of(mass * dx),
+            stress_dx: T::of(dt * volume * 4.0 / dx),
+            gravity_dt: scene.domain.gravity_m_s2.map(|g| T::of(g * dt)),
+            arch: pulp::Arch::new(),
+        }
+    }
+}

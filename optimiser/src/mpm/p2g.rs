@@ -1,0 +1,212 @@
+//! Particle to grid: trial strain, return map, and the scatter of mass and momentum.
+//!
+//! `m_i += w m`, `p_i += w [m v + A (x_i - x)]`, `A = m C - dt V0 (4/dx^2) tau` (MLS-MPM, Hu et al. 2018,
+//! equations 16 and 28, for quadratic splines).
+
+use crate::mpm::Model;
+use crate::mpm::layout::{Block, Grid, Nodes, empty_tile, load_tile};
+use crate::mpm::material::{return_map, return_map_adjoint, trial_strain, trial_strain_adjoint};
+use crate::mpm::particles::{Group, LANES, Lanes, mat_of, set_mat, set_vec, vec_of};
+use crate::mpm::stencil::{
+    Affine, Stencil, Tile, gather_with_gradient, scatter, weight_slopes, weights,
+};
+use crate::real::Real;
+use crate::small::{Mat3, Vec3, mul_vec, scale, sub, three, tr_mul_vec};
+
+/// Where the particles of a group stand in their block's tile.
+#[derive(Clone, Copy)]
+pub(crate) struct Places<T> {
+    start: [u32; LANES],
+    /// Distance from the stencil's base node, in cells.
+    f: [Lanes<T>; 3],
+}
+
+impl<T: Real> Places<T> {
+    pub(crate) const ZERO: Self = Self { start: [0; LANES], f: [[T::ZERO; LANES]; 3] };
+
+    #[inline(always)]
+    pub(crate) fn locate(&mut self, inverse_dx: T, shift: Vec3<T>, x: &[Lanes<T>; 3]) {
+        use crate::mpm::stencil::TILE_EDGE;
+        for l in 0..LANES {
+            let mut start = 0;
+            for axis in 0..3 {
+                let at = x[axis][l] * inverse_dx + shift[axis];
+                let base = (at - T::of(0.5)).trunc_i32();
+                self.f[axis][l] = at - T::of(f64::from(base));
+                start = start * TILE_EDGE as i32 + base;
+            }
+            self.start[l] = start as u32;
+        }
+    }
+
+    #[inline(always)]
+    pub(crate) fn f(&self, l: usize) -> Vec3<T> {
+        vec_of(&self.f, l)
+    }
+
+    #[inline(always)]
+    pub(crate) fn stencil(&self, l: usize) -> Stencil<T> {
+        Stencil { start: self.start[l] as usize, w: three!(i => weights(self.f[i][l])) }
+    }
+}
+
+/// `P_ijk = [v + A_dx ((i, j, k) - f), mass]` as an affine function of the node index.
+#[inline(always)]
+pub(crate) fn affine<T: Real>(v: Vec3<T>, a_dx: &Mat3<T>, f: Vec3<T>, mass: T) -> Affine<T> {
+    let p = sub(v, mul_vec(a_dx, f));
+    let step = |c: usize| [a_dx[0][c], a_dx[1][c], a_dx[2][c], T::ZERO];
+    Affine { p: [p[0], p[1], p[2], mass], steps: [step(0), step(1), step(2)] }
+}
+
+/// What a group sends to the grid: momentum and `A dx`.
+#[derive(Clone, Copy)]
+pub(crate) struct Payload<T> {
+    places: Places<T>,
+    momentum: [Lanes<T>; 3],
+    a_dx: [Lanes<T>; 9],
+}
+
+impl<T: Real> Payload<T> {
+    pub(crate) const ZERO: Self =
+        Self { places: Places::ZERO, momentum: [[T::ZERO; LANES]; 3], a_dx: [[T::ZERO; LANES]; 9] };
+
+    #[inline(always)]
+    fn affine(&self, l: usize, mass: T) -> Affine<T> {
+        affine(vec_of(&self.momentum, l), &mat_of(&self.a_dx, l), self.places.f(l), mass)
+    }
+}
+
+/// Scatters one block's particles into its tile and writes their new strain and volume correction.
+pub(crate) struct ParticlesToTile<'a, T> {
+    pub(crate) model: &'a Model<T>,
+    pub(crate) block: &'a Block,
+    pub(crate) input: &'a [Group<T>],
+    pub(crate) output: &'a mut [Group<T>],
+    pub(crate) tile: &'a mut Tile<T>,
+    /// Kept for the adjoint.
+    pub(crate) payloads: Option<&'a mut [Payload<T>]>,
+}
+
+impl<T: Real> pulp::NullaryFnOnce for ParticlesToTile<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(mut self) {
+        let shift = Grid::tile_shift(self.block.coord).map(T::of);
+        *self.tile = empty_tile();
+        for g in 0..self.input.len() {
+            let mut payload = Payload::ZERO;
+            payload.places.locate(self.model.inverse_dx, shift, &self.input[g].x);
+            stress(self.model, &self.input[g], &mut self.output[g], &mut payload);
+            for l in 0..self.block.living(g) {
+                scatter(self.tile, &payload.places.stencil(l), &payload.affine(l, self.model.mass));
+            }
+            if let Some(kept) = &mut self.payloads {
+                kept[g] = payload;
+            }
+        }
+    }
+}
+
+/// Trial strain and return map of a group, and the momentum it sends.
+#[inline(always)]
+fn stress<T: Real>(model: &Model<T>, input: &Group<T>, output: &mut Group<T>, payload: &mut Payload<T>) {
+    for l in 0..LANES {
+        let c = mat_of(&input.c, l);
+        let trial = trial_strain(input.strain_of(l), &dt_times(model.dt, &c));
+        let (tau, strain, q) = return_map(&model.material, trial, input.q[0][l]);
+        for i in 0..6 {
+            output.strain[i][l] = strain[i];
+        }
+        output.q[0][l] = q;
+        let tau = crate::small::full(tau);
+        let mut a_dx = [[T::ZERO; 3]; 3];
+        for i in 0..3 {
+            for j in 0..3 {
+                a_dx[i][j] = model.mass_dx * c[i][j] - model.stress_dx * tau[i][j];
+            }
+        }
+        set_mat(&mut payload.a_dx, l, a_dx);
+        set_vec(&mut payload.momentum, l, scale(model.mass, vec_of(&input.v, l)));
+    }
+}
+
+#[inline(always)]
+fn dt_times<T: Real>(dt: T, c: &Mat3<T>) -> Mat3<T> {
+    three!(i => three!(j => dt * c[i][j]))
+}
+
+/// Adjoint of [`ParticlesToTile`] for one block. On entry `bar` holds the cotangent of the new strain and
+/// volume correction, and what is already known of the positions'; on return, the cotangent of the input.
+pub(crate) struct ParticlesToTileAdjoint<'a, T> {
+    pub(crate) model: &'a Model<T>,
+    pub(crate) block: &'a Block,
+    pub(crate) input: &'a [Group<T>],
+    pub(crate) payloads: &'a [Payload<T>],
+    /// Cotangents of momentum and mass.
+    pub(crate) nodes_bar: &'a [Nodes<T>],
+    pub(crate) bar: &'a mut [Group<T>],
+}
+
+impl<T: Real> pulp::NullaryFnOnce for ParticlesToTileAdjoint<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        let model = self.model;
+        let mut tile = empty_tile();
+        load_tile(self.block, self.nodes_bar, &mut tile);
+        for g in 0..self.input.len() {
+            let payload = &self.payloads[g];
+            let bar = &mut self.bar[g];
+            let mut a_dx_bar = [[T::ZERO; LANES]; 9];
+            for l in 0..self.block.living(g) {
+                let (f, a_dx) = (payload.places.f(l), mat_of(&payload.a_dx, l));
+                let (moments, gradient) = gather_with_gradient(
+                    &tile,
+                    &payload.places.stencil(l),
+                    &three!(i => weight_slopes(f[i])),
+                    &payload.affine(l, model.mass),
+                );
+                let sum = [moments.sum[0], moments.sum[1], moments.sum[2]];
+                let through_f = tr_mul_vec(&a_dx, sum);
+                for axis in 0..3 {
+                    bar.x[axis][l] += model.inverse_dx * (gradient[axis] - through_f[axis]);
+                    bar.v[axis][l] = model.mass * sum[axis];
+                    for c in 0..3 {
+                        a_dx_bar[3 * axis + c][l] = moments.first[c][axis] - sum[axis] * f[c];
+                    }
+                }
+            }
+            stress_adjoint(model, &self.input[g], &a_dx_bar, bar);
+        }
+    }
+}
+
+/// Adjoint of [`stress`]: fills `bar.c`, `bar.strain` and `bar.q`.
+#[inline(always)]
+fn stress_adjoint<T: Real>(model: &Model<T>, input: &Group<T>, a_dx_bar: &[Lanes<T>; 9], bar: &mut Group<T>) {
+    let half = T::of(0.5);
+    for l in 0..LANES {
+        let l_of = dt_times(model.dt, &mat_of(&input.c, l));
+        let a_bar = mat_of(a_dx_bar, l);
+        let to_tau = |i: usize, j: usize| -(model.stress_dx * half * (a_bar[i][j] + a_bar[j][i]));
+        let tau_bar = [to_tau(0, 0), to_tau(1, 1), to_tau(2, 2), to_tau(0, 1), to_tau(0, 2), to_tau(1, 2)];
+        let strain = input.strain_of(l);
+        let trial = trial_strain(strain, &l_of);
+        let (trial_bar, q_bar) =
+            return_map_adjoint(&model.material, trial, input.q[0][l], tau_bar, bar.strain_of(l), bar.q[0][l]);
+        let (strain_bar, l_bar) = trial_strain_adjoint(strain, &l_of, trial_bar);
+        for i in 0..6 {
+            bar.strain[i][l] = strain_bar[i];
+        }
+        bar.q[0][l] = q_bar;
+        let mut c_bar = [[T::ZERO; 3]; 3];
+        for i in 0..3 {
+            for j in 0..3 {
+                c_bar[i][j] = model.mass_dx * a_bar[i][j] + model.dt * l_bar[i][j];
+            }
+        }
+        set_mat(&mut bar.c, l, c_bar);
+    }
+}

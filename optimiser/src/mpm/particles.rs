@@ -1,0 +1,133 @@
+//! The powder's state: particles in groups of [`LANES`], structure of arrays inside a group.
+
+use crate::real::Real;
+use crate::small::{Mat3, Sym3, Vec3};
+
+/// Particles in a group. A loop over the lanes of a group is what the compiler turns into vector instructions.
+pub(crate) const LANES: usize = 16;
+
+/// One number for each particle of a group.
+pub(crate) type Lanes<T> = [T; LANES];
+
+/// A lane that holds no particle.
+pub(crate) const NOBODY: u32 = u32::MAX;
+
+/// State of [`LANES`] particles, or their cotangents.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[repr(align(64))]
+pub(crate) struct Group<T> {
+    /// Position, m.
+    pub(crate) x: [Lanes<T>; 3],
+    /// Velocity, m/s.
+    pub(crate) v: [Lanes<T>; 3],
+    /// Affine velocity, 1/s, row-major.
+    pub(crate) c: [Lanes<T>; 9],
+    /// Elastic strain `b^e - I`: xx, yy, zz, xy, xz, yz.
+    pub(crate) strain: [Lanes<T>; 6],
+    /// Volume correction.
+    pub(crate) q: [Lanes<T>; 1],
+}
+
+impl<T: Real> Group<T> {
+    pub(crate) const ZERO: Self = Self {
+        x: [[T::ZERO; LANES]; 3],
+        v: [[T::ZERO; LANES]; 3],
+        c: [[T::ZERO; LANES]; 9],
+        strain: [[T::ZERO; LANES]; 6],
+        q: [[T::ZERO; LANES]; 1],
+    };
+
+    /// The 22 rows of numbers, in a fixed order.
+    pub(crate) fn rows(&self) -> impl Iterator<Item = &Lanes<T>> {
+        self.x.iter().chain(&self.v).chain(&self.c).chain(&self.strain).chain(&self.q)
+    }
+
+    fn rows_mut(&mut self) -> impl Iterator<Item = &mut Lanes<T>> {
+        self.x.iter_mut().chain(&mut self.v).chain(&mut self.c).chain(&mut self.strain).chain(&mut self.q)
+    }
+
+    /// Copies one particle.
+    pub(crate) fn copy_lane(&mut self, lane: usize, from: &Self, from_lane: usize) {
+        for (to, from) in self.rows_mut().zip(from.rows()) {
+            to[lane] = from[from_lane];
+        }
+    }
+
+    #[inline(always)]
+    pub(crate) fn strain_of(&self, l: usize) -> Sym3<T> {
+        let s = &self.strain;
+        [s[0][l], s[1][l], s[2][l], s[3][l], s[4][l], s[5][l]]
+    }
+}
+
+#[inline(always)]
+pub(crate) fn vec_of<T: Real>(a: &[Lanes<T>; 3], l: usize) -> Vec3<T> {
+    [a[0][l], a[1][l], a[2][l]]
+}
+
+#[inline(always)]
+pub(crate) fn set_vec<T: Real>(a: &mut [Lanes<T>; 3], l: usize, v: Vec3<T>) {
+    a[0][l] = v[0];
+    a[1][l] = v[1];
+    a[2][l] = v[2];
+}
+
+#[inline(always)]
+pub(crate) fn mat_of<T: Real>(a: &[Lanes<T>; 9], l: usize) -> Mat3<T> {
+    [[a[0][l], a[1][l], a[2][l]], [a[3][l], a[4][l], a[5][l]], [a[6][l], a[7][l], a[8][l]]]
+}
+
+#[inline(always)]
+pub(crate) fn set_mat<T: Real>(a: &mut [Lanes<T>; 9], l: usize, m: Mat3<T>) {
+    for i in 0..3 {
+        for j in 0..3 {
+            a[3 * i + j][l] = m[i][j];
+        }
+    }
+}
+
+/// All particles, in the order of the grid's blocks; a group never spans two blocks.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Particles<T> {
+    pub(crate) groups: Vec<Group<T>>,
+    /// Identity of each particle (its place in the initial packing), or [`NOBODY`].
+    pub(crate) ids: Vec<[u32; LANES]>,
+}
+
+impl<T: Real> Particles<T> {
+    /// Particles at rest and free of stress at the given positions (m), identity = index.
+    pub(crate) fn at_rest(positions: &[[f64; 3]]) -> Self {
+        let mut out = Self::empty();
+        for (index, p) in positions.iter().enumerate() {
+            let lane = index % LANES;
+            if lane == 0 {
+                out.groups.push(Group::ZERO);
+                out.ids.push([NOBODY; LANES]);
+            }
+            let last = out.groups.len() - 1;
+            set_vec(&mut out.groups[last].x, lane, p.map(T::of));
+            out.ids[last][lane] = u32::try_from(index).expect("scenes are limited to fewer particles");
+        }
+        out
+    }
+
+    pub(crate) fn empty() -> Self {
+        Self { groups: Vec::new(), ids: Vec::new() }
+    }
+
+    /// `(group, lane, identity)` of every particle, in memory order.
+    pub(crate) fn living(&self) -> impl Iterator<Item = (usize, usize, u32)> {
+        self.ids.iter().enumerate().flat_map(|(g, ids)| {
+            ids.iter().enumerate().filter(|(_, id)| **id != NOBODY).map(move |(l, id)| (g, l, *id))
+        })
+    }
+
+    /// Positions (m) in the order of identities.
+    pub(crate) fn positions_by_id(&self) -> Vec<[f64; 3]> {
+        let mut out = vec![[0.0; 3]; self.living().count()];
+        for (g, l, id) in self.living() {
+            out[id as usize] = vec_of(&self.groups[g].x, l).map(Real::to_f64);
+        }
+        out
+    }
+}

@@ -1,0 +1,252 @@
+//! The two floating-point types the simulator runs in, and the elementary functions it needs.
+//!
+//! Logarithm and exponential are polynomials of our own: the compiler turns them into vector instructions,
+//! and they give the same bits on every machine, which the C library's do not.
+
+use core::fmt::{Debug, Display};
+use core::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
+
+/// `f32` or `f64`. Every method is branch-free, so that loops over lanes vectorise.
+pub trait Real:
+    Copy
+    + Default
+    + Debug
+    + Display
+    + PartialOrd
+    + Send
+    + Sync
+    + 'static
+    + Add<Output = Self>
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
+    + Neg<Output = Self>
+    + AddAssign
+    + SubAssign
+{
+    /// 0.
+    const ZERO: Self;
+    /// 1.
+    const ONE: Self;
+    /// Sweeps of the cyclic Jacobi method that reduce a symmetric 3x3 matrix to rounding.
+    const JACOBI_SWEEPS: usize;
+    /// Nearest value of this type.
+    fn of(x: f64) -> Self;
+    /// The value as `f64`, exact.
+    fn to_f64(self) -> f64;
+    /// Square root, correctly rounded.
+    fn sqrt(self) -> Self;
+    /// Absolute value.
+    fn abs(self) -> Self;
+    /// Integer part of a non-negative value below 2^31.
+    fn trunc_i32(self) -> i32;
+    /// `ln(1 + x)`, within 2 units in the last place; NaN for `x <= -1`.
+    fn ln_1p(self) -> Self;
+    /// `exp(x) - 1`, within 3 units in the last place; the argument is held within +-80.
+    fn exp_m1(self) -> Self;
+    /// Neither infinite nor NaN.
+    fn is_finite(self) -> bool;
+
+    /// The larger of both; NaN if `self` is NaN.
+    #[inline(always)]
+    fn at_least(self, low: Self) -> Self {
+        if self < low { low } else { self }
+    }
+    /// The smaller of both; NaN if `self` is NaN.
+    #[inline(always)]
+    fn at_most(self, high: Self) -> Self {
+        if self > high { high } else { self }
+    }
+    /// `self` where `keep`, else 0.
+    #[inline(always)]
+    fn only_if(self, keep: bool) -> Self {
+        if keep { self } else { Self::ZERO }
+    }
+    /// `[0, 1]`-clamped.
+    #[inline(always)]
+    fn unit(self) -> Self {
+        self.at_least(Self::ZERO).at_most(Self::ONE)
+    }
+}
+
+impl Real for f32 {
+    const ZERO: Self = 0.0;
+    const ONE: Self = 1.0;
+    const JACOBI_SWEEPS: usize = 4;
+
+    #[inline(always)]
+    fn of(x: f64) -> Self {
+        x as f32
+    }
+    #[inline(always)]
+    fn to_f64(self) -> f64 {
+        f64::from(self)
+    }
+    #[inline(always)]
+    fn sqrt(self) -> Self {
+        f32::sqrt(self)
+    }
+    #[inline(always)]
+    fn abs(self) -> Self {
+        f32::abs(self)
+    }
+    #[inline(always)]
+    fn trunc_i32(self) -> i32 {
+        self as i32
+    }
+    /// The reduction of Sun's fdlibm (`s_log1pf.c`), without its branches.
+    #[inline(always)]
+    fn ln_1p(self) -> Self {
+        const SQRT_HALF_BITS: i32 = 0x3f35_04f3;
+        let u = 1.0 + self;
+        let k = ((u.to_bits() as i32).wrapping_sub(SQRT_HALF_BITS)) >> 23;
+        let f = f32::from_bits((u.to_bits() as i32).wrapping_sub(k << 23) as u32) - 1.0;
+        // What rounding 1 + x lost, relative to u.
+        let lost = if self < 1.0 { self - (u - 1.0) } else { 1.0 - (u - self) };
+        let k = k as f32;
+        let s = f / (2.0 + f);
+        let z = s * s;
+        let r = z * (0.666_666_6 + z * (0.400_009_72 + z * (0.284_987_87 + z * 0.242_790_79)));
+        let half = 0.5 * f * f;
+        let y = (s * (half + r) + (k * 9.058_001e-6 + lost / u) - half) + f + k * 0.693_138_1;
+        if u > 0.0 { y } else { f32::NAN }
+    }
+    #[inline(always)]
+    fn exp_m1(self) -> Self {
+        let x = self.at_least(-80.0).at_most(80.0);
+        let k = (x * core::f32::consts::LOG2_E + if x < 0.0 { -0.5 } else { 0.5 }) as i32;
+        let kf = k as f32;
+        let r = (x - kf * 0.693_145_75) - kf * 1.428_606_8e-6;
+        let p = r
+            * (1.0
+                + r * (0.5
+                    + r * (1.0 / 6.0
+                        + r * (1.0 / 24.0 + r * (1.0 / 120.0 + r * (1.0 / 720.0 + r * (1.0 / 5040.0)))))));
+        let scale = f32::from_bits(((k + 127) << 23) as u32);
+        scale * p + (scale - 1.0)
+    }
+    #[inline(always)]
+    fn is_finite(self) -> bool {
+        f32::is_finite(self)
+    }
+}
+
+impl Real for f64 {
+    const ZERO: Self = 0.0;
+    const ONE: Self = 1.0;
+    const JACOBI_SWEEPS: usize = 5;
+
+    #[inline(always)]
+    fn of(x: f64) -> Self {
+        x
+    }
+    #[inline(always)]
+    fn to_f64(self) -> f64 {
+        self
+    }
+    #[inline(always)]
+    fn sqrt(self) -> Self {
+        f64::sqrt(self)
+    }
+    #[inline(always)]
+    fn abs(self) -> Self {
+        f64::abs(self)
+    }
+    #[inline(always)]
+    fn trunc_i32(self) -> i32 {
+        self as i32
+    }
+    /// The reduction of Sun's fdlibm (`s_log1p.c`), without its branches.
+    #[inline(always)]
+    fn ln_1p(self) -> Self {
+        const SQRT_HALF_BITS: i64 = 0x3fe6_a09e_667f_3bcd;
+        let u = 1.0 + self;
+        let k = ((u.to_bits() as i64).wrapping_sub(SQRT_HALF_BITS)) >> 52;
+        let f = f64::from_bits((u.to_bits() as i64).wrapping_sub(k << 52) as u64) - 1.0;
+        let lost = if self < 1.0 { self - (u - 1.0) } else { 1.0 - (u - self) };
+        let k = k as f64;
+        let s = f / (2.0 + f);
+        let z = s * s;
+        let r = z
+            * (6.666_666_666_666_735e-1
+                + z * (3.999_999_999_940_942e-1
+                    + z * (2.857_142_874_366_239e-1
+                        + z * (2.222_219_843_214_978_4e-1
+                            + z * (1.818_357_216_161_805e-1
+                                + z * (1.531_383_769_920_937_3e-1 + z * 1.479_819_860_511_658_6e-1))))));
+        let half = 0.5 * f * f;
+        let y = (s * (half + r) + (k * 1.908_214_929_270_587_7e-10 + lost / u) - half)
+            + f
+            + k * 6.931_471_803_691_238e-1;
+        if u > 0.0 { y } else { f64::NAN }
+    }
+    #[inline(always)]
+    fn exp_m1(self) -> Self {
+        let x = self.at_least(-80.0).at_most(80.0);
+        let k = (x * core::f64::consts::LOG2_E + if x < 0.0 { -0.5 } else { 0.5 }) as i32;
+        let kf = f64::from(k);
+        let r = (x - kf * 6.931_471_803_691_238e-1) - kf * 1.908_214_929_270_587_7e-10;
+        // Taylor series to r^14, |r| <= ln(2)/2: the remainder is below 2e-19.
+        const INVERSE_FACTORIAL: [f64; 12] = [
+            1.0 / 6.0,
+            1.0 / 24.0,
+            1.0 / 120.0,
+            1.0 / 720.0,
+            1.0 / 5_040.0,
+            1.0 / 40_320.0,
+            1.0 / 362_880.0,
+            1.0 / 3_628_800.0,
+            1.0 / 39_916_800.0,
+            1.0 / 479_001_600.0,
+            1.0 / 6_227_020_800.0,
+            1.0 / 87_178_291_200.0,
+        ];
+        let c = &INVERSE_FACTORIAL;
+        let high = c[6] + r * (c[7] + r * (c[8] + r * (c[9] + r * (c[10] + r * c[11]))));
+        let low = c[0] + r * (c[1] + r * (c[2] + r * (c[3] + r * (c[4] + r * (c[5] + r * high)))));
+        let p = r + r * r * (0.5 + r * low);
+        let scale = f64::from_bits(((i64::from(k) + 1023) << 52) as u64);
+        scale * p + (scale - 1.0)
+    }
+    #[inline(always)]
+    fn is_finite(self) -> bool {
+        f64::is_finite(self)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::Real;
+
+    fn samples() -> impl Iterator<Item = f64> {
+        let small = (0..4000).map(|i| (f64::from(i) - 2000.0) * 4.9e-4);
+        let tiny = (-300..0).flat_map(|e| [10f64.powf(f64::from(e) / 12.0), -(10f64.powf(f64::from(e) / 12.0)) * 0.999]);
+        small.chain(tiny).chain([1.5, 3.0, 10.0, 77.0])
+    }
+
+    #[test]
+    fn logarithm_and_exponential_agree_with_std() {
+        for x in samples() {
+            if x > -1.0 {
+                let want = x.ln_1p();
+                assert!((Real::ln_1p(x) - want).abs() <= 4.5e-16 * want.abs(), "ln_1p({x})");
+                let narrow = x as f32;
+                let want = f64::from(narrow).ln_1p();
+                assert!((f64::from(Real::ln_1p(narrow)) - want).abs() <= 2.4e-7 * want.abs(), "ln_1p({narrow})");
+            }
+            let want = x.exp_m1();
+            assert!((Real::exp_m1(x) - want).abs() <= 7e-16 * want.abs(), "exp_m1({x}) {} {want}", Real::exp_m1(x));
+            let narrow = x as f32;
+            let want = f64::from(narrow).exp_m1();
+            assert!((f64::from(Real::exp_m1(narrow)) - want).abs() <= 3.6e-7 * want.abs(), "exp_m1({narrow})");
+        }
+    }
+
+    #[test]
+    fn what_is_not_a_strain_gives_nan() {
+        for x in [-1.0, -2.0, f64::NEG_INFINITY, f64::NAN] {
+            assert!(Real::ln_1p(x).is_nan() && Real::ln_1p(x as f32).is_nan());
+        }
+        assert!(Real::exp_m1(f64::NAN).is_nan() && Real::exp_m1(f32::NAN).is_nan());
+    }
+}

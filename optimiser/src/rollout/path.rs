@@ -1,0 +1,188 @@
+//! The tool's motion: from a control sequence to a pose and twist in every substep, and back.
+//!
+//! Within control step `i` the tool moves at constant linear and angular velocity (`u_sub = u / N_sub`):
+//! at the end of its substep `j`, with `a = (j + 1)/N_sub`, position `p_i + a dp_i`, orientation
+//! `exp(a dr_i) R_i`, velocity `dp_i/dt`, angular velocity `dr_i/dt`.
+
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+use powderline_shared::displacement::Displacement;
+use powderline_shared::pose::{Pose, exp_so3};
+
+use crate::mpm::contact::{Motion, MotionBar};
+use crate::real::Real;
+use crate::skill::Control;
+
+/// A control sequence from an anchor pose.
+pub(crate) struct Path {
+    /// Pose at the beginning of each control step.
+    poses: Vec<Pose>,
+    controls: Vec<Displacement>,
+    substeps: u32,
+    period_s: f64,
+}
+
+impl Path {
+    pub(crate) fn new(anchor: Pose, controls: Vec<Displacement>, substeps: u32, period_s: f64) -> Self {
+        let mut pose = anchor;
+        let poses = controls
+            .iter()
+            .map(|u| {
+                let before = pose;
+                pose = pose.displaced(u);
+                before
+            })
+            .collect();
+        Self { poses, controls, substeps, period_s }
+    }
+
+    /// Substeps in the whole path.
+    pub(crate) fn len(&self) -> usize {
+        self.controls.len() * self.substeps as usize
+    }
+
+    /// Pose after the last step.
+    pub(crate) fn end(&self) -> Option<Pose> {
+        Some(self.poses.last()?.displaced(self.controls.last()?))
+    }
+
+    fn place(&self, substep: usize) -> (usize, f64) {
+        let n = self.substeps as usize;
+        (substep / n, (substep % n + 1) as f64 / n as f64)
+    }
+
+    /// Motion at the end of the given substep (counted from the start of the path).
+    pub(crate) fn motion<T: Real>(&self, substep: usize) -> Motion<T> {
+        let (step, part) = self.place(substep);
+        let u = &self.controls[step];
+        let turn = exp_so3(&(u.rotation() * part));
+        let pose = &self.poses[step];
+        let position = pose.position_m + u.translation() * part;
+        motion(&position, &(turn * pose.orientation), &(u.translation() / self.period_s), &(u.rotation() / self.period_s))
+    }
+
+    /// Cotangents of the controls from those of the motion in every substep.
+    pub(crate) fn pull_back(&self, bars: &[MotionBar]) -> Vec<Control> {
+        let mut out = vec![[0.0; 6]; self.controls.len()];
+        // Cotangent of the pose at the end of the step at hand: position, and rotation from the left.
+        let (mut position_bar, mut rotation_bar) = (Vector3::zeros(), Vector3::zeros());
+        for (step, u) in self.controls.iter().enumerate().rev() {
+            let dr = u.rotation();
+            let mut dp_bar: Vector3<f64> = position_bar;
+            let mut dr_bar = left_jacobian(&dr).tr_mul(&rotation_bar);
+            rotation_bar = exp_so3(&dr).inverse() * rotation_bar;
+            let first = step * self.substeps as usize;
+            for (substep, bar) in bars.iter().enumerate().skip(first).take(self.substeps as usize) {
+                let (_, part) = self.place(substep);
+                let partial = dr * part;
+                let turned = Vector3::from(bar.rotation);
+                dp_bar += Vector3::from(bar.position) * part + Vector3::from(bar.velocity) / self.period_s;
+                dr_bar += left_jacobian(&partial).tr_mul(&turned) * part
+                    + Vector3::from(bar.angular_velocity) / self.period_s;
+                position_bar += Vector3::from(bar.position);
+                rotation_bar += exp_so3(&partial).inverse() * turned;
+            }
+            out[step] = [dp_bar.x, dp_bar.y, dp_bar.z, dr_bar.x, dr_bar.y, dr_bar.z];
+        }
+        out
+    }
+}
+
+/// The tool standing still.
+pub(crate) fn resting<T: Real>(pose: &Pose) -> Motion<T> {
+    motion(&pose.position_m, &pose.orientation, &Vector3::zeros(), &Vector3::zeros())
+}
+
+fn motion<T: Real>(p: &Vector3<f64>, r: &UnitQuaternion<f64>, v: &Vector3<f64>, w: &Vector3<f64>) -> Motion<T> {
+    let m: Matrix3<f64> = r.to_rotation_matrix().into_inner();
+    let vector = |a: &Vector3<f64>| [T::of(a.x), T::of(a.y), T::of(a.z)];
+    Motion {
+        rotation: [0, 1, 2].map(|i| [0, 1, 2].map(|j| T::of(m[(i, j)]))),
+        position: vector(p),
+        velocity: vector(v),
+        angular_velocity: vector(w),
+    }
+}
+
+/// Left Jacobian of SO(3): `exp(r + d) ~ exp(J d) exp(r)` (Sola et al. 2018, equation 145).
+fn left_jacobian(r: &Vector3<f64>) -> Matrix3<f64> {
+    let angle2 = r.norm_squared();
+    let cross = r.cross_matrix();
+    let (a, b) = if angle2 < 1e-8 {
+        (0.5 - angle2 / 24.0, 1.0 / 6.0 - angle2 / 120.0)
+    } else {
+        let angle = angle2.sqrt();
+        ((1.0 - libm::cos(angle)) / angle2, (angle - libm::sin(angle)) / (angle2 * angle))
+    };
+    Matrix3::identity() + cross * a + cross * cross * b
+}
+
+/// A control as the shared type.
+pub(crate) fn displacement(u: &Control) -> Displacement {
+    Displacement { translation_m: [u[0], u[1], u[2]], rotation_rad: [u[3], u[4], u[5]] }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A made-up linear functional of all motions; its gradient must be what `pull_back` says.
+    #[test]
+    fn pull_back_is_the_derivative_of_the_path() {
+        let anchor = Pose {
+            position_m: Vector3::new(0.1, 0.2, 0.3),
+            orientation: exp_so3(&Vector3::new(0.3, -0.2, 0.5)),
+        };
+        let wave = |k: usize, f: f64| (k as f64 * f).sin();
+        let controls: Vec<Control> =
+            (0..4).map(|i| [0, 1, 2, 3, 4, 5].map(|c| 0.2 * wave(6 * i + c + 1, 1.7))).collect();
+        let functional = |controls: &[Control]| {
+            let path = Path::new(anchor, controls.iter().map(displacement).collect(), 3, 0.01);
+            let mut sum = 0.0;
+            for s in 0..path.len() {
+                let m: Motion<f64> = path.motion(s);
+                for i in 0..3 {
+                    sum += wave(s + i, 0.9) * m.position[i] + 1e-3 * wave(s + i, 2.1) * m.velocity[i];
+                    sum += 1e-3 * wave(s + i, 3.3) * m.angular_velocity[i];
+                    for j in 0..3 {
+                        sum += wave(s + 3 * i + j, 0.7) * m.rotation[i][j];
+                    }
+                }
+            }
+            sum
+        };
+        let path = Path::new(anchor, controls.iter().map(displacement).collect(), 3, 0.01);
+        let bars: Vec<MotionBar> = (0..path.len())
+            .map(|s| {
+                let m: Motion<f64> = path.motion(s);
+                let mut bar = MotionBar::default();
+                for i in 0..3 {
+                    bar.position[i] = wave(s + i, 0.9);
+                    bar.velocity[i] = 1e-3 * wave(s + i, 2.1);
+                    bar.angular_velocity[i] = 1e-3 * wave(s + i, 3.3);
+                }
+                // d(R) = [phi]x R: column by column phi x r_j.
+                for j in 0..3 {
+                    let column = [0, 1, 2].map(|i| m.rotation[i][j]);
+                    let weight = [0, 1, 2].map(|i| wave(s + 3 * i + j, 0.7));
+                    let turned = crate::small::cross(column, weight);
+                    for i in 0..3 {
+                        bar.rotation[i] += turned[i];
+                    }
+                }
+                bar
+            })
+            .collect();
+        let gradient = path.pull_back(&bars);
+        for i in 0..controls.len() {
+            for c in 0..6 {
+                let at = |h: f64| {
+                    let mut moved = controls.clone();
+                    moved[i][c] += h;
+                    functional(&moved)
+                };
+                let slope = (at(1e-5) - at(-1e-5)) / 2e-5;
+                assert!((slope - gradient[i][c]).abs() < 1e-7 * (1.0 + slope.abs()), "{i} {c}: {slope} {}", gradient[i][c]);
+            }
+        }
+    }
+}

@@ -1,0 +1,311 @@
+//! A whole rollout: settling, the motion, the loss, and the way back.
+
+use powderline_shared::displacement::Displacement;
+use powderline_shared::pose::Pose;
+
+use crate::mpm::Model;
+use crate::mpm::contact::MotionBar;
+use crate::mpm::layout::Lost;
+use crate::mpm::particles::{Group, Particles, set_vec};
+use crate::mpm::substep::{State, Workspace, unsort_bar};
+use crate::real::Real;
+use crate::rollout::path::{Path, displacement, resting};
+use crate::rollout::schedule::{Action, advances, schedule};
+use crate::rollout::{Evaluate, Evaluation, Progress, RolloutError, outcome};
+use crate::scene::Scene;
+use crate::skill::{Control, SkillMap, Theta};
+
+/// Work of one adjoint substep in units of a forward one, for the progress bar.
+const ADJOINT_WORK: u64 = 3;
+
+/// Simulator of one scene in one precision.
+pub struct Simulator<T: Real> {
+    scene: Scene,
+    skill: SkillMap,
+    anchor: Pose,
+    model: Model<T>,
+    workspace: Workspace<T>,
+    /// Settled powder; computed by the first rollout.
+    settled: Option<State<T>>,
+    packing: Vec<[f64; 3]>,
+    pool: rayon::ThreadPool,
+    memory_bytes: u64,
+}
+
+impl<T: Real> Simulator<T> {
+    /// `memory_bytes` bounds what the whole process uses while a gradient is computed.
+    pub(crate) fn new(
+        scene: &Scene,
+        packing: Vec<[f64; 3]>,
+        anchor: Pose,
+        pool: rayon::ThreadPool,
+        memory_bytes: u64,
+    ) -> Self {
+        Self {
+            scene: scene.clone(),
+            skill: SkillMap::new(scene),
+            anchor,
+            model: Model::new(scene),
+            workspace: Workspace::new(),
+            settled: None,
+            packing,
+            pool,
+            memory_bytes,
+        }
+    }
+
+    fn path(&self, controls: Vec<Displacement>) -> Path {
+        Path::new(self.anchor, controls, self.scene.time.substeps, self.scene.time.control_period_s())
+    }
+
+    /// Runs in the simulator's own threads.
+    fn in_pool<R: Send>(&mut self, job: impl FnOnce(&mut Rollout<'_, T>) -> R + Send, progress: Progress<'_>) -> R {
+        let mut rollout = Rollout {
+            scene: &self.scene,
+            anchor: &self.anchor,
+            model: &self.model,
+            workspace: &mut self.workspace,
+            settled: &mut self.settled,
+            packing: &self.packing,
+            memory_bytes: self.memory_bytes,
+            progress: SendProgress(progress),
+        };
+        self.pool.install(|| job(&mut rollout))
+    }
+
+    /// Positions (m) at the end of the motion, in the order of the packing.
+    pub fn final_positions(
+        &mut self,
+        controls: Vec<Displacement>,
+        progress: Progress<'_>,
+    ) -> Result<Vec<[f64; 3]>, RolloutError> {
+        let path = self.path(controls);
+        self.in_pool(|r| Ok(r.forward(&path)?.particles.positions_by_id()), progress)
+    }
+
+    /// Loss and cotangents of the given controls.
+    pub fn control_gradient(
+        &mut self,
+        controls: Vec<Displacement>,
+        progress: Progress<'_>,
+    ) -> Result<(Evaluation, Vec<Control>), RolloutError> {
+        let path = self.path(controls);
+        self.in_pool(|r| r.gradient(&path), progress)
+    }
+}
+
+impl<T: Real> Evaluate for Simulator<T> {
+    fn evaluate(
+        &mut self,
+        theta: &Theta,
+        want_gradient: bool,
+        progress: Progress<'_>,
+    ) -> Result<Evaluation, RolloutError> {
+        if !want_gradient {
+            let controls: Vec<_> = self.skill.controls(theta)?.iter().map(displacement).collect();
+            return self.simulate(&controls, progress);
+        }
+        let linear = self.skill.linearise(theta)?;
+        let (mut evaluation, bars) = self.control_gradient(linear.controls.iter().map(displacement).collect(), progress)?;
+        evaluation.gradient = Some(linear.pull_back(&bars));
+        Ok(evaluation)
+    }
+
+    fn simulate(&mut self, controls: &[Displacement], progress: Progress<'_>) -> Result<Evaluation, RolloutError> {
+        let path = self.path(controls.to_vec());
+        let (scene, anchor) = (self.scene.clone(), self.anchor);
+        let positions = self.in_pool(|r| Ok::<_, RolloutError>(r.forward(&path)?.particles.positions_by_id()), progress)?;
+        Ok(evaluation(&scene, &positions, &path.end().unwrap_or(anchor)).0)
+    }
+}
+
+fn evaluation(scene: &Scene, positions: &[[f64; 3]], tool: &Pose) -> (Evaluation, Vec<[f64; 3]>) {
+    let (loss, gradient) = outcome::loss(scene, positions);
+    let census = outcome::census(scene, positions, tool);
+    let evaluation = Evaluation {
+        loss,
+        indicator: scene.target_count() as i64 - i64::from(census.transported),
+        transported: census.transported,
+        spilled: census.spilled,
+        gradient: None,
+    };
+    (evaluation, gradient)
+}
+
+/// The progress callback is only ever called from one thread at a time: the one that runs the rollout.
+struct SendProgress<'a>(Progress<'a>);
+
+/// Borrowed parts of a simulator during one rollout.
+struct Rollout<'a, T: Real> {
+    scene: &'a Scene,
+    anchor: &'a Pose,
+    model: &'a Model<T>,
+    workspace: &'a mut Workspace<T>,
+    settled: &'a mut Option<State<T>>,
+    packing: &'a [[f64; 3]],
+    memory_bytes: u64,
+    progress: SendProgress<'a>,
+}
+
+impl<T: Real> Rollout<'_, T> {
+    fn report(&mut self, done: u64, total: u64) -> Result<(), RolloutError> {
+        if (self.progress.0)(done, total) { Ok(()) } else { Err(RolloutError::Stopped) }
+    }
+
+    fn lost(&self, substep: usize, lost: Lost, state: Option<&State<T>>) -> RolloutError {
+        let n = self.scene.time.substeps as usize;
+        let (step, substep) = ((substep / n) as u32, (substep % n) as u32);
+        let finite = state.is_none_or(|s| {
+            s.particles
+                .living()
+                .find(|(_, _, id)| *id == lost.particle)
+                .is_none_or(|(g, l, _)| s.particles.groups[g].rows().all(|row| row[l].is_finite()))
+        });
+        if finite {
+            RolloutError::Escaped { step, substep, particle: lost.particle }
+        } else {
+            RolloutError::NonFinite { stage: "grid to particle", step, substep, particle: lost.particle }
+        }
+    }
+
+    /// The powder at rest under the tool's start pose.
+    fn settled(&mut self) -> Result<State<T>, RolloutError> {
+        if let Some(state) = &self.settled {
+            return Ok(state.clone());
+        }
+        let particles = Particles::at_rest(self.packing);
+        let mut state = State::new(self.model, &particles).map_err(|l| self.lost(0, l, None))?;
+        let tool = resting(self.anchor);
+        let steps = self.scene.time.settle_steps() as usize * self.scene.time.substeps as usize;
+        for substep in 0..steps {
+            self.step(&mut state, substep, &tool)?;
+        }
+        *self.settled = Some(state.clone());
+        Ok(state)
+    }
+
+    fn step(
+        &mut self,
+        state: &mut State<T>,
+        substep: usize,
+        tool: &crate::mpm::contact::Motion<T>,
+    ) -> Result<(), RolloutError> {
+        match self.workspace.advance(self.model, tool, state) {
+            Ok(()) => Ok(()),
+            Err(lost) => Err(self.lost(substep, lost, Some(state))),
+        }
+    }
+
+    fn forward(&mut self, path: &Path) -> Result<State<T>, RolloutError> {
+        let total = path.len() as u64;
+        self.report(0, total)?;
+        let mut state = self.settled()?;
+        for substep in 0..path.len() {
+            if substep % self.scene.time.substeps as usize == 0 {
+                self.report(substep as u64, total)?;
+            }
+            self.step(&mut state, substep, &path.motion(substep))?;
+        }
+        self.report(total, total)?;
+        Ok(state)
+    }
+
+    fn gradient(&mut self, path: &Path) -> Result<(Evaluation, Vec<Control>), RolloutError> {
+        let settled = self.settled()?;
+        let slots = self.slots(&settled);
+        let actions = schedule(path.len(), slots);
+        let total = advances(&actions) + ADJOINT_WORK * path.len() as u64;
+        let mut done = 0;
+        let mut bars = vec![MotionBar::default(); path.len()];
+        let mut end: Option<(Evaluation, Vec<Group<T>>)> = None;
+        let mut at = 0;
+        let mut working = settled.clone();
+        let mut kept = vec![(0, settled)];
+        for action in actions {
+            match action {
+                Action::Restore => {
+                    let (step, state) = kept.last().expect("the schedule keeps the first state");
+                    at = *step;
+                    working.clone_from(state);
+                }
+                Action::Advance(count) => {
+                    for _ in 0..count {
+                        self.step(&mut working, at, &path.motion(at))?;
+                        at += 1;
+                        done += 1;
+                        self.report(done, total)?;
+                    }
+                }
+                Action::Keep => kept.push((at, working.clone())),
+                Action::Drop => {
+                    kept.pop();
+                }
+                Action::Reverse(step) => {
+                    let (evaluation, bar) = match end.take() {
+                        Some(end) => end,
+                        None => self.end_of(path, working.clone())?,
+                    };
+                    let mut bar = bar;
+                    bars[step] = self.workspace.retreat(self.model, &path.motion(step), &working, &mut bar);
+                    self.check_finite(step, &bars[step], &working, &bar)?;
+                    end = Some((evaluation, unsort_bar(&working, bar)));
+                    done += ADJOINT_WORK;
+                    self.report(done, total)?;
+                }
+            }
+        }
+        let evaluation = match end {
+            Some((evaluation, _)) => evaluation,
+            None => self.end_of(path, working)?.0,
+        };
+        Ok((evaluation, path.pull_back(&bars)))
+    }
+
+    /// Last step, loss, and the loss's cotangent in the order of the last step's particles.
+    fn end_of(&mut self, path: &Path, mut state: State<T>) -> Result<(Evaluation, Vec<Group<T>>), RolloutError> {
+        if let Some(last) = path.len().checked_sub(1) {
+            self.step(&mut state, last, &path.motion(last))?;
+        }
+        let positions = state.particles.positions_by_id();
+        let (evaluation, gradient) = evaluation(self.scene, &positions, &path.end().unwrap_or(*self.anchor));
+        let mut bar = vec![Group::ZERO; state.particles.groups.len()];
+        for (g, l, id) in state.particles.living() {
+            set_vec(&mut bar[g].x, l, gradient[id as usize].map(T::of));
+        }
+        Ok((evaluation, unsort_bar(&state, bar)))
+    }
+
+    /// The sum of everything that touched the tool shows whether a number went astray; only then is it looked for.
+    fn check_finite(
+        &self,
+        step: usize,
+        tool: &MotionBar,
+        state: &State<T>,
+        bar: &[Group<T>],
+    ) -> Result<(), RolloutError> {
+        let n = self.scene.time.substeps as usize;
+        let tool_finite = tool.position.iter().chain(&tool.rotation).all(|x| x.is_finite());
+        if tool_finite && step % n != 0 {
+            return Ok(());
+        }
+        for (g, l, particle) in state.particles.living() {
+            if !bar[g].rows().all(|row| row[l].is_finite()) {
+                let (step, substep) = ((step / n) as u32, (step % n) as u32);
+                return Err(RolloutError::NonFinite { stage: "the adjoint", step, substep, particle });
+            }
+        }
+        Ok(())
+    }
+
+    /// Kept states that the memory budget allows.
+    fn slots(&self, state: &State<T>) -> usize {
+        /// Executable, stacks, allocator.
+        const PROCESS_BYTES: u64 = 24 << 20;
+        let per_state = state.bytes() as u64;
+        // The working state, the settled one, the one at the end, the cotangents, payloads and spare groups.
+        let fixed = PROCESS_BYTES + 7 * per_state + self.workspace.bytes() as u64;
+        // A tenth in reserve: states grow a little as the powder spreads over more blocks.
+        let free = self.memory_bytes.saturating_sub(fixed) / 10 * 9;
+        ((free / per_state.max(1)) as usize).max(2)
+    }
+}
