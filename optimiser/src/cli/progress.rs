@@ -81,15 +81,18 @@ impl<'a> Progress<'a> {
     pub fn epoch(&mut self, record: &EpochRecord, epochs: u32, history: &[EpochRecord]) {
         let mean_s = history.iter().map(|record| record.seconds).sum::<f64>() / history.len().max(1) as f64;
         let left_s = mean_s * f64::from(epochs - record.epoch);
+        let left = match record.epoch < epochs {
+            true => format!("  about {} left", duration(left_s)),
+            false => String::new(),
+        };
         self.line(&format!(
-            "epoch {:>3}/{epochs}  loss {:>10.3} m  indicator {:>6}  transported {:>6}  spilled {:>4}  {:>6.1} s  about {} left",
+            "epoch {:>3}/{epochs}  loss {:>10.3} m  indicator {:>6}  transported {:>6}  spilled {:>4}  {:>6.1} s{left}",
             record.epoch,
             record.loss,
-            record.indicator,
+            grouped(record.indicator),
             grouped(record.transported.into()),
             grouped(record.spilled.into()),
             record.seconds,
-            duration(left_s)
         ));
     }
 

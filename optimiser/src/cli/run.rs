@@ -70,7 +70,7 @@ pub(super) fn execute(arguments: &RunArgs, context: &mut Context<'_>) -> Result<
         Some(folder) => Run::resume(arguments, folder)?,
         None => Run::start(arguments)?,
     };
-    let resumable = format!("what was evaluated is saved, go on with: {}", resume_command(run.folder.path()));
+    let resumable = format!("the epochs before are saved, go on with: {}", resume_command(run.folder.path()));
     if run.state.finished {
         let path = run.folder.path().display();
         writeln!(

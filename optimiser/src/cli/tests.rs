@@ -164,6 +164,34 @@ fn assert_sentence(done: &Done, code: u8, about: &str) {
 }
 
 #[test]
+fn arguments_are_consistent() {
+    use clap::CommandFactory;
+    Cli::command().debug_assert();
+    for line in [
+        "",
+        "bench-fine",
+        "--seed 2",
+        "run bench --epochs 3",
+        "--resume runs/x --epochs 40",
+        "simulate --plan p --json",
+    ] {
+        let arguments = ["optimise"].into_iter().chain(line.split_whitespace());
+        assert!(Cli::try_parse_from(arguments).is_ok(), "{line}");
+    }
+    for line in [
+        "--resume a --out b",
+        "simulate",
+        "simulate --plan p --theta 0",
+        "simulate --plan p --seed 1",
+        "--threads 0",
+        "--memory 5x",
+    ] {
+        let arguments = ["optimise"].into_iter().chain(line.split_whitespace());
+        assert!(Cli::try_parse_from(arguments).is_err(), "{line}");
+    }
+}
+
+#[test]
 fn run_leaves_its_files_and_says_what_it_found() {
     let place = Place::new();
     let folder = place.text("run");

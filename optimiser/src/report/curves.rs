@@ -9,7 +9,9 @@ use powderline_shared::plan::SKILL_PARAMETERS;
 use std::ops::Range;
 use thiserror::Error;
 
-const SIZE: (u32, u32) = (860, 960);
+const SIZE: (u32, u32) = (960, 960);
+/// Width of the column beside the panels.
+const SIDE: u32 = 190;
 const FONT: &str = "Helvetica, Arial, sans-serif";
 const INK: RGBColor = RGBColor(40, 44, 52);
 const FAINT: RGBColor = RGBColor(225, 228, 232);
@@ -48,9 +50,9 @@ type Area<'s> = DrawingArea<SVGBackend<'s>, Shift>;
 type Chart<'a, 's> = ChartContext<'a, SVGBackend<'s>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 type Drawn = Result<(), Box<dyn std::error::Error>>;
 
-/// One line of a panel.
+/// One line of a panel, and what stands beside the panel in its colour.
 struct Line {
-    label: Option<&'static str>,
+    note: String,
     colour: RGBColor,
     points: Vec<(f64, f64)>,
 }
@@ -76,14 +78,16 @@ impl Curves<'_> {
     fn draw(&self, svg: &mut String) -> Drawn {
         let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();
         root.fill(&WHITE)?;
-        let body = root.titled(self.title, (FONT, 20).into_font().color(&INK))?;
-        let (upper, theta) = body.split_vertically(560);
-        let (loss, indicator) = upper.split_vertically(290);
-        self.panel(&loss, &self.single("loss (m)", COLOURS[0], |record| record.loss))?;
-        self.panel(
-            &indicator,
-            &self.single("indicator: particles still missing", COLOURS[1], |r| r.indicator as f64),
-        )?;
+        let body = root.margin(12, 6, 0, 0).titled(self.title, (FONT, 20).into_font().color(&INK))?;
+        let (upper, theta) = body.split_vertically(556);
+        let (loss, indicator) = upper.split_vertically(286);
+        let loss_note = self.best.map(|best| format!("lowest: {:.3} m", best.loss)).unwrap_or_default();
+        let indicator_note =
+            self.best.map(|best| format!("at lowest loss: {}", best.indicator)).unwrap_or_default();
+        self.panel(&loss, &self.single("loss (m)", COLOURS[0], loss_note, 0.0, |record| record.loss))?;
+        let missing = |record: &EpochRecord| record.indicator as f64;
+        let caption = "indicator (particles still missing)";
+        self.panel(&indicator, &self.single(caption, COLOURS[1], indicator_note, 1.0, missing))?;
         self.panel(&theta, &self.theta())?;
         root.present()?;
         Ok(())
@@ -93,15 +97,22 @@ impl Curves<'_> {
         self.history.iter().map(|record| (f64::from(record.epoch), value(record))).collect()
     }
 
-    fn single(&self, caption: &'static str, colour: RGBColor, value: impl Fn(&EpochRecord) -> f64) -> Panel {
+    fn single(
+        &self,
+        caption: &'static str,
+        colour: RGBColor,
+        note: String,
+        least_margin: f64,
+        value: impl Fn(&EpochRecord) -> f64,
+    ) -> Panel {
         let points = self.points(value);
-        let values = padded(points.iter().map(|point| point.1));
-        Panel { caption, values, lines: vec![Line { label: None, colour, points }], epoch_axis: false }
+        let values = padded(points.iter().map(|point| point.1), least_margin);
+        Panel { caption, values, lines: vec![Line { note, colour, points }], epoch_axis: false }
     }
 
     fn theta(&self) -> Panel {
         let line = |k: usize| Line {
-            label: Some(SKILL_PARAMETERS[k].0),
+            note: SKILL_PARAMETERS[k].0.into(),
             colour: COLOURS[k],
             points: self.points(|record| record.theta[k]),
         };
@@ -109,15 +120,17 @@ impl Curves<'_> {
     }
 
     fn panel(&self, area: &Area<'_>, panel: &Panel) -> Drawn {
-        let mut chart = ChartBuilder::on(area)
+        let (plot, side) = area.split_horizontally(SIZE.0 - SIDE);
+        let mut chart = ChartBuilder::on(&plot)
             .caption(panel.caption, (FONT, 15).into_font().color(&INK))
             .margin_left(12)
-            .margin_right(24)
+            .margin_right(10)
             .margin_bottom(6)
             .x_label_area_size(if panel.epoch_axis { 42 } else { 26 })
             .y_label_area_size(64)
             .build_cartesian_2d(0.0..f64::from(self.epochs.max(1)), panel.values.clone())?;
         self.background(&mut chart, panel)?;
+        let decimals = decimals(&panel.values);
         chart
             .configure_mesh()
             .disable_x_mesh()
@@ -128,15 +141,13 @@ impl Curves<'_> {
             .x_labels(self.epochs.clamp(1, 15) as usize + 1)
             .x_label_formatter(&|x| format!("{x:.0}"))
             .y_labels(6)
+            .y_label_formatter(&|y| format!("{y:.decimals$}"))
             .label_style((FONT, 13).into_font().color(&INK))
             .draw()?;
         for line in &panel.lines {
             draw_line(&mut chart, line)?;
         }
-        if panel.lines.iter().any(|line| line.label.is_some()) {
-            legend(&mut chart)?;
-        }
-        Ok(())
+        self.notes(&side, panel)
     }
 
     /// The curriculum's epochs shaded, the best epoch marked.
@@ -146,43 +157,54 @@ impl Curves<'_> {
         chart.draw_series([Rectangle::new([(0.0, start), (curriculum, end)], CURRICULUM.filled())])?;
         if let Some(best) = self.best {
             let epoch = f64::from(best.epoch);
-            chart.draw_series([PathElement::new([(epoch, start), (epoch, end)], BEST.mix(0.6))])?;
+            chart.draw_series([PathElement::new([(epoch, start), (epoch, end)], BEST.mix(0.7))])?;
         }
         Ok(())
+    }
+
+    /// What the colours mean, beside the panel.
+    fn notes(&self, side: &Area<'_>, panel: &Panel) -> Drawn {
+        let font = || (FONT, 13).into_font();
+        let mut y = 44;
+        for line in &panel.lines {
+            side.draw(&PathElement::new([(0, y + 6), (18, y + 6)], line.colour.stroke_width(3)))?;
+            side.draw(&Text::new(line.note.clone(), (26, y), font().color(&INK)))?;
+            y += 22;
+        }
+        if panel.epoch_axis {
+            side.draw(&Rectangle::new([(0, y + 12), (18, y + 26)], CURRICULUM.filled()))?;
+            side.draw(&Text::new("only depth, angle, lift", (26, y + 14), font().color(&INK)))?;
+            side.draw(&PathElement::new([(9, y + 36), (9, y + 50)], BEST.mix(0.7)))?;
+            side.draw(&Text::new(self.best_note(), (26, y + 38), font().color(&INK)))?;
+        }
+        Ok(())
+    }
+
+    fn best_note(&self) -> String {
+        self.best.map_or_else(String::new, |best| format!("lowest loss: epoch {}", best.epoch))
     }
 }
 
 fn draw_line(chart: &mut Chart<'_, '_>, line: &Line) -> Drawn {
-    let colour = line.colour;
-    let drawn = chart.draw_series(LineSeries::new(line.points.iter().copied(), colour.stroke_width(2)))?;
-    if let Some(label) = line.label {
-        drawn
-            .label(label)
-            .legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], colour.stroke_width(2)));
-    }
-    chart.draw_series(line.points.iter().map(|&point| Circle::new(point, 2, colour.filled())))?;
+    chart.draw_series(LineSeries::new(line.points.iter().copied(), line.colour.stroke_width(2)))?;
+    chart.draw_series(line.points.iter().map(|&point| Circle::new(point, 2, line.colour.filled())))?;
     Ok(())
 }
 
-fn legend<'a, 's: 'a>(chart: &mut Chart<'a, 's>) -> Drawn {
-    chart
-        .configure_series_labels()
-        .position(SeriesLabelPosition::LowerRight)
-        .background_style(WHITE.mix(0.85))
-        .border_style(FAINT)
-        .label_font((FONT, 13).into_font().color(&INK))
-        .draw()?;
-    Ok(())
+/// Digits after the point that tell the marks of an axis apart.
+fn decimals(values: &Range<f64>) -> usize {
+    let mark = (values.end - values.start) / 10.0;
+    (-mark.log10()).ceil().clamp(0.0, 6.0) as usize
 }
 
 /// The range of the values with a margin, never empty.
-fn padded(values: impl Iterator<Item = f64>) -> Range<f64> {
+fn padded(values: impl Iterator<Item = f64>, least_margin: f64) -> Range<f64> {
     let (low, high) =
         values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
     if low > high {
         return 0.0..1.0;
     }
-    let margin = 0.08 * (high - low) + 1e-6 * high.abs().max(1.0);
+    let margin = (0.08 * (high - low) + 1e-5 * high.abs().max(1.0)).max(least_margin);
     low - margin..high + margin
 }
 
@@ -231,7 +253,7 @@ mod tests {
     #[test]
     fn ranges_are_never_empty() {
         for values in [vec![], vec![3.0], vec![0.0, 0.0], vec![-1e9, 1e9]] {
-            let Range { start, end } = padded(values.into_iter());
+            let Range { start, end } = padded(values.into_iter(), 0.0);
             assert!(start < end);
         }
     }
