@@ -49,7 +49,7 @@ pub enum SceneError {
         offset: usize,
     },
     /// Nothing but white space and comments.
-    #[error("{file} is empty; a scene in TOML would be right (`scenes/bench.toml` is an example)")]
+    #[error("{file} is empty; a scene in TOML would be right (optimiser/scenes/bench.toml is an example)")]
     Empty {
         /// The scene file.
         file: String,

@@ -10,6 +10,7 @@ mod embedded;
 mod error;
 pub(crate) mod figures;
 mod packing;
+mod parse;
 mod path;
 mod read;
 mod remarks;

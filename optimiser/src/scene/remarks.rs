@@ -37,7 +37,7 @@ impl Scene {
         let solids = source.pieces();
         let hits = self.scoop_poses().any(|(origin, pitch_deg)| {
             let tool = PlacedTool::new(self, origin, pitch_deg);
-            solids.iter().any(|solid| !tool.handle_clears(&source.axes(), solid))
+            solids.iter().any(|solid| !tool.handle_clears(solid))
         });
         hits.then(|| {
             format!(
@@ -52,9 +52,7 @@ impl Scene {
             self.container.iter().map(|container| (container, container.pieces())).collect();
         let hit = self.lowest_transport_poses().find_map(|(origin, pitch_deg)| {
             let tool = PlacedTool::new(self, origin, pitch_deg);
-            solids.iter().find(|(container, pieces)| {
-                pieces.iter().any(|piece| !tool.body_clears(&container.axes(), piece))
-            })
+            solids.iter().find(|(_, pieces)| pieces.iter().any(|piece| !tool.body_clears(piece)))
         });
         hit.map(|(container, _)| {
             format!(

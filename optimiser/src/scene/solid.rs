@@ -13,10 +13,12 @@ pub(super) type Vec3 = [f64; 3];
 /// Gap that still counts as touching rather than overlapping, metres.
 pub(super) const TOUCH_M: f64 = 1e-9;
 
+const UP: Vec3 = [0.0, 0.0, 1.0];
+
 /// Segments that stand for a round wall.
 const ROUND_SEGMENTS: usize = 64;
 
-/// Directions tried besides the coordinate axes.
+/// Directions tried besides the face normals.
 const DIRECTIONS: usize = 512;
 
 pub(super) fn dot(a: Vec3, b: Vec3) -> f64 {
@@ -27,11 +29,20 @@ pub(super) fn dot(a: Vec3, b: Vec3) -> f64 {
 #[derive(Clone, Debug)]
 pub(super) struct Hull {
     points: Vec<Vec3>,
+    /// Normals of its faces, one of each opposite pair.
+    normals: Vec<Vec3>,
 }
 
 impl Hull {
-    fn new(points: Vec<Vec3>) -> Self {
-        Self { points }
+    /// Whether it is apart from another solid, given by its reach.
+    pub(super) fn clear_of(&self, other: impl Fn(Vec3) -> f64) -> bool {
+        apart(&self.normals, |direction| self.reach(direction), other)
+    }
+
+    /// Whether it is apart from another hull.
+    pub(super) fn clear_of_hull(&self, other: &Self) -> bool {
+        let normals: Vec<Vec3> = self.normals.iter().chain(&other.normals).copied().collect();
+        apart(&normals, |direction| self.reach(direction), |direction| other.reach(direction))
     }
 
     /// Largest p . `direction` over the hull.
@@ -44,16 +55,16 @@ impl Hull {
         let corner = |index: usize| {
             std::array::from_fn(|axis| if index >> axis & 1 == 0 { min[axis] } else { max[axis] })
         };
-        Self::new((0..8).map(corner).collect())
+        Self { points: (0..8).map(corner).collect(), normals: vec![[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], UP] }
     }
 }
 
-/// Whether two convex solids, given by their reaches, are apart along one of `axes` or of a fixed set of
+/// Whether two convex solids, given by their reaches, are apart along one of `normals` or of a fixed set of
 /// directions.
-pub(super) fn apart(axes: &[Vec3], a: impl Fn(Vec3) -> f64, b: impl Fn(Vec3) -> f64) -> bool {
+fn apart(normals: &[Vec3], a: impl Fn(Vec3) -> f64, b: impl Fn(Vec3) -> f64) -> bool {
     let separates = |d: Vec3| a(d) + b(d.map(|component| -component)) <= TOUCH_M;
     let both_ways = |d: Vec3| separates(d) || separates(d.map(|component| -component));
-    axes.iter().copied().any(both_ways) || (0..DIRECTIONS).map(spread_direction).any(both_ways)
+    normals.iter().copied().any(both_ways) || (0..DIRECTIONS).map(spread_direction).any(both_ways)
 }
 
 /// Directions spread evenly over the half sphere (Fibonacci lattice).
@@ -66,8 +77,8 @@ fn spread_direction(index: usize) -> Vec3 {
 }
 
 impl Container {
-    /// Face normals: the container's own axes.
-    pub(super) fn axes(&self) -> [Vec3; 3] {
+    /// The container's own axes, world frame.
+    fn axes(&self) -> [Vec3; 3] {
         let (sin, cos) = self.yaw_deg.to_radians().sin_cos();
         [[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]]
     }
@@ -141,7 +152,10 @@ impl Container {
     /// Box in the container's frame.
     fn block(&self, min: Vec3, max: Vec3) -> Hull {
         let local = Hull::aligned_box(min, max);
-        Hull::new(local.points.into_iter().map(|point| self.to_world(point)).collect())
+        Hull {
+            points: local.points.into_iter().map(|point| self.to_world(point)).collect(),
+            normals: self.axes().to_vec(),
+        }
     }
 
     /// Upright prism around a circle.
@@ -151,7 +165,8 @@ impl Container {
             let (sin, cos) = segment_angle(index as f64 + 0.5).sin_cos();
             [low, high].map(|z| self.to_world([corner * cos, corner * sin, z]))
         });
-        Hull::new(points.collect())
+        let sides = (0..ROUND_SEGMENTS / 2).map(|index| self.outwards(index as f64));
+        Hull { points: points.collect(), normals: sides.chain([UP]).collect() }
     }
 
     /// One segment of a round wall.
@@ -162,7 +177,16 @@ impl Container {
                 .into_iter()
                 .flat_map(move |radius| [0.0, height].map(|z| self.to_world([radius * cos, radius * sin, z])))
         });
-        Hull::new(points.collect())
+        let outwards = self.outwards(index as f64 + 0.5);
+        let along = [-outwards[1], outwards[0], 0.0];
+        Hull { points: points.collect(), normals: vec![outwards, along, UP] }
+    }
+
+    /// Direction from the container's middle to a place on its round wall, counted in segments.
+    fn outwards(&self, segments: f64) -> Vec3 {
+        let [x, y, _] = self.axes();
+        let (sin, cos) = segment_angle(segments).sin_cos();
+        std::array::from_fn(|axis| cos * x[axis] + sin * y[axis])
     }
 
     fn to_world(&self, point: Vec3) -> Vec3 {
@@ -190,7 +214,7 @@ mod tests {
     fn boxes_apart(gap: f64) -> bool {
         let a = Hull::aligned_box([0.0; 3], [1.0; 3]);
         let b = Hull::aligned_box([1.0 + gap, 0.0, 0.0], [2.0, 1.0, 1.0]);
-        apart(&[[1.0, 0.0, 0.0]], |d| a.reach(d), |d| b.reach(d))
+        a.clear_of_hull(&b)
     }
 
     #[test]
@@ -203,7 +227,8 @@ mod tests {
     #[test]
     fn a_corner_beside_a_corner_is_found_without_a_hint() {
         let a = Hull::aligned_box([0.0; 3], [1.0; 3]);
-        let tip = Hull::new(vec![[1.15, 1.15, 0.85], [1.15, 0.85, 1.15], [0.85, 1.15, 1.15]]);
-        assert!(apart(&[], |d| a.reach(d), |d| tip.reach(d)));
+        let tip = [[1.15, 1.15, 0.85], [1.15, 0.85, 1.15], [0.85, 1.15, 1.15]];
+        let reach = |direction| tip.iter().map(|point| dot(*point, direction)).fold(f64::MIN, f64::max);
+        assert!(a.clear_of(reach));
     }
 }

@@ -1,7 +1,8 @@
 //! How long the skill's segments last, for judging a scene before any motion is made.
 //!
 //! A segment of travel D at mean speed v lasts D / v, and with minimum jerk at least as long as the limits ask:
-//! 15/8 D / v_max, sqrt(10/sqrt(3) D / a_max), cbrt(60 D / j_max). Segments that move and turn take the longest of
+//! 15/8 D / v_max, sqrt(10/sqrt(3) D' / a_max), cbrt(60 D' / j_max), where D'^2 = D^2 + D_0^2 and D_0 is the travel
+//! of one control period, as the skill's durations have it to be smooth at D = 0. Segments that move and turn take the longest of
 //! both. `continuous` timing joins the terms by the norm of order 16, a smooth upper bound of the longest;
 //! `rounded` timing rounds to control steps.
 
@@ -11,6 +12,8 @@ use super::{Limits, Profile, Scene, Skill, Timing};
 #[derive(Clone, Copy)]
 struct Leg {
     travel: f64,
+    /// Travel of one control period.
+    floor: f64,
     speed: f64,
     velocity: f64,
     acceleration: f64,
@@ -18,9 +21,10 @@ struct Leg {
 }
 
 impl Leg {
-    fn linear(travel_m: f64, skill: &Skill, limits: &Limits) -> Self {
+    fn linear(travel_m: f64, period_s: f64, skill: &Skill, limits: &Limits) -> Self {
         Self {
             travel: travel_m,
+            floor: skill.linear_speed_m_s * period_s,
             speed: skill.linear_speed_m_s,
             velocity: limits.linear_velocity_m_s,
             acceleration: limits.linear_acceleration_m_s2,
@@ -28,9 +32,10 @@ impl Leg {
         }
     }
 
-    fn angular(travel_deg: f64, skill: &Skill, limits: &Limits) -> Self {
+    fn angular(travel_deg: f64, period_s: f64, skill: &Skill, limits: &Limits) -> Self {
         Self {
             travel: travel_deg.to_radians(),
+            floor: skill.angular_speed_rad_s * period_s,
             speed: skill.angular_speed_rad_s,
             velocity: limits.angular_velocity_rad_s,
             acceleration: limits.angular_acceleration_rad_s2,
@@ -43,10 +48,11 @@ impl Leg {
     }
 
     fn by_limits_s(&self) -> [f64; 3] {
+        let travel = self.travel.hypot(self.floor);
         [
             1.875 * self.travel / self.velocity,
-            (10.0 / 3f64.sqrt() * self.travel / self.acceleration).sqrt(),
-            (60.0 * self.travel / self.jerk).cbrt(),
+            (10.0 / 3f64.sqrt() * travel / self.acceleration).sqrt(),
+            (60.0 * travel / self.jerk).cbrt(),
         ]
     }
 }
@@ -55,8 +61,9 @@ impl Scene {
     /// Duration of the longest skill within the bounds (theta = 1 throughout), seconds, rest excluded.
     pub fn longest_skill_s(&self) -> f64 {
         let (skill, limits) = (&self.skill, &self.limits);
-        let linear = |travel_m| Leg::linear(travel_m, skill, limits);
-        let angular = |travel_deg| Leg::angular(travel_deg, skill, limits);
+        let period_s = self.time.control_period_s();
+        let linear = |travel_m| Leg::linear(travel_m, period_s, skill, limits);
+        let angular = |travel_deg| Leg::angular(travel_deg, period_s, skill, limits);
         [
             vec![linear(skill.approach_m)],
             vec![linear(skill.scooping_depth_m[1])],

@@ -3,7 +3,7 @@
 //! The body stands for its convex hull: the cavity counts as solid, which only matters for things inside it. World
 //! axes of the tool at heading h and pitch p: x = cos p h - sin p z, y = z x h, z = sin p h + cos p z.
 
-use super::solid::{Hull, Vec3, apart, dot};
+use super::solid::{Hull, Vec3, dot};
 use super::{Scene, Tool, ToolShape};
 
 impl Tool {
@@ -80,14 +80,14 @@ impl<'a> PlacedTool<'a> {
         dot(self.origin, direction) + self.tool.handle_reach(self.to_tool(direction))
     }
 
-    /// Whether the body stays clear of a convex solid with the face normals `axes`.
-    pub(super) fn body_clears(&self, axes: &[Vec3], solid: &Hull) -> bool {
-        apart(axes, |d| self.body_reach(d), |d| solid.reach(d))
+    /// Whether the body stays clear of a convex solid.
+    pub(super) fn body_clears(&self, solid: &Hull) -> bool {
+        solid.clear_of(|direction| self.body_reach(direction))
     }
 
-    /// Whether the handle stays clear of a convex solid with the face normals `axes`.
-    pub(super) fn handle_clears(&self, axes: &[Vec3], solid: &Hull) -> bool {
-        apart(axes, |d| self.handle_reach(d), |d| solid.reach(d))
+    /// Whether the handle stays clear of a convex solid.
+    pub(super) fn handle_clears(&self, solid: &Hull) -> bool {
+        solid.clear_of(|direction| self.handle_reach(direction))
     }
 }
 
@@ -102,7 +102,7 @@ mod tests {
             let tool = PlacedTool::new(&scene, [0.0; 3], pitch);
             assert!((tool.body_reach([0.0, 0.0, -1.0]) - 0.020).abs() < 1e-15);
         }
-        // Upside down only the rim is left on top... of nothing: the bowl then reaches up.
+        // Upside down the rim is the lowest part.
         let tool = PlacedTool::new(&scene, [0.0; 3], 180.0);
         assert!(tool.body_reach([0.0, 0.0, -1.0]).abs() < 1e-15);
         assert!((tool.body_reach([0.0, 0.0, 1.0]) - 0.020).abs() < 1e-15);

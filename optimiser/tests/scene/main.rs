@@ -1,3 +1,8 @@
 //! Scenes: reading, refusing, writing, packing.
 
+mod files;
+mod geometry;
+mod packing;
+mod refusals;
 mod shipped;
+mod writing;

@@ -4,7 +4,7 @@ use super::checker::{Checked, Checker};
 use crate::scene::figures::{about, at_most, list, plain};
 use crate::scene::solid::{Hull, TOUCH_M, Vec3};
 use crate::scene::tool_body::PlacedTool;
-use crate::scene::{BLOCK_CELLS, Container, MAX_CELLS, MAX_CFL, MAX_PARTICLES, Scene};
+use crate::scene::{BLOCK_CELLS, MAX_CELLS, MAX_CFL, MAX_PARTICLES, Scene};
 
 /// World directions with the name of their coordinate and their sign.
 pub(super) const SIDES: [(Vec3, usize); 6] = [
@@ -114,7 +114,7 @@ pub(super) fn check_containers(checker: &Checker<'_>, scene: &Scene) -> Checked 
             "the container",
             |direction| outer.reach(direction),
         )?;
-        if let Some(other) = containers[..index].iter().find(|other| !containers_apart(container, other)) {
+        if let Some(other) = containers[..index].iter().find(|other| !outer.clear_of_hull(&other.outer())) {
             return Err(checker.invalid(
                 field("position_m"),
                 list(&container.position_m),
@@ -126,12 +126,6 @@ pub(super) fn check_containers(checker: &Checker<'_>, scene: &Scene) -> Checked 
         }
     }
     Ok(())
-}
-
-fn containers_apart(a: &Container, b: &Container) -> bool {
-    let axes: Vec<Vec3> = a.axes().into_iter().chain(b.axes()).collect();
-    let (a, b) = (a.outer(), b.outer());
-    crate::scene::solid::apart(&axes, |d| a.reach(d), |d| b.reach(d))
 }
 
 /// Refuses what reaches out of the simulated volume.
@@ -262,12 +256,10 @@ pub(super) fn check_start(checker: &Checker<'_>, scene: &Scene) -> Checked {
             format!("there the tool overlaps {what}; it must start clear"),
         ))
     };
-    let clears =
-        |axes: &[Vec3], solid: &Hull| tool.body_clears(axes, solid) && tool.handle_clears(axes, solid);
-    if !clears(&[[0.0, 0.0, 1.0]], &scene.powder.fill_box()) {
+    let clears = |solid: &Hull| tool.body_clears(solid) && tool.handle_clears(solid);
+    if !clears(&scene.powder.fill_box()) {
         return overlap("the powder".to_owned());
     }
-    let blocking =
-        scene.container.iter().find(|one| one.pieces().iter().any(|piece| !clears(&one.axes(), piece)));
+    let blocking = scene.container.iter().find(|one| one.pieces().iter().any(|piece| !clears(piece)));
     blocking.map_or(Ok(()), |one| overlap(format!("container {:?}", one.name)))
 }

@@ -98,11 +98,11 @@ fn check_floor(checker: &Checker<'_>, scene: &Scene) -> Checked {
 /// Going down and scooping keep clear of the source's walls at every depth and angle.
 fn check_scoop_walls(checker: &Checker<'_>, scene: &Scene) -> Checked {
     let source = scene.source();
-    let (axes, pieces) = (source.axes(), source.pieces());
+    let pieces = source.pieces();
     let walls = &pieces[1..];
     let clears = |(origin, pitch_deg)| {
         let tool = PlacedTool::new(scene, origin, pitch_deg);
-        walls.iter().all(|wall| tool.body_clears(&axes, wall))
+        walls.iter().all(|wall| tool.body_clears(wall))
     };
     if !scene.insert_poses().all(clears) {
         return Err(checker.invalid(

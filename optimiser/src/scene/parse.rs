@@ -1,0 +1,139 @@
+//! From TOML text to a scene's fields, and refusals in words that a reader of the file knows.
+
+use serde_json::Value;
+use toml::de::{DeTable, DeValue, Deserializer, Error};
+
+use super::{Scene, SceneError};
+
+/// Tables of a scene; `container` is the only list of tables.
+const TABLES: [&str; 8] = ["domain", "powder", "time", "tool", "skill", "limits", "objective", "optimiser"];
+
+/// Reads a scene without judging its values.
+pub(super) fn parse(file: &str, text: &str) -> Result<Scene, SceneError> {
+    let source = Source { file, text };
+    let raw = DeTable::parse(text).map_err(|error| source.syntax(&error))?;
+    source.check_tables(raw.get_ref())?;
+    let deserializer = Deserializer::parse(text).map_err(|error| source.syntax(&error))?;
+    let scene: Scene = serde_path_to_error::deserialize(deserializer).map_err(|error| {
+        let path = error.path().to_string();
+        let field = if path == "." { "the scene" } else { &path };
+        source.structure(field, start(error.inner()), in_plain_words(error.inner().message()))
+    })?;
+    let resolved = serde_json::to_value(&scene).expect("every field has a notation in JSON");
+    source.check_lists("", 0, &DeValue::Table(raw.into_inner()), &resolved)?;
+    Ok(scene)
+}
+
+/// The text being read, and its name in messages.
+struct Source<'a> {
+    file: &'a str,
+    text: &'a str,
+}
+
+impl Source<'_> {
+    fn syntax(&self, error: &Error) -> SceneError {
+        let (line, column) = self.position(start(error));
+        SceneError::Syntax {
+            file: self.file.to_owned(),
+            line,
+            column,
+            reason: in_plain_words(error.message()),
+        }
+    }
+
+    fn structure(&self, field: &str, offset: usize, reason: String) -> SceneError {
+        SceneError::Structure {
+            file: self.file.to_owned(),
+            field: one_line(field),
+            line: self.position(offset).0,
+            reason,
+        }
+    }
+
+    /// Serde reads a table from a list, field by field; in a scene that is a mistake, `[[tool]]` for `[tool]`.
+    fn check_tables(&self, raw: &DeTable<'_>) -> Result<(), SceneError> {
+        for key in TABLES {
+            if let Some(value) = raw.get(key).filter(|value| value.get_ref().is_array()) {
+                return Err(self.not_a_table(key, value.span().start));
+            }
+        }
+        Ok(())
+    }
+
+    /// Serde drops what a list holds beyond the expected length, and reads tables from lists; neither may pass.
+    fn check_lists(
+        &self,
+        path: &str,
+        offset: usize,
+        raw: &DeValue<'_>,
+        resolved: &Value,
+    ) -> Result<(), SceneError> {
+        match (raw, resolved) {
+            (DeValue::Array(_), Value::Object(_)) => Err(self.not_a_table(path, offset)),
+            (DeValue::Array(raw), Value::Array(resolved)) if raw.len() != resolved.len() => {
+                let reason = format!("invalid length {}, expected a list of {}", raw.len(), resolved.len());
+                Err(self.structure(path, offset, reason))
+            }
+            (DeValue::Array(raw), Value::Array(resolved)) => {
+                raw.iter().zip(resolved).enumerate().try_for_each(|(index, (raw, resolved))| {
+                    self.check_lists(&format!("{path}[{index}]"), raw.span().start, raw.get_ref(), resolved)
+                })
+            }
+            (DeValue::Table(raw), Value::Object(resolved)) => raw.iter().try_for_each(|(key, raw)| {
+                let key: &str = key.get_ref();
+                let path = if path.is_empty() { key.to_owned() } else { format!("{path}.{key}") };
+                resolved.get(key).map_or(Ok(()), |resolved| {
+                    self.check_lists(&path, raw.span().start, raw.get_ref(), resolved)
+                })
+            }),
+            _ => Ok(()),
+        }
+    }
+
+    fn not_a_table(&self, field: &str, offset: usize) -> SceneError {
+        self.structure(field, offset, "invalid type: a list, expected a single table".to_owned())
+    }
+
+    /// Line and column, from 1.
+    fn position(&self, offset: usize) -> (usize, usize) {
+        let before = &self.text.as_bytes()[..offset.min(self.text.len())];
+        let line_start = before.iter().rposition(|&byte| byte == b'\n').map_or(0, |newline| newline + 1);
+        (before.iter().filter(|&&byte| byte == b'\n').count() + 1, before.len() - line_start + 1)
+    }
+}
+
+fn start(error: &Error) -> usize {
+    error.span().map_or(0, |span| span.start)
+}
+
+/// Foreign text on one line, without control characters, and not endless.
+fn one_line(message: &str) -> String {
+    const MAX_CHARS: usize = 400;
+    let line = message.split_whitespace().collect::<Vec<_>>().join(" ");
+    let shown: String = line.chars().filter(|character| !character.is_control()).take(MAX_CHARS).collect();
+    if line.chars().count() > MAX_CHARS { shown + "..." } else { shown }
+}
+
+/// Serde speaks of Rust types; the reader of a scene file knows numbers, lists and tables.
+fn in_plain_words(message: &str) -> String {
+    let words = [
+        ("expected f64", "expected a number"),
+        ("expected u32", "expected a whole number from 0 to 4294967295"),
+        ("expected u64", "expected a whole number from 0 to 18446744073709551615"),
+        ("expected an array of length", "expected a list of"),
+        ("expected a sequence", "expected a list"),
+        ("expected internally tagged enum ContainerShape", "expected a table with a `kind`"),
+        ("expected internally tagged enum ToolShape", "expected a table with a `kind`"),
+        ("expected internally tagged enum Observation", "expected a table with a `kind`"),
+        ("` as i128,", "`,"),
+        ("floating-point number overflowed", "number too large, expected at most 1.79e308"),
+        ("wanted string or table", "expected a name or a table"),
+        ("wanted exactly 1 element, more than 1 element", "expected a table with exactly one key"),
+    ];
+    let plain = words.iter().fold(one_line(message), |text, (rust, plain)| text.replace(rust, plain));
+    // What remains of `expected struct Domain` and the like.
+    match plain.find("expected struct ") {
+        Some(start) => plain[..start].to_owned() + "expected a table",
+        None => plain,
+    }
+}

@@ -1,0 +1,52 @@
+//! `optimise check` as a program.
+
+use std::process::{Command, Output};
+
+use serde_json::Value;
+
+fn optimise(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_optimise")).args(arguments).output().unwrap()
+}
+
+fn text(bytes: &[u8]) -> String {
+    String::from_utf8(bytes.to_vec()).unwrap()
+}
+
+#[test]
+fn checks_the_default_scene() {
+    let output = optimise(&["check"]);
+    assert_eq!(output.status.code(), Some(0));
+    assert!(text(&output.stdout).starts_with("bench is a valid scene.\n"));
+    assert_eq!(text(&output.stderr), "");
+}
+
+#[test]
+fn json_is_one_object_and_nothing_else() {
+    let output = optimise(&["check", "bench-small", "--json"]);
+    assert_eq!(output.status.code(), Some(0));
+    let report: Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(report["particles"], 2772);
+    assert_eq!(report["cells"], serde_json::json!([44, 16, 32]));
+    assert_eq!(report["horizon_steps"], 300);
+    assert_eq!(report["memory"].as_array().unwrap().len(), 6);
+    assert_eq!(report["digest"].as_str().unwrap().len(), 64);
+    assert_eq!(text(&output.stdout).lines().count(), 1);
+}
+
+#[test]
+fn a_bad_scene_is_one_sentence_on_standard_error_and_exit_code_2() {
+    for arguments in [["check", "bnch"].as_slice(), &["check", "bnch", "--json"]] {
+        let output = optimise(arguments);
+        assert_eq!(output.status.code(), Some(2));
+        assert_eq!(text(&output.stdout), "");
+        assert_eq!(
+            text(&output.stderr),
+            "there is no scene and no file called `bnch`; the embedded scenes are bench, bench-small, bench-fine\n"
+        );
+    }
+}
+
+#[test]
+fn unknown_arguments_are_bad_input() {
+    assert_eq!(optimise(&["check", "--jsn"]).status.code(), Some(2));
+}

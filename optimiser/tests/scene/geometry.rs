@@ -1,0 +1,100 @@
+//! Rules about places, with turned and round containers and the box scoop.
+
+use powderline_optimiser::scene::{ContainerShape, Scene, SceneError, ToolShape};
+
+fn bench() -> Scene {
+    Scene::load("bench").unwrap()
+}
+
+/// The field that a scene is refused for, if it is.
+fn refused_field(scene: &Scene) -> Option<String> {
+    match scene.validate("scene") {
+        Ok(()) => None,
+        Err(SceneError::Invalid { field, .. }) => Some(field),
+        Err(other) => panic!("{other}"),
+    }
+}
+
+/// The same bench turned by a quarter: x becomes y, y becomes -x.
+fn quarter_turn(scene: &mut Scene) {
+    let depth_m = scene.domain.size_m[1];
+    let turn = |[x, y, z]: [f64; 3]| [depth_m - y, x, z];
+    let [low, high] = [scene.powder.fill_min_m, scene.powder.fill_max_m].map(turn);
+    scene.powder.fill_min_m = [high[0], low[1], low[2]];
+    scene.powder.fill_max_m = [low[0], high[1], high[2]];
+    let [low, high] = [scene.limits.workspace_min_m, scene.limits.workspace_max_m].map(turn);
+    scene.limits.workspace_min_m = [high[0], low[1], low[2]];
+    scene.limits.workspace_max_m = [low[0], high[1], high[2]];
+    for container in &mut scene.container {
+        container.position_m = turn(container.position_m);
+        container.yaw_deg = 90.0;
+    }
+    scene.tool.start_position_m = turn(scene.tool.start_position_m);
+    scene.objective.p_target_m = turn(scene.objective.p_target_m);
+    scene.domain.size_m.swap(0, 1);
+    scene.skill.heading_deg = 90.0;
+}
+
+#[test]
+fn a_turned_bench_is_as_valid_and_as_invalid() {
+    let mut scene = bench();
+    quarter_turn(&mut scene);
+    assert_eq!(refused_field(&scene), None);
+    scene.skill.sweep_m = 0.030;
+    assert_eq!(refused_field(&scene).as_deref(), Some("skill.sweep_m"));
+}
+
+#[test]
+fn a_container_turned_out_of_line_still_counts_whole() {
+    let mut scene = bench();
+    // Across the diagonal the target's outer half width is 51 mm: out at y = 48 + 51.
+    scene.container[1].yaw_deg = 45.0;
+    assert_eq!(refused_field(&scene).as_deref(), Some("container[1].position_m"));
+    scene.domain.size_m[1] = 0.104;
+    assert_eq!(refused_field(&scene).as_deref(), Some("container[1].position_m"));
+    // 36 + 51 mm apart and both inside: valid.
+    scene.domain.size_m[1] = 0.128;
+    for container in &mut scene.container {
+        container.position_m[1] = 0.064;
+    }
+    scene.powder.fill_min_m[1] = 0.032;
+    scene.powder.fill_max_m[1] = 0.096;
+    scene.tool.start_position_m[1] = 0.064;
+    assert_eq!(refused_field(&scene), None);
+    scene.container[1].position_m[0] = 0.056 + 0.036 + 0.050;
+    assert_eq!(refused_field(&scene).as_deref(), Some("container[1].position_m"));
+}
+
+#[test]
+fn powder_must_fit_into_a_round_source_with_its_corners() {
+    let mut scene = bench();
+    scene.container[0].shape = ContainerShape::Cylinder { inner_radius_m: 0.036, inner_height_m: 0.030 };
+    assert_eq!(refused_field(&scene).as_deref(), Some("powder.fill_min_m"));
+    scene.powder.fill_min_m = [0.032, 0.024, 0.004];
+    scene.powder.fill_max_m = [0.080, 0.072, 0.026];
+    assert_eq!(refused_field(&scene), None);
+}
+
+#[test]
+fn a_round_wall_is_met_where_its_radius_says() {
+    let mut scene = bench();
+    scene.powder.fill_min_m = [0.040, 0.032, 0.004];
+    scene.powder.fill_max_m = [0.072, 0.064, 0.026];
+    let mut refused_with_radius = |inner_radius_m| {
+        scene.container[0].shape = ContainerShape::Cylinder { inner_radius_m, inner_height_m: 0.030 };
+        refused_field(&scene)
+    };
+    // The bowl's 20 mm and the 8 mm that its middle starts and ends from the container's need 28 mm.
+    assert_eq!(refused_with_radius(0.0282), None);
+    assert_eq!(refused_with_radius(0.0278).as_deref(), Some("tool.start_position_m"));
+}
+
+#[test]
+fn a_box_scoop_is_judged_by_its_corners() {
+    let mut scene = bench();
+    scene.tool.shape = ToolShape::BoxScoop { inner_size_m: [0.020, 0.020, 0.012] };
+    assert_eq!(refused_field(&scene), None);
+    // Wider than the source box, walls included: 64 mm inner width, 2 x 4 mm of walls.
+    scene.tool.shape = ToolShape::BoxScoop { inner_size_m: [0.020, 0.057, 0.012] };
+    assert_eq!(refused_field(&scene).as_deref(), Some("tool.start_position_m"));
+}

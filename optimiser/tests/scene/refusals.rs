@@ -1,0 +1,663 @@
+//! Every bad scene is refused with one sentence that names the file, the field, its value and what would be right.
+
+use powderline_optimiser::scene::{Profile, Scene};
+
+/// The valid scene that every case spoils in one place.
+const BASE: &str = include_str!("base.toml");
+
+/// What replaces what in `base.toml`, and the refusal after the file's name.
+type Case = (&'static str, &'static str, &'static str);
+
+fn base() -> Scene {
+    Scene::from_toml("base.toml", BASE).unwrap()
+}
+
+fn refusal(text: &str) -> String {
+    Scene::from_toml("bad.toml", text).expect_err("the scene should be refused").to_string()
+}
+
+fn check_all(cases: &[Case]) {
+    for (from, to, expected) in cases {
+        assert!(BASE.contains(from), "base.toml does not hold {from}");
+        let found = refusal(&BASE.replacen(from, to, 1));
+        assert_eq!(found, format!("bad.toml{expected}"), "after {to}");
+    }
+}
+
+/// What is not TOML, or not the shape of a scene.
+#[rustfmt::skip]
+const STRUCTURE: &[Case] = &[
+    (
+        "youngs_modulus_pa = 1.0e4",
+        "youngs_modulus = 1.0e4",
+        ": powder.youngs_modulus at line 17: unknown field `youngs_modulus`, expected one of `fill_min_m`, `fill_max_m`, `particles_per_cell`, `seed`, `youngs_modulus_pa`, `poissons_ratio`, `density_kg_m3`, `friction_angle_deg`, `cohesion_pa`",
+    ),
+    (
+        "cohesion_pa = 0.0\n",
+        "#",
+        ": powder at line 12: missing field `cohesion_pa`",
+    ),
+    (
+        "youngs_modulus_pa = 1.0e4",
+        r#"youngs_modulus_pa = "soft""#,
+        r#": powder.youngs_modulus_pa at line 17: invalid type: string "soft", expected a number"#,
+    ),
+    (
+        "youngs_modulus_pa = 1.0e4",
+        "youngs_modulus_pa = ",
+        " is not valid TOML at line 17, column 21: string values must be quoted, expected literal string",
+    ),
+    (
+        "youngs_modulus_pa = 1.0e4",
+        "youngs_modulus_pa = 1.0e4\nyoungs_modulus_pa = 1.0e4",
+        " is not valid TOML at line 18, column 1: duplicate key",
+    ),
+    (
+        "youngs_modulus_pa = 1.0e4",
+        "youngs_modulus_pa = 1.0e999",
+        ": powder.youngs_modulus_pa at line 17: number too large, expected at most 1.79e308",
+    ),
+    (
+        "substeps = 20",
+        "substeps = -20",
+        ": time.substeps at line 25: invalid value: integer `-20`, expected a whole number from 0 to 4294967295",
+    ),
+    (
+        "substeps = 20",
+        "substeps = 20.5",
+        ": time.substeps at line 25: invalid type: floating point `20.5`, expected a whole number from 0 to 4294967295",
+    ),
+    (
+        "seed = 1",
+        "seed = 18446744073709551616",
+        ": powder.seed at line 16: invalid type: integer `18446744073709551616`, expected a whole number from 0 to 18446744073709551615",
+    ),
+    (
+        "size_m = [0.256, 0.096, 0.208]",
+        "size_m = [0.256, 0.096]",
+        ": domain.size_m at line 6: invalid length 2, expected a list of 3",
+    ),
+    (
+        "size_m = [0.256, 0.096, 0.208]",
+        "size_m = [0.256, 0.096, 0.208, 1.0]",
+        ": domain.size_m at line 6: invalid length 4, expected a list of 3",
+    ),
+    (
+        "size_m = [0.256, 0.096, 0.208]",
+        "size_m = [0.256, true, 0.208]",
+        ": domain.size_m[1] at line 6: invalid type: boolean `true`, expected a number",
+    ),
+    (
+        "size_m = [0.256, 0.096, 0.208]",
+        "size_m = 0.256",
+        ": domain.size_m at line 6: invalid type: floating point `0.256`, expected a list of 3",
+    ),
+    (
+        r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
+        r#"shape = { kind = "sphere" }"#,
+        ": container[0].shape.kind at line 35: unknown variant `sphere`, expected `box` or `cylinder`",
+    ),
+    (
+        r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
+        r#"shape = { kind = "box" }"#,
+        ": container[0].shape at line 35: missing field `inner_size_m`",
+    ),
+    (
+        r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
+        r#"shape = "box""#,
+        r#": container[0].shape at line 35: invalid type: string "box", expected a table with a `kind`"#,
+    ),
+    (
+        r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
+        r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030], lid = true }"#,
+        ": container[0].shape at line 35: unknown field `lid`, expected `inner_size_m`",
+    ),
+    (
+        r#"timing = "continuous""#,
+        r#"timing = "exact""#,
+        ": skill.timing at line 69: unknown variant `exact`, expected `rounded` or `continuous`",
+    ),
+    (
+        "amount = { particles = 850 }",
+        "amount = { particles = 850, mass_kg = 1.0 }",
+        ": objective.amount at line 86: expected a table with exactly one key",
+    ),
+    (
+        "amount = { particles = 850 }",
+        "amount = { grains = 850 }",
+        ": objective.amount at line 86: unknown variant `grains`, expected `particles` or `mass_kg`",
+    ),
+    (
+        "[tool]",
+        "[[tool]]",
+        ": tool at line 45: invalid type: a list, expected a single table",
+    ),
+    (
+        "[optimiser]",
+        "[optimizer]",
+        ": optimizer at line 90: unknown field `optimizer`, expected one of `name`, `domain`, `powder`, `time`, `container`, `tool`, `skill`, `limits`, `objective`, `optimiser`",
+    ),
+    (
+        "[optimiser]",
+        "[optimiser",
+        " is not valid TOML at line 90, column 11: unclosed table, expected `]`",
+    ),
+    (
+        "[domain]",
+        "domain = 3\n[other]",
+        ": domain at line 5: invalid type: integer `3`, expected a table",
+    ),
+];
+
+/// One number or name out of its range.
+#[rustfmt::skip]
+const SINGLE_FIELDS: &[Case] = &[
+    (
+        r#"name = "base""#,
+        r#"name = """#,
+        r#": name is "", but it must have 1 to 64 printable characters"#,
+    ),
+    (
+        r#"name = "base""#,
+        r#"name = "a\tb""#,
+        r#": name is "a\tb", but it must have 1 to 64 printable characters"#,
+    ),
+    (
+        "cell_m = 0.004",
+        "cell_m = nan",
+        ": domain.cell_m is nan, but it must be from 0.0001 to 0.1",
+    ),
+    (
+        "cell_m = 0.004",
+        "cell_m = inf",
+        ": domain.cell_m is inf, but it must be from 0.0001 to 0.1",
+    ),
+    (
+        "cell_m = 0.004",
+        "cell_m = -0.004",
+        ": domain.cell_m is -0.004, but it must be from 0.0001 to 0.1",
+    ),
+    (
+        "cell_m = 0.004",
+        "cell_m = 0.0",
+        ": domain.cell_m is 0, but it must be from 0.0001 to 0.1",
+    ),
+    (
+        "cell_m = 0.004",
+        "cell_m = 1e300",
+        ": domain.cell_m is 1e300, but it must be from 0.0001 to 0.1",
+    ),
+    (
+        "size_m = [0.256, 0.096, 0.208]",
+        "size_m = [0.256, 0.096, -inf]",
+        ": domain.size_m[2] is -inf, but it must be from 0.01 to 10",
+    ),
+    (
+        "gravity_m_s2 = [0.0, 0.0, -9.81]",
+        "gravity_m_s2 = [0.0, 0.0, -981.0]",
+        ": domain.gravity_m_s2[2] is -981, but it must be from -100 to 100",
+    ),
+    (
+        "contact_band_cells = 0.25",
+        "contact_band_cells = 0.0",
+        ": domain.contact_band_cells is 0, but it must be from 0.01 to 2",
+    ),
+    (
+        "particles_per_cell = 8",
+        "particles_per_cell = 0",
+        ": powder.particles_per_cell is 0, but it must be from 1 to 64",
+    ),
+    (
+        "youngs_modulus_pa = 1.0e4",
+        "youngs_modulus_pa = -1.0e4",
+        ": powder.youngs_modulus_pa is -10000, but it must be from 100 to 1e9",
+    ),
+    (
+        "youngs_modulus_pa = 1.0e4",
+        "youngs_modulus_pa = nan",
+        ": powder.youngs_modulus_pa is nan, but it must be from 100 to 1e9",
+    ),
+    (
+        "youngs_modulus_pa = 1.0e4",
+        "youngs_modulus_pa = 7.0e10",
+        ": powder.youngs_modulus_pa is 7e10, but it must be from 100 to 1e9",
+    ),
+    (
+        "poissons_ratio = 0.2",
+        "poissons_ratio = 0.5",
+        ": powder.poissons_ratio is 0.5, but it must be from 0 to 0.49",
+    ),
+    (
+        "density_kg_m3 = 1000.0",
+        "density_kg_m3 = 0.0",
+        ": powder.density_kg_m3 is 0, but it must be from 10 to 25000",
+    ),
+    (
+        "friction_angle_deg = 35.0",
+        "friction_angle_deg = 90.0",
+        ": powder.friction_angle_deg is 90, but it must be from 0 to 60",
+    ),
+    (
+        "cohesion_pa = 0.0",
+        "cohesion_pa = -1.0",
+        ": powder.cohesion_pa is -1, but it must be from 0 to 100000",
+    ),
+    (
+        "control_period_us = 10000",
+        "control_period_us = 0",
+        ": time.control_period_us is 0, but it must be from 100 to 1000000",
+    ),
+    (
+        "substeps = 20",
+        "substeps = 0",
+        ": time.substeps is 0, but it must be from 1 to 10000",
+    ),
+    (
+        "horizon_steps = 500",
+        "horizon_steps = 100001",
+        ": time.horizon_steps is 100001, but it must be from 1 to 100000",
+    ),
+    (
+        "settle_s = 0.2",
+        "settle_s = -0.2",
+        ": time.settle_s is -0.2, but it must be from 0 to 60",
+    ),
+    (
+        "wall_thickness_m = 0.004",
+        "wall_thickness_m = 0.0015",
+        ": container[0].wall_thickness_m is 0.0015, but it must be at least half a cell, 0.002 for domain.cell_m = 0.004",
+    ),
+    (
+        "inner_radius_m = 0.016 }\nwall_thickness_m = 0.004",
+        "inner_radius_m = 0.016 }\nwall_thickness_m = 0.0",
+        ": tool.wall_thickness_m is 0, but it must be above 0 and at most 1",
+    ),
+    (
+        r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
+        r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.0] }"#,
+        ": container[0].shape.inner_size_m[2] is 0, but it must be from 0.004 to 10",
+    ),
+    (
+        r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
+        r#"shape = { kind = "cylinder", inner_radius_m = -0.032, inner_height_m = 0.030 }"#,
+        ": container[0].shape.inner_radius_m is -0.032, but it must be from 0.004 to 10",
+    ),
+    (
+        "yaw_deg = 0.0",
+        "yaw_deg = 1000.0",
+        ": container[0].yaw_deg is 1000, but it must be from -360 to 360",
+    ),
+    (
+        "inner_radius_m = 0.016 }",
+        "inner_radius_m = 0.001 }",
+        ": tool.shape.inner_radius_m is 0.001, but it must be from 0.004 to 1",
+    ),
+    (
+        "start_pitch_deg = 50.0",
+        "start_pitch_deg = 91.0",
+        ": tool.start_pitch_deg is 91, but it must be from -90 to 90",
+    ),
+    (
+        "length_m = 0.05",
+        "length_m = 0.0",
+        ": tool.handle.length_m is 0, but it must be from 0.001 to 1",
+    ),
+    (
+        "radius_m = 0.004",
+        "radius_m = 0.0009",
+        ": tool.handle.radius_m is 0.0009, but it must be from 0.001 to 0.1",
+    ),
+    (
+        "rise_deg = 75.0",
+        "rise_deg = nan",
+        ": tool.handle.rise_deg is nan, but it must be from -90 to 90",
+    ),
+    (
+        "scooping_depth_m = [0.002, 0.020]",
+        "scooping_depth_m = [0.020, 0.002]",
+        ": skill.scooping_depth_m is [0.02, 0.002], but the first number must not exceed the second",
+    ),
+    (
+        "scooping_angle_deg = [10.0, 100.0]",
+        "scooping_angle_deg = [0.0, 100.0]",
+        ": skill.scooping_angle_deg[0] is 0, but it must be from 1 to 180",
+    ),
+    (
+        "initial_theta = [[-0.5, 0.5], [-0.5, 0.5]",
+        "initial_theta = [[-0.5, 0.5], [-1.5, 0.5]",
+        ": skill.initial_theta[1][0] is -1.5, but it must be from -1 to 1",
+    ),
+    (
+        "initial_theta = [[-0.5, 0.5], [-0.5, 0.5]",
+        "initial_theta = [[-0.5, 0.5], [0.5, -0.5]",
+        ": skill.initial_theta[1] is [0.5, -0.5], but the first number must not exceed the second",
+    ),
+    (
+        "linear_speed_m_s = 0.14",
+        "linear_speed_m_s = 0.0",
+        ": skill.linear_speed_m_s is 0, but it must be from 0.001 to 5",
+    ),
+    (
+        "angular_speed_rad_s = 1.6",
+        "angular_speed_rad_s = inf",
+        ": skill.angular_speed_rad_s is inf, but it must be from 0.01 to 50",
+    ),
+    (
+        "linear_jerk_m_s3 = 600.0",
+        "linear_jerk_m_s3 = 0.0",
+        ": limits.linear_jerk_m_s3 is 0, but it must be from 0.001 to 1e7",
+    ),
+    (
+        "pouring_angle_deg = [30.0, 160.0]",
+        "pouring_angle_deg = [30.0, 360.0]",
+        ": skill.pouring_angle_deg[1] is 360, but it must be from 1 to 180",
+    ),
+    (
+        "epochs = 30",
+        "epochs = 0",
+        ": optimiser.epochs is 0, but it must be from 1 to 100000",
+    ),
+    (
+        "learning_rate = 0.05",
+        "learning_rate = 0.0",
+        ": optimiser.learning_rate is 0, but it must be above 0 and at most 10",
+    ),
+    (
+        "beta = 0.9",
+        "beta = 1.0",
+        ": optimiser.beta is 1, but it must be at least 0 and below 1",
+    ),
+    (
+        "epsilon = 1.0e-8",
+        "epsilon = -1.0e-8",
+        ": optimiser.epsilon is -1e-8, but it must be above 0 and at most 1",
+    ),
+];
+
+/// Fields at odds with each other.
+#[rustfmt::skip]
+const RULES_BETWEEN_FIELDS: &[Case] = &[
+    (
+        "youngs_modulus_pa = 1.0e4",
+        "youngs_modulus_pa = 1.0e5",
+        ": powder.youngs_modulus_pa is 100000, but the CFL number sqrt(P-wave modulus / density) * dt_sub / cell is then 1.32 and must be at most 0.5; time.substeps of at least 53 or powder.youngs_modulus_pa of at most 14400 would be right",
+    ),
+    (
+        "substeps = 20",
+        "substeps = 10",
+        ": powder.youngs_modulus_pa is 10000, but the CFL number sqrt(P-wave modulus / density) * dt_sub / cell is then 0.833 and must be at most 0.5; time.substeps of at least 17 or powder.youngs_modulus_pa of at most 3600 would be right",
+    ),
+    (
+        "cell_m = 0.004",
+        "cell_m = 0.0002",
+        ": domain.cell_m is 0.0002, but that makes 6.59e8 grid cells, padding included, and at most 67108864 are allowed; about 0.00049 would be right",
+    ),
+    (
+        "size_m = [0.256, 0.096, 0.208]",
+        "size_m = [10.0, 10.0, 10.0]",
+        ": domain.cell_m is 0.004, but that makes 1.58e10 grid cells, padding included, and at most 67108864 are allowed; about 0.028 would be right",
+    ),
+    (
+        "fill_max_m = [0.088, 0.080, 0.026]",
+        "fill_max_m = [0.088, 0.080, 0.004]",
+        ": powder.fill_max_m is [0.088, 0.08, 0.004], but it must exceed powder.fill_min_m = [0.024, 0.016, 0.004] in every component",
+    ),
+    (
+        "fill_max_m = [0.088, 0.080, 0.026]",
+        "fill_max_m = [0.0241, 0.0161, 0.0041]",
+        ": powder.fill_max_m is [0.0241, 0.0161, 0.0041], but the box from powder.fill_min_m to there is smaller than a particle; a larger box would be right",
+    ),
+    (
+        "fill_max_m = [0.088, 0.080, 0.026]",
+        "fill_max_m = [0.090, 0.080, 0.026]",
+        r#": powder.fill_min_m is [0.024, 0.016, 0.004] and powder.fill_max_m [0.09, 0.08, 0.026], but that box is not inside container "source" around [0.056, 0.048], from z = 0.004 to 0.034"#,
+    ),
+    (
+        "fill_max_m = [0.088, 0.080, 0.026]",
+        "fill_max_m = [0.088, 0.080, 0.036]",
+        r#": powder.fill_min_m is [0.024, 0.016, 0.004] and powder.fill_max_m [0.088, 0.08, 0.036], but that box is not inside container "source" around [0.056, 0.048], from z = 0.004 to 0.034"#,
+    ),
+    (
+        "fill_max_m = [0.088, 0.080, 0.026]",
+        "fill_max_m = [0.088, 0.080, 0.3]",
+        ": powder.fill_max_m is [0.088, 0.08, 0.3], but the powder would then reach z = 0.3, outside the domain, which goes from 0 to 0.208",
+    ),
+    (
+        "fill_min_m = [0.024, 0.016, 0.004]",
+        "fill_min_m = [-0.024, 0.016, 0.004]",
+        ": powder.fill_min_m is [-0.024, 0.016, 0.004], but the powder would then reach x = -0.024, outside the domain, which goes from 0 to 0.256",
+    ),
+    (
+        "position_m = [0.176, 0.048, 0.004]",
+        "position_m = [0.120, 0.048, 0.004]",
+        r#": container[1].position_m is [0.12, 0.048, 0.004], but there container "target" overlaps container "source"; they must stand apart"#,
+    ),
+    (
+        "position_m = [0.176, 0.048, 0.004]",
+        "position_m = [0.240, 0.048, 0.004]",
+        ": container[1].position_m is [0.24, 0.048, 0.004], but the container would then reach x = 0.276, outside the domain, which goes from 0 to 0.256",
+    ),
+    (
+        "position_m = [0.176, 0.048, 0.004]",
+        "position_m = [0.176, 0.048, 0.003]",
+        ": container[1].position_m is [0.176, 0.048, 0.003], but the container would then reach z = -0.001, outside the domain, which goes from 0 to 0.208",
+    ),
+    (
+        r#"name = "target""#,
+        r#"name = "source""#,
+        r#": container[1].name is "source", but another container has that name already; every container needs its own"#,
+    ),
+    (
+        r#"source = "source""#,
+        r#"source = "sauce""#,
+        r#": objective.source is "sauce", but the containers are "source", "target""#,
+    ),
+    (
+        r#"target = "target""#,
+        r#"target = "target box""#,
+        r#": objective.target is "target box", but the containers are "source", "target""#,
+    ),
+    (
+        r#"target = "target""#,
+        r#"target = "source""#,
+        r#": objective.target is "source", but that is objective.source; the target must be another container"#,
+    ),
+    (
+        "p_target_m = [0.176, 0.048, 0.010]",
+        "p_target_m = [0.176, 0.048, -0.010]",
+        ": objective.p_target_m is [0.176, 0.048, -0.01], but it must lie in the domain, which goes from [0, 0, 0] to [0.256, 0.096, 0.208]",
+    ),
+    (
+        "amount = { particles = 850 }",
+        "amount = { particles = 0 }",
+        ": objective.amount.particles is 0, but it must be from 1 to 11264",
+    ),
+    (
+        "amount = { particles = 850 }",
+        "amount = { particles = 11265 }",
+        ": objective.amount.particles is 11265, but it must be from 1 to 11264",
+    ),
+    (
+        "amount = { particles = 850 }",
+        "amount = { mass_kg = 0.1 }",
+        ": objective.amount.mass_kg is 0.1, but the scene holds no more than 0.09011 kg of powder",
+    ),
+    (
+        "amount = { particles = 850 }",
+        "amount = { mass_kg = nan }",
+        ": objective.amount.mass_kg is nan, but it must be above 0 and at most 1000000",
+    ),
+    (
+        r#"observation = { kind = "all" }"#,
+        r#"observation = { kind = "subsample", particles = 20000 }"#,
+        ": objective.observation.particles is 20000, but it must be from 1 to 11264",
+    ),
+    (
+        r#"observation = { kind = "all" }"#,
+        r#"observation = { kind = "visible_from_above", pixel_m = 0.0 }"#,
+        ": objective.observation.pixel_m is 0, but it must be from 0.0001 to 0.1",
+    ),
+    (
+        "start_position_m = [0.048, 0.048, 0.066]",
+        "start_position_m = [0.010, 0.048, 0.066]",
+        ": tool.start_position_m is [0.01, 0.048, 0.066], but the tool would then reach x = -0.01, outside the domain, which goes from 0 to 0.256",
+    ),
+    (
+        "start_position_m = [0.048, 0.048, 0.066]",
+        "start_position_m = [0.048, 0.048, 0.180]",
+        ": tool.start_position_m is [0.048, 0.048, 0.18], but the tool's handle would then reach z = 0.2387, outside the domain, which goes from 0 to 0.208",
+    ),
+    (
+        "start_position_m = [0.048, 0.048, 0.066]",
+        "start_position_m = [0.048, 0.048, 0.040]",
+        ": tool.start_position_m is [0.048, 0.048, 0.04], but there the tool overlaps the powder; it must start clear",
+    ),
+    (
+        "start_position_m = [0.048, 0.048, 0.066]",
+        "start_position_m = [0.090, 0.048, 0.050]",
+        r#": tool.start_position_m is [0.09, 0.048, 0.05], but there the tool overlaps container "source"; it must start clear"#,
+    ),
+    (
+        "approach_m = 0.020",
+        "approach_m = 0.025",
+        r#": skill.scooping_depth_m is [0.002, 0.02], but at the deepest scoop the tool would go 0.003 m below the floor of container "source"; at most 0.017 would be right"#,
+    ),
+    (
+        "start_position_m = [0.048, 0.048, 0.066]",
+        "start_position_m = [0.038, 0.048, 0.066]",
+        r#": tool.start_position_m is [0.038, 0.048, 0.066], but on its way down from there the tool would hit a wall of container "source"; a start further inside would be right"#,
+    ),
+    (
+        "sweep_m = 0.016",
+        "sweep_m = 0.030",
+        r#": skill.sweep_m is 0.03, but while scooping the tool would hit a wall of container "source"; a shorter sweep or a start further back would be right"#,
+    ),
+    (
+        "workspace_max_m = [0.236, 0.076, 0.180]",
+        "workspace_max_m = [0.236, 0.010, 0.180]",
+        ": limits.workspace_max_m is [0.236, 0.01, 0.18], but it must exceed limits.workspace_min_m = [0.02, 0.02, 0.02] in every component",
+    ),
+    (
+        "workspace_max_m = [0.236, 0.076, 0.180]",
+        "workspace_max_m = [0.236, 0.076, 0.130]",
+        ": skill.lift_height_m is [0.02, 0.09], but the tool's origin would then be at z = 0.134, outside the limits' workspace, which goes from 0.02 to 0.13",
+    ),
+    (
+        "workspace_max_m = [0.236, 0.076, 0.180]",
+        "workspace_max_m = [0.200, 0.076, 0.180]",
+        ": skill.transport_displacement_m is [0.06, 0.16], but the tool's origin would then be at x = 0.224, outside the limits' workspace, which goes from 0.02 to 0.2",
+    ),
+    (
+        "workspace_min_m = [0.020, 0.020, 0.020]",
+        "workspace_min_m = [0.020, 0.020, 0.030]",
+        ": skill.scooping_depth_m is [0.002, 0.02], but the tool's origin would then be at z = 0.026, outside the limits' workspace, which goes from 0.03 to 0.18",
+    ),
+    (
+        "heading_deg = 0.0",
+        "heading_deg = 90.0",
+        r#": skill.sweep_m is 0.016, but while scooping the tool would hit a wall of container "source"; a shorter sweep or a start further back would be right"#,
+    ),
+    (
+        "transport_displacement_m = [0.060, 0.160]",
+        "transport_displacement_m = [0.060, 0.170]",
+        ": time.horizon_steps is 500, but that is 5 s and the longest skill within the bounds takes 5.011 s; at least 502 would be right",
+    ),
+    (
+        "lift_height_m = [0.020, 0.090]",
+        "lift_height_m = [0.020, 0.190]",
+        ": skill.lift_height_m is [0.02, 0.19], but the tool's origin would then be at z = 0.234, outside the limits' workspace, which goes from 0.02 to 0.18",
+    ),
+    (
+        "horizon_steps = 500",
+        "horizon_steps = 400",
+        ": time.horizon_steps is 400, but that is 4 s and the longest skill within the bounds takes 4.94 s; at least 494 would be right",
+    ),
+];
+
+#[test]
+fn structure_are_refused() {
+    check_all(STRUCTURE);
+}
+
+#[test]
+fn single_fields_are_refused() {
+    check_all(SINGLE_FIELDS);
+}
+
+#[test]
+fn rules_between_fields_are_refused() {
+    check_all(RULES_BETWEEN_FIELDS);
+}
+
+#[test]
+fn constant_speed_above_the_limit_is_refused() {
+    let mut scene = base();
+    scene.skill.profile = Profile::ConstantSpeed;
+    scene.limits.linear_velocity_m_s = 0.1;
+    assert_eq!(
+        scene.validate("bad.toml").unwrap_err().to_string(),
+        "bad.toml: skill.linear_speed_m_s is 0.14, but limits.linear_velocity_m_s = 0.1 allows no more with \
+         profile = \"constant_speed\""
+    );
+}
+
+#[test]
+fn one_container_or_seventeen_are_refused() {
+    let base = base();
+    for count in [1, 17] {
+        let mut scene = base.clone();
+        scene.container = vec![base.container[0].clone(); count];
+        assert_eq!(
+            scene.validate("bad.toml").unwrap_err().to_string(),
+            format!(
+                "bad.toml: container is a list of {count}, but a scene has 2 to 16 containers, one of them the \
+                 source and one the target"
+            )
+        );
+    }
+}
+
+#[test]
+fn too_many_particles_are_refused() {
+    let mut scene = base();
+    scene.domain.cell_m = 0.0006;
+    scene.powder.particles_per_cell = 64;
+    scene.time.substeps = 400;
+    assert_eq!(
+        scene.validate("bad.toml").unwrap_err().to_string(),
+        "bad.toml: domain.cell_m is 0.0006, but that makes 2.67e7 particles and at most 4000000 are allowed; about \
+         0.0013 would be right"
+    );
+}
+
+#[test]
+fn text_without_content_is_empty() {
+    for text in ["", "\n \t\r\n", "# only a remark\n"] {
+        assert_eq!(
+            refusal(text),
+            "bad.toml is empty; a scene in TOML would be right (optimiser/scenes/bench.toml is an example)"
+        );
+    }
+}
+
+#[test]
+fn truncated_text_is_refused_at_every_line_and_within() {
+    let whole = base().to_toml();
+    let body = whole.trim_end();
+    // The last line's number stays a number when its end is cut off, so stop before that line.
+    let end = body.rfind('\n').unwrap();
+    for length in (0..end).filter(|length| body.is_char_boundary(*length)).step_by(7) {
+        let sentence = refusal(&body[..length]);
+        assert!(sentence.starts_with("bad.toml") && !sentence.contains('\n'), "{length}: {sentence}");
+    }
+}
+
+#[test]
+fn arbitrary_bytes_and_deep_nesting_are_refused_in_one_line() {
+    let nested = format!("x = {}", "[".repeat(100_000));
+    for text in ["\0\0\0\0", "\u{7f}ELF", "= = =", "[[[[", &nested, "\"a\\u001b[31m\\nb\" = 1"] {
+        let sentence = refusal(text);
+        assert!(sentence.starts_with("bad.toml") && sentence.len() < 1000, "{sentence}");
+        assert!(!sentence.chars().any(char::is_control), "{sentence:?}");
+    }
+}

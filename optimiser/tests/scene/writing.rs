@@ -1,0 +1,66 @@
+//! Writing and identifying scenes.
+
+use powderline_optimiser::scene::{Amount, ContainerShape, EMBEDDED_SCENES, Observation, Scene, ToolShape};
+use proptest::prelude::*;
+
+/// A valid scene away from the shipped ones, by small changes that break no rule.
+fn arbitrary_scene() -> impl Strategy<Value = Scene> {
+    let shapes = (any::<bool>(), any::<bool>());
+    let numbers = (0.1..0.7f64, -10.0..10.0f64, 0.0..0.4f64, any::<u64>(), 1e-12..1.0f64);
+    let choices = (1u32..850, any::<bool>(), 0usize..3);
+    (shapes, numbers, choices).prop_map(|((round, scoop), numbers, (particles, by_mass, observation))| {
+        let (softness, tilt, poissons_ratio, seed, small) = numbers;
+        let mut scene = Scene::load("bench").unwrap();
+        scene.name = format!("scene \"{seed}\" \u{e9}");
+        scene.powder.youngs_modulus_pa *= softness;
+        scene.powder.poissons_ratio = poissons_ratio;
+        scene.powder.seed = seed;
+        scene.domain.gravity_m_s2 = [tilt, -0.0, small];
+        scene.optimiser.epsilon = small;
+        if round {
+            scene.container[1].shape =
+                ContainerShape::Cylinder { inner_radius_m: 0.03 + 1e-3 * small, inner_height_m: 0.04 };
+        }
+        if scoop {
+            scene.tool.shape = ToolShape::BoxScoop { inner_size_m: [0.02, 0.02, 0.01 + 1e-3 * small] };
+        }
+        if by_mass {
+            scene.objective.amount = Amount::MassKg(small * 0.09);
+        } else {
+            scene.objective.amount = Amount::Particles(particles);
+        }
+        scene.objective.observation = [
+            Observation::All,
+            Observation::Subsample { particles },
+            Observation::VisibleFromAbove { pixel_m: 0.004 },
+        ][observation];
+        scene
+    })
+}
+
+proptest! {
+    #[test]
+    fn a_written_scene_loads_back_equal_to_the_bit(scene in arbitrary_scene()) {
+        prop_assert_eq!(scene.validate("made up"), Ok(()));
+        let again = Scene::from_toml("again", &scene.to_toml()).unwrap();
+        prop_assert_eq!(&again, &scene);
+        prop_assert_eq!(again.digest(), scene.digest());
+    }
+
+    #[test]
+    fn the_smallest_change_changes_the_digest(scene in arbitrary_scene()) {
+        let mut changed = scene.clone();
+        changed.powder.density_kg_m3 = changed.powder.density_kg_m3.next_up();
+        prop_assert_ne!(changed.digest(), scene.digest());
+    }
+}
+
+#[test]
+fn digests_differ_and_ignore_layout() {
+    let digests = EMBEDDED_SCENES.map(|(name, _)| Scene::load(name).unwrap().digest());
+    assert!(digests[0] != digests[1] && digests[1] != digests[2] && digests[0] != digests[2]);
+    let (_, text) = EMBEDDED_SCENES[0];
+    let without_comments: String =
+        text.lines().map(|line| line.split(" #").next().unwrap().trim_end().to_owned() + "\n").collect();
+    assert_eq!(Scene::from_toml("plain", &without_comments).unwrap().digest(), digests[0]);
+}
