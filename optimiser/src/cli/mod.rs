@@ -82,7 +82,7 @@ pub struct Context<'a> {
 
 impl Context<'_> {
     fn json(&mut self, object: &impl Serialize) -> Result<(), CliError> {
-        let text = serde_json::to_string_pretty(object).map_err(io::Error::from)?;
+        let text = serde_json::to_string(object).map_err(io::Error::from)?;
         writeln!(self.out, "{text}")?;
         Ok(())
     }
