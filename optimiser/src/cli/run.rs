@@ -104,7 +104,8 @@ impl Run {
             None => RunFolder::create_numbered(&Path::new("runs").join(default_name(&scene.name, seed)))?,
         };
         folder.replace(SCENE, scene.to_toml().as_bytes())?;
-        folder.replace(STATE, &state.to_bytes())?;
+        // A scene without a state would be in the way of a second attempt, and nothing to resume from either.
+        folder.replace(STATE, &state.to_bytes()).inspect_err(|_| folder.discard(SCENE))?;
         Ok(Self { folder, rule: RmsProp::from(&scene.optimiser), scene, map, state })
     }
 

@@ -392,6 +392,19 @@ fn full_disk_loses_nothing_that_was_saved() {
     }
 }
 
+#[cfg(target_os = "linux")]
+#[test]
+fn full_disk_at_the_start_leaves_the_way_free() {
+    let place = Place::new();
+    let folder = place.text("run");
+    fs::create_dir(&folder).unwrap();
+    for file in ["scene.toml.new", "state.new"] {
+        std::os::unix::fs::symlink("/dev/full", Path::new(&folder).join(file)).unwrap();
+        assert_sentence(&optimise(&["bench-small", "--out", &folder]), 1, "No space left");
+    }
+    assert_eq!(optimise(&["bench-small", "--epochs", "1", "--out", &folder]).code, 0);
+}
+
 #[test]
 fn plan_reproduces_exactly() {
     let place = Place::new();

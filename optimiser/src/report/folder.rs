@@ -174,6 +174,11 @@ impl RunFolder {
             })
     }
 
+    /// Removes a file, if that is possible.
+    pub fn discard(&self, name: &str) {
+        let _ = fs::remove_file(self.file(name));
+    }
+
     /// Appends to a file; a write that fails half way is taken back.
     ///
     /// # Errors
