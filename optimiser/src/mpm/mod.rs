@@ -18,6 +18,8 @@ pub(crate) mod p2g;
 pub(crate) mod particles;
 pub(crate) mod stencil;
 pub(crate) mod substep;
+#[cfg(test)]
+mod tests;
 
 use crate::real::Real;
 use crate::scene::Scene;
