@@ -5,6 +5,7 @@ pub mod memory;
 mod mpm;
 pub mod optim;
 pub mod real;
+pub mod report;
 pub mod rollout;
 pub mod scene;
 mod shape;

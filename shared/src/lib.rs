@@ -1,6 +1,6 @@
 //! The words that both ends of a Powderline arm speak.
 //!
-//! The optimiser writes a plan, the executor plays it, the arm's controller performs it. What the three must agree
+//! The optimiser writes a [`plan`], the executor plays it, the arm's controller performs it. What the three must agree
 //! on, to the last bit, lives here and only here: rotations ([`pose`]), quantised cumulative
 //! setpoints ([`displacement`]).
 //!
@@ -25,4 +25,5 @@ extern crate std;
 pub mod displacement;
 pub mod fault;
 pub mod limits;
+pub mod plan;
 pub mod pose;

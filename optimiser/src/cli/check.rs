@@ -10,6 +10,7 @@ use super::CliError;
 use crate::memory::{MemoryEstimate, Precision, Schedule, ScheduleEstimate, memory_estimate};
 use crate::scene::figures::about;
 use crate::scene::{DEFAULT_SCENE, MAX_CFL, Scene};
+use crate::skill::SkillMap;
 
 /// Arguments of `optimise check`.
 #[derive(Debug, Args)]
@@ -86,7 +87,7 @@ pub struct MemoryRow {
 ///
 /// # Errors
 /// [`CliError::Scene`] for a bad scene, [`CliError::Output`] if `out` refuses.
-pub fn run(args: &CheckArgs, out: &mut dyn Write) -> Result<(), CliError> {
+pub(super) fn run(args: &CheckArgs, out: &mut dyn Write) -> Result<(), CliError> {
     let report = CheckReport::new(&Scene::load(&args.scene)?);
     if args.json {
         serde_json::to_writer(&mut *out, &report).map_err(std::io::Error::from)?;
@@ -121,9 +122,16 @@ impl CheckReport {
                 .into_iter()
                 .flat_map(|(precision, name)| memory_rows(name, memory_estimate(scene, precision)))
                 .collect(),
-            remarks: scene.remarks(),
+            remarks: remarks(scene),
         }
     }
+}
+
+/// The scene's own remarks, and whether `optimise run` would refuse it for its motion limits.
+fn remarks(scene: &Scene) -> Vec<String> {
+    let refusal = SkillMap::new(scene).check_all_corners().err();
+    let refusal = refusal.map(|error| format!("`optimise run` would refuse this scene: {error}"));
+    scene.remarks().into_iter().chain(refusal).collect()
 }
 
 fn memory_rows(precision: &'static str, estimate: MemoryEstimate) -> impl Iterator<Item = MemoryRow> {

@@ -1,61 +1,130 @@
-//! The command line of `optimise`: arguments in, text or one JSON object out.
+//! The `optimise` command: arguments, progress, files, words.
 //!
-//! Exit codes: 0 done, 1 the result could not be written, 2 bad input (also for unknown arguments).
+//! Exit codes: 0 success; 1 the command failed, or a plan did not reproduce; 2 the input makes no sense; 130 interrupted.
+//! Results go to standard output, progress and errors (one sentence) to standard error. With `--json` standard output
+//! holds one JSON object and nothing else.
 
-pub mod check;
+mod check;
+mod error;
+mod gradcheck;
+mod inspect;
+mod interrupt;
+mod options;
+mod progress;
+mod run;
+mod simulate;
+mod size;
+#[cfg(test)]
+mod tests;
 
-use std::io::{self, Write};
+pub use check::{CheckArgs, CheckReport, MemoryRow};
+pub use error::CliError;
+pub use interrupt::Interrupt;
+pub use options::{PrecisionArg, Resources};
+pub use progress::Progress;
+pub use size::{format_size, parse_size};
 
+use crate::{
+    rollout::{Evaluate, RolloutError, SimulatorSettings, boxed_simulator},
+    scene::Scene,
+};
 use clap::{Parser, Subcommand};
-use thiserror::Error;
+use serde::Serialize;
+use std::{
+    ffi::OsString,
+    io::{self, IsTerminal, Write},
+    process::ExitCode,
+};
 
-use crate::scene::SceneError;
-
-/// Optimises how a robot arm scoops and pours powder, in simulation.
+/// Optimises a skill that scoops, carries and pours powder, and writes it as a plan for an arm.
 #[derive(Debug, Parser)]
-#[command(name = "optimise", version)]
-pub struct Cli {
-    /// What to do.
+#[command(name = "optimise", version, args_conflicts_with_subcommands = true)]
+#[command(
+    after_help = "Without a command, `optimise [OPTIONS] [SCENE]` means `optimise run [OPTIONS] [SCENE]`."
+)]
+struct Cli {
     #[command(subcommand)]
-    pub command: Command,
+    command: Option<Command>,
+    #[command(flatten)]
+    run: run::RunArgs,
 }
 
-/// The subcommands.
 #[derive(Debug, Subcommand)]
-pub enum Command {
-    /// Validates a scene and says what it will cost.
+enum Command {
+    /// Optimise a skill and write the plan (the default)
+    Run(run::RunArgs),
+    /// Validate a scene and say what it will cost
     Check(check::CheckArgs),
+    /// Simulate one skill, or a plan again
+    Simulate(simulate::SimulateArgs),
+    /// Compare the gradient with finite differences
+    Gradcheck(gradcheck::GradcheckArgs),
+    /// Say what a plan holds
+    Inspect(inspect::InspectArgs),
 }
 
-/// Why a command failed, as one sentence.
-#[derive(Debug, Error)]
-pub enum CliError {
-    /// The scene was refused.
-    #[error(transparent)]
-    Scene(#[from] SceneError),
-    /// The result could not be written.
-    #[error("the result could not be written: {0}")]
-    Output(#[from] io::Error),
+/// Where a command gets its simulator from.
+pub type Factory<'a> = &'a dyn Fn(&Scene, &SimulatorSettings) -> Result<Box<dyn Evaluate>, RolloutError>;
+
+/// What surrounds a command.
+pub struct Context<'a> {
+    /// Makes simulators.
+    pub factory: Factory<'a>,
+    /// Whether the person asked to stop.
+    pub interrupt: Interrupt,
+    /// Standard output.
+    pub out: &'a mut (dyn Write + Send),
+    /// Standard error.
+    pub err: &'a mut (dyn Write + Send),
+    /// Whether standard error is a terminal.
+    pub live: bool,
 }
 
-impl CliError {
-    /// The process's exit code.
-    pub fn exit_code(&self) -> u8 {
-        match self {
-            Self::Scene(_) => 2,
-            Self::Output(_) => 1,
+impl Context<'_> {
+    fn json(&mut self, object: &impl Serialize) -> Result<(), CliError> {
+        let text = serde_json::to_string(object).map_err(io::Error::from)?;
+        writeln!(self.out, "{text}")?;
+        Ok(())
+    }
+}
+
+/// The whole program: parses the arguments, runs the command, prints the error if there is one.
+pub fn main() -> ExitCode {
+    let mut context = Context {
+        factory: &boxed_simulator,
+        interrupt: Interrupt::install(),
+        out: &mut io::stdout(),
+        err: &mut io::stderr(),
+        live: io::stderr().is_terminal(),
+    };
+    match execute(std::env::args_os(), &mut context) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            // With nowhere to write to, the exit code has to do.
+            let _ = writeln!(context.err, "{error}");
+            error.exit_code()
         }
     }
 }
 
-impl Cli {
-    /// Runs the command; results go to `out`.
-    ///
-    /// # Errors
-    /// A [`CliError`], to be shown on standard error.
-    pub fn run(&self, out: &mut dyn Write) -> Result<(), CliError> {
-        match &self.command {
-            Command::Check(args) => check::run(args, out),
-        }
+/// Runs the command that `arguments` (the program's name first) ask for.
+///
+/// Help, version and arguments that cannot be parsed end the process, as clap does.
+///
+/// # Errors
+/// The command's sentence.
+pub fn execute<I, T>(arguments: I, context: &mut Context<'_>) -> Result<(), CliError>
+where
+    I: IntoIterator<Item = T>,
+    T: Into<OsString> + Clone,
+{
+    let cli = Cli::parse_from(arguments);
+    match cli.command {
+        None => run::execute(&cli.run, context),
+        Some(Command::Run(arguments)) => run::execute(&arguments, context),
+        Some(Command::Check(arguments)) => check::run(&arguments, context.out),
+        Some(Command::Simulate(arguments)) => simulate::execute(&arguments, context),
+        Some(Command::Gradcheck(arguments)) => gradcheck::execute(&arguments, context),
+        Some(Command::Inspect(arguments)) => inspect::execute(&arguments, context),
     }
 }

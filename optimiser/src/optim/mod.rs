@@ -16,7 +16,7 @@ use rand_chacha::{
 };
 
 /// Stream of the seed's generator that theta is drawn from, so that other users of the seed are independent of it.
-const THETA_STREAM: u64 = 0x7468_6574_61;
+const THETA_STREAM: u64 = 0x0074_6865_7461;
 
 /// Draws the first theta uniformly from `ranges`, `[low, high]` for each component.
 pub fn initial_theta(ranges: &[[f64; 2]; 5], seed: u64) -> Theta {

@@ -9,10 +9,8 @@
 //! starts, from zero, with its first update. The gradient is neither clipped nor rescaled: a step is at most
 //! lr / sqrt(1 - beta) in any component whatever the gradient's size.
 
-use crate::{
-    scene,
-    skill::{PARAMETER_NAMES, Theta},
-};
+use crate::{scene, skill::Theta};
+use powderline_shared::plan::SKILL_PARAMETERS;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -45,7 +43,7 @@ pub struct RmsPropState {
 
 /// A gradient that no update can be made from.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
-#[error("the gradient with respect to the {name} is {value}", name = PARAMETER_NAMES[*index])]
+#[error("the gradient with respect to the {name} is {value}", name = SKILL_PARAMETERS[*index].0)]
 pub struct GradientError {
     /// Which component, from 0.
     pub index: usize,
@@ -78,8 +76,8 @@ impl RmsProp {
     /// A component of the gradient that takes part, or its square, is not finite.
     pub fn update(&self, state: &RmsPropState, gradient: &Theta) -> Result<RmsPropState, GradientError> {
         let mut next = RmsPropState { updates: state.updates + 1, ..*state };
-        for index in 0..self.active_components(state.updates) {
-            let g = gradient[index];
+        let active = self.active_components(state.updates);
+        for (index, &g) in gradient.iter().enumerate().take(active) {
             let mean_square = self.beta * state.mean_square[index] + (1.0 - self.beta) * g * g;
             if !mean_square.is_finite() {
                 return Err(GradientError { index, value: g });

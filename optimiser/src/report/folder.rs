@@ -57,7 +57,9 @@ pub enum FolderError {
         path: PathBuf,
     },
     /// A new run was to go where one already is.
-    #[error("{path} already holds a run ({file}), which is not overwritten; choose another --out, or go on with it by --resume {path}")]
+    #[error(
+        "{path} already holds a run ({file}), which is not overwritten; choose another --out, or go on with it by --resume {path}"
+    )]
     Taken {
         /// The folder.
         path: PathBuf,
@@ -128,8 +130,7 @@ impl RunFolder {
     fn lock(path: &Path) -> Result<Self, FolderError> {
         let file = path.join(LOCK);
         let failed = |source| FolderError::Write { path: file.clone(), source };
-        let lock =
-            OpenOptions::new().write(true).create(true).truncate(false).open(&file).map_err(failed)?;
+        let lock = OpenOptions::new().write(true).create(true).truncate(false).open(&file).map_err(failed)?;
         match lock.try_lock() {
             Ok(()) => Ok(Self { path: path.into(), _lock: lock }),
             Err(TryLockError::WouldBlock) => Err(FolderError::Locked { path: path.into() }),
@@ -171,6 +172,11 @@ impl RunFolder {
                 let _ = fs::remove_file(&fresh);
                 FolderError::Write { path, source }
             })
+    }
+
+    /// Removes a file, if that is possible.
+    pub fn discard(&self, name: &str) {
+        let _ = fs::remove_file(self.file(name));
     }
 
     /// Appends to a file; a write that fails half way is taken back.

@@ -2,4 +2,7 @@
 
 pub mod curves;
 pub mod folder;
+pub mod plan;
 pub mod state;
+pub mod summary;
+pub(crate) mod words;

@@ -4,7 +4,8 @@
 //! magic "PLSTATE\0" (8) | version u32 LE (4) | body (postcard) | SHA-256 of everything before (32)
 //! ```
 
-use crate::{cli::Precision, optim::Search, scene::Digest};
+use crate::{optim::Search, scene::Digest};
+use powderline_shared::plan::Precision;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 use thiserror::Error;
@@ -50,7 +51,8 @@ impl RunState {
     /// The file's bytes.
     pub fn to_bytes(&self) -> Vec<u8> {
         let head = [&MAGIC[..], &VERSION.to_le_bytes()].concat();
-        let mut bytes = postcard::to_extend(self, head).expect("a state holds nothing that postcard cannot encode");
+        let mut bytes =
+            postcard::to_extend(self, head).expect("a state holds nothing that postcard cannot encode");
         let checksum = Sha256::digest(&bytes);
         bytes.extend_from_slice(&checksum);
         bytes

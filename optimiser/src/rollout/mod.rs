@@ -8,7 +8,7 @@ mod simulator;
 pub use simulator::Simulator;
 
 use crate::skill::{SkillError, Theta};
-use powderline_shared::displacement::Displacement;
+use powderline_shared::{displacement::Displacement, plan::Precision};
 use thiserror::Error;
 
 /// What one simulated motion achieved.
@@ -94,6 +94,35 @@ pub trait Evaluate {
         controls: &[Displacement],
         progress: Progress<'_>,
     ) -> Result<Evaluation, RolloutError>;
+}
+
+/// How a scene is simulated. Nothing here but seed and precision changes a bit of the result.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SimulatorSettings {
+    /// Seed of the packing.
+    pub seed: u64,
+    /// Number format of the powder's state.
+    pub precision: Precision,
+    /// Threads; as many as the machine has processors when not given.
+    pub threads: Option<usize>,
+    /// Most memory that the process may take, bytes; checkpoints are chosen to fit.
+    pub memory_bytes: u64,
+}
+
+/// The simulator of a validated scene: the one place where the commands get it from.
+///
+/// # Errors
+/// [`RolloutError::Threads`] if the threads cannot be started.
+pub fn boxed_simulator(
+    scene: &crate::scene::Scene,
+    settings: &SimulatorSettings,
+) -> Result<Box<dyn Evaluate>, RolloutError> {
+    let SimulatorSettings { seed, precision, threads, memory_bytes } = *settings;
+    let threads = threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
+    Ok(match precision {
+        Precision::F32 => Box::new(simulator::<f32>(scene, seed, threads, memory_bytes)?),
+        Precision::F64 => Box::new(simulator::<f64>(scene, seed, threads, memory_bytes)?),
+    })
 }
 
 /// A simulator of a validated scene with the initial packing of a seed.

@@ -18,7 +18,7 @@
 //! time (s' and s'' vanish at both ends of every segment), so first, second and third differences of the sampled
 //! pose, divided by the control period's first, second and third power, are weighted means (B-spline kernels) of
 //! its derivatives, and a mean never exceeds the largest value. Quantisation adds at most half an LSB to each
-//! component of each setpoint; [`Caps`] are the limits less what that can amount to.
+//! component of each setpoint, which the checker in `shared` allows for.
 //!
 //! Under `continuous` timing T must be smooth in the skill, so the maximum is replaced by the norm of order 16,
 //! which is never below it and, with n terms, exceeds it by at most n^(1/16): 4.4 % where a scoop's sweep and

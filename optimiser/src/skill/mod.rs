@@ -13,16 +13,24 @@
 mod duration;
 mod motion;
 mod profile;
+mod quantised;
 mod real;
 #[cfg(test)]
 mod tests;
 
 pub use motion::SegmentKind;
+pub use quantised::{LSB, Quantised, controls_of, displacement};
 pub use real::{Dual5, Real};
 
-use crate::scene::{Limits, Scene, Skill, Time};
+use crate::scene::{Limits, Scene, Skill, Time, Tool};
 use duration::{Caps, Pace};
 use motion::{Clock, Coordinates, Segment, Travel};
+use powderline_shared::{
+    displacement::SetpointError,
+    limits::{LimitsError, Violation},
+    plan::SKILL_PARAMETERS,
+    pose::Pose,
+};
 use thiserror::Error;
 
 /// Normalised skill parameters: depth, scoop angle, lift, transport, pour angle, each in `[-1, 1]`.
@@ -31,18 +39,11 @@ pub type Theta = [f64; 5];
 /// One control step: translation in metres, then rotation vector in radians, world frame.
 pub type Control = [f64; 6];
 
-/// Names of the five skill parameters, in the order of [`Theta`].
-pub const PARAMETER_NAMES: [&str; 5] =
-    ["scooping depth", "scooping angle", "lift height", "transport displacement", "pouring angle"];
-
-/// Physical units of the five skill parameters.
-pub const PARAMETER_UNITS: [&str; 5] = ["m", "rad", "m", "m", "rad"];
-
 /// Why a skill is not a motion.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum SkillError {
     /// A component of theta is outside `[-1, 1]`, or not a number.
-    #[error("theta's component {index} ({name}) is {value}, outside [-1, 1]", name = PARAMETER_NAMES[*index])]
+    #[error("theta's component {index} ({name}) is {value}, outside [-1, 1]", name = SKILL_PARAMETERS[*index].0)]
     Theta {
         /// Which component, from 0.
         index: usize,
@@ -56,6 +57,23 @@ pub enum SkillError {
         motion_s: f64,
         /// Horizon, seconds.
         horizon_s: f64,
+    },
+    /// A displacement is no setpoint.
+    #[error(transparent)]
+    Setpoint(#[from] SetpointError),
+    /// The scene's limits are not limits.
+    #[error(transparent)]
+    Limits(#[from] LimitsError),
+    /// The motion breaks a limit.
+    #[error(transparent)]
+    Violation(#[from] Violation),
+    /// Not every skill that the scene allows is a motion that the arm can make.
+    #[error("the scene allows a skill that the arm cannot perform (theta = {theta:?}): {source}")]
+    Corner {
+        /// The skill, a corner of theta's range.
+        theta: Theta,
+        /// What is wrong with it.
+        source: Box<SkillError>,
     },
 }
 
@@ -108,15 +126,18 @@ pub struct SkillMap {
     approach_m: f64,
     sweep_m: f64,
     clock: Clock,
+    period_us: u32,
+    start: Pose,
+    limits: powderline_shared::limits::Limits,
 }
 
 impl SkillMap {
     /// Takes what it needs from a validated scene.
     pub fn new(scene: &Scene) -> Self {
-        Self::from_parts(&scene.skill, &scene.time, &scene.limits)
+        Self::from_parts(&scene.skill, &scene.time, &scene.limits, &scene.tool)
     }
 
-    fn from_parts(skill: &Skill, time: &Time, limits: &Limits) -> Self {
+    fn from_parts(skill: &Skill, time: &Time, limits: &Limits, tool: &Tool) -> Self {
         let radians = |bounds: [f64; 2]| bounds.map(f64::to_radians);
         let (sin, cos) = libm::sincos(skill.heading_deg.to_radians());
         Self {
@@ -132,6 +153,9 @@ impl SkillMap {
             approach_m: skill.approach_m,
             sweep_m: skill.sweep_m,
             clock: clock(skill, time, limits),
+            period_us: time.control_period_us,
+            start: quantised::start_pose(tool, skill.heading_deg.to_radians()),
+            limits: quantised::shared_limits(limits),
         }
     }
 

@@ -1,5 +1,6 @@
 use super::*;
 use crate::scene::{Profile, Timing};
+use powderline_shared::{displacement::pose_at, pose::exp_so3};
 use proptest::prelude::*;
 
 const KINDS: [(Timing, Profile); 4] = [
@@ -44,8 +45,16 @@ fn limits() -> Limits {
     }
 }
 
+/// Opens half-way between straight up and its heading, so that no axis is special.
+fn tool() -> Tool {
+    let mut tool = Scene::load("bench").unwrap().tool;
+    tool.start_position_m = [0.1, -0.2, 0.3];
+    tool.start_pitch_deg = 30.0;
+    tool
+}
+
 fn map(timing: Timing, profile: Profile) -> SkillMap {
-    SkillMap::from_parts(&skill(timing, profile), &time(), &limits())
+    SkillMap::from_parts(&skill(timing, profile), &time(), &limits(), &tool())
 }
 
 fn theta() -> impl Strategy<Value = Theta> {
@@ -173,7 +182,7 @@ fn minimum_jerk_segment_follows_the_quintic() {
 fn motion_longer_than_the_horizon_is_refused_with_both_times() {
     for (timing, profile) in KINDS {
         let short = Time { horizon_steps: 100, ..time() };
-        let map = SkillMap::from_parts(&skill(timing, profile), &short, &limits());
+        let map = SkillMap::from_parts(&skill(timing, profile), &short, &limits(), &tool());
         let error = map.controls(&[0.0; 5]).unwrap_err();
         let SkillError::TooLong { motion_s, horizon_s } = error else { panic!("{error}") };
         assert!(motion_s > 2.0 && close(horizon_s, 1.0, 1e-12));
@@ -185,17 +194,41 @@ fn motion_that_just_fits_the_horizon_is_accepted() {
     let rounded = map(Timing::Rounded, Profile::MinimumJerk);
     let end_s = rounded.segments(&[0.5; 5]).last().unwrap().end_s;
     let fitting = Time { horizon_steps: (end_s / 0.01).round() as u32, ..time() };
-    let map = SkillMap::from_parts(&skill(Timing::Rounded, Profile::MinimumJerk), &fitting, &limits());
+    let map =
+        SkillMap::from_parts(&skill(Timing::Rounded, Profile::MinimumJerk), &fitting, &limits(), &tool());
     let full = total(&rounded.controls(&[0.5; 5]).unwrap());
     let fitted = total(&map.controls(&[0.5; 5]).unwrap());
     assert_eq!(full.map(f64::to_bits), fitted.map(f64::to_bits));
 }
 
 #[test]
+fn every_skill_of_every_shipped_scene_is_a_motion_within_its_limits() {
+    for (name, _) in crate::scene::EMBEDDED_SCENES {
+        let scene = Scene::load(name).unwrap();
+        let map = SkillMap::new(&scene);
+        map.check_all_corners().unwrap_or_else(|error| panic!("{name}: {error}"));
+        let longest_s = map.segments(&[1.0; 5]).last().unwrap().end_s;
+        println!("{name}: {longest_s:.3} s of {:.3} s", scene.time.horizon_s());
+    }
+}
+
+#[test]
+fn limits_that_a_skill_breaks_are_named_with_the_corner() {
+    let mut scene = Scene::load("bench-small").unwrap();
+    scene.limits.workspace_max_m[0] -= 0.05;
+    let error = SkillMap::new(&scene).check_all_corners().unwrap_err().to_string();
+    assert!(error.contains("theta = [") && error.contains("x position"), "{error}");
+    scene = Scene::load("bench-small").unwrap();
+    scene.skill.profile = Profile::ConstantSpeed;
+    let error = SkillMap::new(&scene).check_all_corners().unwrap_err().to_string();
+    assert!(error.contains("linear acceleration"), "{error}");
+}
+
+#[test]
 fn travels_of_zero_are_motions() {
     for (timing, profile) in KINDS {
         let still = Skill { sweep_m: 0.0, approach_m: 0.0, ..skill(timing, profile) };
-        let map = SkillMap::from_parts(&still, &time(), &limits());
+        let map = SkillMap::from_parts(&still, &time(), &limits(), &tool());
         let at = map.linearise(&[-1.0; 5]).unwrap();
         assert!(at.controls.iter().flatten().all(|value| value.is_finite()));
         assert!(at.jacobian.iter().flatten().flatten().all(|value| value.is_finite()));
@@ -209,7 +242,7 @@ fn the_scoop_kink_of_constant_speed_is_rounded_off_from_above() {
         scooping_angle_deg: [0.45f64.to_degrees(); 2],
         ..skill(Timing::Continuous, Profile::ConstantSpeed)
     };
-    let span = SkillMap::from_parts(&equal, &time(), &limits()).segments(&[0.0; 5])[2];
+    let span = SkillMap::from_parts(&equal, &time(), &limits(), &tool()).segments(&[0.0; 5])[2];
     assert!(close(span.end_s - span.start_s, 0.3 * 2f64.powf(1.0 / 16.0), 1e-12));
 }
 
@@ -287,7 +320,7 @@ proptest! {
     fn ends_where_the_parameters_say(theta in theta(), heading_deg in -180.0..180.0f64) {
         for (timing, profile) in KINDS {
             let skill = Skill { heading_deg, ..skill(timing, profile) };
-            let map = SkillMap::from_parts(&skill, &time(), &limits());
+            let map = SkillMap::from_parts(&skill, &time(), &limits(), &tool());
             let [depth, scoop, lift, transport, pour] = map.parameters(&theta);
             let (sin, cos) = heading_deg.to_radians().sin_cos();
             let (forward, pitch) = (0.03 + transport, pour - scoop);
@@ -300,11 +333,57 @@ proptest! {
     }
 
     #[test]
+    fn composed_controls_end_at_the_pose_that_the_parameters_say(theta in theta(), heading_deg in -180.0..180.0f64) {
+        for (timing, profile) in KINDS {
+            let skill = Skill { heading_deg, ..skill(timing, profile) };
+            let map = SkillMap::from_parts(&skill, &time(), &limits(), &tool());
+            let [depth, scoop, lift, transport, pour] = map.parameters(&theta);
+            let controls = map.controls(&theta).unwrap();
+            let end = controls.iter().fold(*map.start_pose(), |pose, control| pose.displaced(&displacement(control)));
+            // In the tool's words: the same place, the opening tilted by start pitch - scoop + pour.
+            let heading = exp_so3(&[0.0, 0.0, heading_deg.to_radians()].into());
+            let pitch = 30f64.to_radians() - scoop + pour;
+            let heading = Pose { position_m: map.start_pose().position_m, orientation: heading };
+            let wanted = Pose {
+                position_m: heading.world_from_tool(&[0.03 + transport, 0.0, lift - depth - 0.02].into()),
+                orientation: heading.orientation * exp_so3(&[0.0, pitch, 0.0].into()),
+            };
+            let error = end.displacement_to(&wanted).components();
+            prop_assert!(norm(&error) < 1e-12, "{error:?}");
+        }
+    }
+
+    #[test]
+    fn quantised_motion_is_within_half_an_lsb_everywhere(theta in theta(), heading_deg in -180.0..180.0f64) {
+        for (timing, profile) in KINDS {
+            let skill = Skill { heading_deg, ..skill(timing, profile) };
+            let map = SkillMap::from_parts(&skill, &time(), &limits(), &tool());
+            let controls = map.controls(&theta).unwrap();
+            let quantised = Quantised::new(&controls).unwrap();
+            prop_assert_eq!(quantised.steps.len(), controls.len());
+            let mut performed = *map.start_pose();
+            for i in 0..controls.len() {
+                // One axis of rotation: the cumulative rotation vector is the sum of the steps'.
+                let exact = total(&controls[..=i]);
+                let found = quantised.setpoints[i].cumulative(LSB).components();
+                for k in 0..6 {
+                    prop_assert!(close(found[k], exact[k], 0.5e-7 * (1.0 + 1e-5)));
+                }
+                performed = performed.displaced(&quantised.controls[i]);
+            }
+            let commanded = pose_at(map.start_pose(), *quantised.setpoints.last().unwrap(), LSB);
+            prop_assert!(norm(&performed.displacement_to(&commanded).components()) < 1e-12);
+        }
+    }
+
+    #[test]
     fn minimum_jerk_keeps_the_limits_by_construction(theta in theta(), speed in 0.02..0.24f64) {
         for timing in [Timing::Continuous, Timing::Rounded] {
             let skill = Skill { linear_speed_m_s: speed, ..skill(timing, Profile::MinimumJerk) };
             let slow = Time { horizon_steps: 4000, ..time() };
-            let controls = SkillMap::from_parts(&skill, &slow, &limits()).controls(&theta).unwrap();
+            let map = SkillMap::from_parts(&skill, &slow, &limits(), &tool());
+            let controls = map.controls(&theta).unwrap();
+            prop_assert!(map.check_limits(&Quantised::new(&controls).unwrap()).is_ok());
             let (translation, rotation): (Vec<[f64; 3]>, Vec<[f64; 3]>) =
                 controls.iter().map(|c| ([c[0], c[1], c[2]], [c[3], c[4], c[5]])).unzip();
             let limits = limits();

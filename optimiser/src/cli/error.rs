@@ -1,0 +1,87 @@
+//! What a command ends with when it does not succeed.
+
+use crate::{report::folder::FolderError, rollout::RolloutError, scene::SceneError, skill::SkillError};
+use std::{fmt, io, process::ExitCode};
+
+/// One sentence for the person, and the exit code that goes with it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum CliError {
+    /// What was asked for makes no sense as it stands: exit code 2.
+    Input(String),
+    /// It made sense, and failed: exit code 1.
+    Failed(String),
+    /// Stopped by the person: exit code 130.
+    Interrupted(String),
+}
+
+impl CliError {
+    /// The process's exit code.
+    pub fn exit_code(&self) -> ExitCode {
+        ExitCode::from(self.code())
+    }
+
+    /// The number of the exit code.
+    pub fn code(&self) -> u8 {
+        match self {
+            Self::Failed(_) => 1,
+            Self::Input(_) => 2,
+            Self::Interrupted(_) => 130,
+        }
+    }
+
+    /// Adds a remark, separated by a semicolon, that tells what is left to do.
+    pub(super) fn with_remark(self, remark: &str) -> Self {
+        match self {
+            Self::Input(text) => Self::Input(format!("{text}; {remark}")),
+            Self::Failed(text) => Self::Failed(format!("{text}; {remark}")),
+            Self::Interrupted(text) => Self::Interrupted(format!("{text}; {remark}")),
+        }
+    }
+}
+
+impl fmt::Display for CliError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (Self::Input(text) | Self::Failed(text) | Self::Interrupted(text)) = self;
+        f.write_str(text)
+    }
+}
+
+impl std::error::Error for CliError {}
+
+impl From<SceneError> for CliError {
+    fn from(error: SceneError) -> Self {
+        Self::Input(error.to_string())
+    }
+}
+
+impl From<SkillError> for CliError {
+    fn from(error: SkillError) -> Self {
+        Self::Input(error.to_string())
+    }
+}
+
+impl From<RolloutError> for CliError {
+    fn from(error: RolloutError) -> Self {
+        match error {
+            RolloutError::Stopped => Self::Interrupted(error.to_string()),
+            RolloutError::Skill(skill) => skill.into(),
+            _ => Self::Failed(error.to_string()),
+        }
+    }
+}
+
+impl From<FolderError> for CliError {
+    fn from(error: FolderError) -> Self {
+        match error {
+            FolderError::Taken { .. } | FolderError::NoRun { .. } => Self::Input(error.to_string()),
+            _ => Self::Failed(error.to_string()),
+        }
+    }
+}
+
+/// Standard output that went away (a closed pipe) or is full.
+impl From<io::Error> for CliError {
+    fn from(error: io::Error) -> Self {
+        Self::Failed(format!("the output cannot be written: {error}"))
+    }
+}

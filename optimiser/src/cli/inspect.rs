@@ -1,0 +1,201 @@
+//! `optimise inspect`: what a plan holds.
+
+use super::{CliError, Context, options::precision_name};
+use crate::report::words::{duration, grouped, hex, parameter};
+use clap::Args;
+use powderline_shared::{
+    limits::{Limits, PeakUse},
+    plan::{MAX_FILE_BYTES, PlanHeader, PlanReader, SKILL_PARAMETERS, StartPose},
+};
+use serde::Serialize;
+use std::{
+    fmt::Write as _,
+    fs::File,
+    io::Read,
+    path::{Path, PathBuf},
+};
+
+/// Arguments of `optimise inspect`.
+#[derive(Clone, Debug, Args)]
+pub(super) struct InspectArgs {
+    /// The plan
+    #[arg(value_name = "PLAN")]
+    pub plan: PathBuf,
+    /// Print one JSON object
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(Serialize)]
+struct Report {
+    content_hash: String,
+    scene_digest: String,
+    optimiser_version: String,
+    seed: u64,
+    precision: &'static str,
+    parameters: Vec<Parameter>,
+    control_period_us: u32,
+    step_count: u32,
+    duration_s: f64,
+    translation_lsb_nm: u32,
+    rotation_lsb_nrad: u32,
+    start: StartPose,
+    end: StartPose,
+    /// From start to end: translation (m) and rotation vector (rad), world axes.
+    displacement: [f64; 6],
+    limits: Limits,
+    /// Share of each limit that the motion uses; none when it breaks one.
+    limit_use: Option<PeakUse>,
+    limit_broken: Option<String>,
+    predicted_loss: f64,
+    predicted_indicator: i64,
+    predicted_transported: u32,
+    predicted_transported_kg: f64,
+    predicted_spilled: u32,
+}
+
+#[derive(Serialize)]
+struct Parameter {
+    name: &'static str,
+    theta: f64,
+    value: f64,
+    unit: &'static str,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// One sentence, if the file is no usable plan.
+pub(super) fn execute(arguments: &InspectArgs, context: &mut Context<'_>) -> Result<(), CliError> {
+    let bytes = read_plan(&arguments.plan)?;
+    let path = arguments.plan.display();
+    let plan = PlanReader::new(&bytes)
+        .map_err(|error| CliError::Input(format!("{path} is no usable plan: {error}")))?;
+    let report = Report::new(&plan);
+    if arguments.json {
+        return context.json(&report);
+    }
+    write!(context.out, "{}", report.text())?;
+    Ok(())
+}
+
+/// Bytes of a plan file, at most as many as a plan can have and one more.
+pub(super) fn read_plan(path: &Path) -> Result<Vec<u8>, CliError> {
+    let mut bytes = Vec::new();
+    File::open(path)
+        .and_then(|file| file.take(MAX_FILE_BYTES as u64 + 1).read_to_end(&mut bytes))
+        .map_err(|error| CliError::Input(format!("{} cannot be read: {error}", path.display())))?;
+    Ok(bytes)
+}
+
+impl Report {
+    fn new(plan: &PlanReader<'_>) -> Self {
+        let header = plan.header();
+        let checked = plan.check_limits();
+        let version = header.optimiser_version;
+        Self {
+            content_hash: format!("{:016x}", plan.content_hash()),
+            scene_digest: hex(&header.scene_digest),
+            optimiser_version: format!("{}.{}.{}", version.major, version.minor, version.patch),
+            seed: header.seed,
+            precision: precision_name(header.precision),
+            parameters: parameters(header),
+            control_period_us: header.control_period_us,
+            step_count: header.step_count,
+            duration_s: f64::from(header.step_count) * f64::from(header.control_period_us) * 1e-6,
+            translation_lsb_nm: header.lsb.translation_nm,
+            rotation_lsb_nrad: header.lsb.rotation_nrad,
+            start: header.start,
+            end: StartPose::from(&plan.end_pose()),
+            displacement: plan.end_setpoint().cumulative(header.lsb).components(),
+            limits: header.limits,
+            limit_use: checked.ok(),
+            limit_broken: checked.err().map(|violation| violation.to_string()),
+            predicted_loss: header.predicted_loss,
+            predicted_indicator: header.predicted_indicator,
+            predicted_transported: header.predicted_transported_count,
+            predicted_transported_kg: header.predicted_transported_kg,
+            predicted_spilled: header.predicted_spilled_count,
+        }
+    }
+
+    fn text(&self) -> String {
+        let mut text = String::new();
+        // Writing to a string does not fail.
+        let _ = self.write_text(&mut text);
+        text
+    }
+
+    fn write_text(&self, text: &mut String) -> std::fmt::Result {
+        writeln!(
+            text,
+            "Plan {}, made by optimise {} with seed {} in {}",
+            self.content_hash, self.optimiser_version, self.seed, self.precision
+        )?;
+        writeln!(text, "for the scene with digest {}.\n", self.scene_digest)?;
+        writeln!(
+            text,
+            "{} steps of {} us: {:.2} s ({}); one count is {} nm or {} nrad.",
+            grouped(self.step_count.into()),
+            self.control_period_us,
+            self.duration_s,
+            duration(self.duration_s),
+            self.translation_lsb_nm,
+            self.rotation_lsb_nrad
+        )?;
+        writeln!(
+            text,
+            "Predicted: loss {} m, indicator {}, {} particles ({:.3} g) arrive, {} spill.\n",
+            self.predicted_loss,
+            self.predicted_indicator,
+            grouped(self.predicted_transported.into()),
+            1e3 * self.predicted_transported_kg,
+            grouped(self.predicted_spilled.into())
+        )?;
+        for (index, parameter_) in self.parameters.iter().enumerate() {
+            let value = parameter(index, parameter_.value);
+            writeln!(text, "{:<24}{value:>12}   theta {:>8.4}", parameter_.name, parameter_.theta)?;
+        }
+        self.write_motion(text)
+    }
+
+    fn write_motion(&self, text: &mut String) -> std::fmt::Result {
+        let millimetres = |position: [f64; 3]| position.map(|x| format!("{:.1}", 1e3 * x)).join(", ");
+        let [x, y, z, rx, ry, rz] = self.displacement;
+        let turn_deg = (rx * rx + ry * ry + rz * rz).sqrt().to_degrees();
+        writeln!(
+            text,
+            "\nStarts at ({}) mm, ends at ({}) mm:",
+            millimetres(self.start.position_m),
+            millimetres(self.end.position_m)
+        )?;
+        writeln!(text, "moved by ({}) mm and turned by {turn_deg:.1} deg.\n", millimetres([x, y, z]))?;
+        if let Some(broken) = &self.limit_broken {
+            return writeln!(text, "It breaks its own limits: {broken}.");
+        }
+        let Some(used) = self.limit_use else { return Ok(()) };
+        let limits = &self.limits;
+        for (name, limit, unit, share) in [
+            ("linear velocity", limits.linear_velocity_m_s, "m/s", used.linear_velocity),
+            ("linear acceleration", limits.linear_acceleration_m_s2, "m/s^2", used.linear_acceleration),
+            ("linear jerk", limits.linear_jerk_m_s3, "m/s^3", used.linear_jerk),
+            ("angular velocity", limits.angular_velocity_rad_s, "rad/s", used.angular_velocity),
+            (
+                "angular acceleration",
+                limits.angular_acceleration_rad_s2,
+                "rad/s^2",
+                used.angular_acceleration,
+            ),
+            ("angular jerk", limits.angular_jerk_rad_s3, "rad/s^3", used.angular_jerk),
+        ] {
+            writeln!(text, "{name:<24}uses {:>5.1} % of {limit} {unit}", 100.0 * share)?;
+        }
+        let [min, max] = [limits.workspace_min_m, limits.workspace_max_m].map(millimetres);
+        writeln!(text, "{:<24}kept, ({min}) to ({max}) mm", "workspace")
+    }
+}
+
+fn parameters(header: &PlanHeader) -> Vec<Parameter> {
+    let names = SKILL_PARAMETERS.into_iter().zip(header.theta).zip(header.skill_parameters);
+    names.map(|(((name, unit), theta), value)| Parameter { name, theta, value, unit }).collect()
+}

@@ -1,0 +1,38 @@
+//! Ctrl-C: the first one asks the run to stop where it can go on later, the second one ends the process.
+
+use std::sync::{
+    Arc,
+    atomic::{AtomicBool, Ordering},
+};
+
+/// Whether the person asked to stop.
+#[derive(Clone, Debug, Default)]
+pub struct Interrupt(Arc<AtomicBool>);
+
+impl Interrupt {
+    /// Listens to Ctrl-C and to the system's request to end.
+    pub fn install() -> Self {
+        let interrupt = Self::default();
+        let requested = interrupt.clone();
+        let handler = move || {
+            if requested.0.swap(true, Ordering::Relaxed) {
+                std::process::exit(130);
+            }
+            eprintln!("\nstopping (once more to end at once; what is saved stays resumable either way)");
+        };
+        if let Err(error) = ctrlc::set_handler(handler) {
+            eprintln!("Ctrl-C will end the process at once, since it cannot be listened to: {error}");
+        }
+        interrupt
+    }
+
+    /// Whether a stop was asked for.
+    pub fn is_requested(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
+    }
+
+    /// Asks for a stop.
+    pub fn request(&self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}

@@ -1,0 +1,61 @@
+//! Arguments that several commands share.
+
+use super::size::parse_size;
+use crate::rollout::SimulatorSettings;
+use clap::{Args, ValueEnum};
+use powderline_shared::plan::Precision;
+
+/// Number format of the simulation, as an argument.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum PrecisionArg {
+    /// 32-bit floating point
+    F32,
+    /// 64-bit floating point
+    F64,
+}
+
+impl From<PrecisionArg> for Precision {
+    fn from(argument: PrecisionArg) -> Self {
+        match argument {
+            PrecisionArg::F32 => Self::F32,
+            PrecisionArg::F64 => Self::F64,
+        }
+    }
+}
+
+/// A precision as the person writes it.
+pub(super) fn precision_name(precision: Precision) -> &'static str {
+    match precision {
+        Precision::F32 => "f32",
+        Precision::F64 => "f64",
+    }
+}
+
+/// Seed when none is given.
+pub(super) const DEFAULT_SEED: u64 = 1;
+
+/// Precision when none is given.
+pub(super) const DEFAULT_PRECISION: Precision = Precision::F32;
+
+/// Resources of the simulation; they do not change its results.
+#[derive(Clone, Copy, Debug, Args)]
+pub struct Resources {
+    /// Threads; results are the same for any number [default: one per processor]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
+    /// Most memory to use, such as 128MiB, 2GiB or 500MB
+    #[arg(long, value_name = "SIZE", value_parser = parse_size, default_value = "1GiB")]
+    pub memory: u64,
+}
+
+impl Resources {
+    /// Settings of the simulator.
+    pub fn settings(&self, seed: u64, precision: Precision) -> SimulatorSettings {
+        SimulatorSettings {
+            seed,
+            precision,
+            threads: self.threads.map(usize::from),
+            memory_bytes: self.memory,
+        }
+    }
+}

@@ -1,0 +1,159 @@
+//! Live progress on standard error: a line that is redrawn on a terminal, one line per epoch elsewhere.
+
+use crate::optim::EpochRecord;
+use crate::report::words::{duration, grouped};
+use std::{
+    io::Write,
+    time::{Duration, Instant},
+};
+
+/// Time between two redraws.
+const REDRAW: Duration = Duration::from_millis(100);
+
+const BAR_CELLS: usize = 20;
+
+/// Shows how far a command is.
+pub struct Progress<'a> {
+    out: &'a mut (dyn Write + Send),
+    /// Whether `out` is a terminal, on which a line can be drawn over.
+    live: bool,
+    /// What is being done, such as `epoch 3/30`.
+    task: String,
+    started: Instant,
+    drawn: Option<Instant>,
+    /// Evaluations to come after the present one, and what one has taken on average, seconds.
+    later: Option<(u32, f64)>,
+}
+
+impl<'a> Progress<'a> {
+    /// Progress shown on `out`.
+    pub fn new(out: &'a mut (dyn Write + Send), live: bool) -> Self {
+        Self { out, live, task: String::new(), started: Instant::now(), drawn: None, later: None }
+    }
+
+    /// Begins a task; `later` evaluations follow it, each of the duration of those in `history`.
+    pub fn begin(&mut self, task: &str, later: u32, history: &[EpochRecord]) {
+        let mean_s = history.iter().map(|record| record.seconds).sum::<f64>() / history.len().max(1) as f64;
+        self.task = task.into();
+        self.started = Instant::now();
+        self.drawn = None;
+        self.later = (!history.is_empty()).then_some((later, mean_s));
+        self.tick(0, 1);
+    }
+
+    /// Seconds since the task began.
+    pub fn seconds(&self) -> f64 {
+        self.started.elapsed().as_secs_f64()
+    }
+
+    /// Called now and then with work units done and in total.
+    pub fn tick(&mut self, done: u64, total: u64) {
+        if !self.live || self.drawn.is_some_and(|drawn| drawn.elapsed() < REDRAW) {
+            return;
+        }
+        self.drawn = Some(Instant::now());
+        let share = (done as f64 / total.max(1) as f64).clamp(0.0, 1.0);
+        let filled = (share * BAR_CELLS as f64) as usize;
+        let left =
+            self.left_s(share).map(|left| format!(", about {} left", duration(left))).unwrap_or_default();
+        // A terminal that cannot be written to is no reason to stop a run.
+        let _ = write!(
+            self.out,
+            "\r\x1b[2K{} [{}{}] {:3.0} %{left}",
+            self.task,
+            "#".repeat(filled),
+            ".".repeat(BAR_CELLS - filled),
+            100.0 * share
+        );
+        let _ = self.out.flush();
+    }
+
+    /// Seconds to the end of the command, once there is something to judge by.
+    fn left_s(&self, share: f64) -> Option<f64> {
+        let elapsed_s = self.seconds();
+        match self.later {
+            Some((later, mean_s)) => Some(f64::from(later) * mean_s + (mean_s - elapsed_s).max(0.0)),
+            None => (share > 0.02).then(|| elapsed_s * (1.0 - share) / share),
+        }
+    }
+
+    /// Reports an epoch that is done.
+    pub fn epoch(&mut self, record: &EpochRecord, epochs: u32, history: &[EpochRecord]) {
+        let mean_s = history.iter().map(|record| record.seconds).sum::<f64>() / history.len().max(1) as f64;
+        let left_s = mean_s * f64::from(epochs - record.epoch);
+        let left = match record.epoch < epochs {
+            true => format!("  about {} left", duration(left_s)),
+            false => String::new(),
+        };
+        self.line(&format!(
+            "epoch {:>3}/{epochs}  loss {:>10.3} m  indicator {:>6}  transported {:>6}  spilled {:>4}  {:>6.1} s{left}",
+            record.epoch,
+            record.loss,
+            grouped(record.indicator),
+            grouped(record.transported.into()),
+            grouped(record.spilled.into()),
+            record.seconds,
+        ));
+    }
+
+    /// Writes a whole line, over the live one if there is one.
+    pub fn line(&mut self, text: &str) {
+        let clear = if self.live { "\r\x1b[2K" } else { "" };
+        let _ = writeln!(self.out, "{clear}{text}");
+        let _ = self.out.flush();
+    }
+
+    /// Takes the live line away.
+    pub fn clear(&mut self) {
+        if self.live {
+            let _ = write!(self.out, "\r\x1b[2K");
+            let _ = self.out.flush();
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn record(epoch: u32) -> EpochRecord {
+        EpochRecord {
+            epoch,
+            loss: 1158.9404,
+            indicator: 146,
+            transported: 1854,
+            spilled: 3,
+            theta: [0.0; 5],
+            gradient: None,
+            seconds: 2.0,
+        }
+    }
+
+    #[test]
+    fn without_a_terminal_there_is_one_line_per_epoch() {
+        let mut out = Vec::new();
+        let mut progress = Progress::new(&mut out, false);
+        progress.begin("epoch 0/30", 30, &[]);
+        progress.tick(1, 2);
+        progress.epoch(&record(0), 30, &[record(0)]);
+        let text = String::from_utf8(out).unwrap();
+        assert_eq!(text.lines().count(), 1, "{text}");
+        assert!(
+            text.contains("1158.940") && text.contains("1,854") && text.contains("about 1 min left"),
+            "{text}"
+        );
+    }
+
+    #[test]
+    fn on_a_terminal_the_line_is_redrawn() {
+        let mut out = Vec::new();
+        let mut progress = Progress::new(&mut out, true);
+        progress.begin("epoch 1/30", 29, &[record(0)]);
+        progress.clear();
+        let text = String::from_utf8(out).unwrap();
+        assert!(
+            text.contains("\r\x1b[2Kepoch 1/30 [....................]   0 %, about 1 min left"),
+            "{text:?}"
+        );
+    }
+}

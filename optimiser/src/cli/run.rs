@@ -1,0 +1,325 @@
+//! `optimise run`: the optimisation, from a scene (or a run to resume) to a plan.
+
+use super::{
+    CliError, Context, Interrupt, Progress, Resources,
+    options::{DEFAULT_PRECISION, DEFAULT_SEED, PrecisionArg, precision_name},
+};
+use crate::{
+    optim::{RmsProp, Search, SearchError, initial_theta},
+    report::{
+        curves::Curves,
+        folder::{CURVES, METRICS, PLAN, RunFolder, SCENE, STATE},
+        plan::PlanParts,
+        state::RunState,
+        summary::Finding,
+        words::hex,
+    },
+    rollout::{Evaluate, Evaluation, RolloutError},
+    scene::{DEFAULT_SCENE, Scene},
+    skill::SkillMap,
+};
+use clap::Args;
+use powderline_shared::plan::Precision;
+use std::path::{Path, PathBuf};
+
+/// Arguments of `optimise run`.
+#[derive(Clone, Debug, Args)]
+pub(super) struct RunArgs {
+    /// Scene: the name of an embedded one (bench, bench-small, bench-fine) or a TOML file [default: bench]
+    #[arg(value_name = "SCENE")]
+    pub scene: Option<String>,
+    /// Seed of the packing and of the first skill [default: 1]
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+    /// Updates to make; each epoch is evaluated, and the result of the last, so N updates take N + 1 evaluations
+    /// [default: the scene's]
+    #[arg(long, value_name = "N")]
+    pub epochs: Option<u32>,
+    /// Precision of the simulation [default: f32]
+    #[arg(long)]
+    pub precision: Option<PrecisionArg>,
+    /// Threads and memory.
+    #[command(flatten)]
+    pub resources: Resources,
+    /// Folder to write into, new or empty [default: runs/<scene>-seed<seed>, numbered if taken]
+    #[arg(long, value_name = "DIR", conflicts_with = "resume")]
+    pub out: Option<PathBuf>,
+    /// Go on with the run in this folder; with a larger --epochs also when it is finished
+    #[arg(long, value_name = "DIR")]
+    pub resume: Option<PathBuf>,
+}
+
+/// Most epochs of a run.
+const MAX_EPOCHS: u32 = 100_000;
+
+/// A run whose folder is open and locked.
+struct Run {
+    folder: RunFolder,
+    scene: Scene,
+    map: SkillMap,
+    rule: RmsProp,
+    state: RunState,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// One sentence; everything evaluated before is saved.
+pub(super) fn execute(arguments: &RunArgs, context: &mut Context<'_>) -> Result<(), CliError> {
+    let mut run = match &arguments.resume {
+        Some(folder) => Run::resume(arguments, folder)?,
+        None => Run::start(arguments)?,
+    };
+    let resumable = format!("the epochs before are saved, go on with: {}", resume_command(run.folder.path()));
+    if run.state.finished {
+        let path = run.folder.path().display();
+        writeln!(
+            context.out,
+            "The run in {path} is finished; --epochs with more than {} prolongs it.",
+            run.state.search.epochs()
+        )?;
+        return Ok(());
+    }
+    let plan = run.complete(arguments, context).map_err(|error| error.with_remark(&resumable))?;
+    run.conclude(&plan, context)
+}
+
+impl Run {
+    fn start(arguments: &RunArgs) -> Result<Self, CliError> {
+        let name = arguments.scene.as_deref().unwrap_or(DEFAULT_SCENE);
+        let scene = Scene::load(name)?;
+        let map = SkillMap::new(&scene);
+        map.check_all_corners().map_err(|error| CliError::Input(format!("{name}: {error}")))?;
+        let seed = arguments.seed.unwrap_or(DEFAULT_SEED);
+        let epochs = checked_epochs(arguments.epochs.unwrap_or(scene.optimiser.epochs))?;
+        let state = RunState {
+            scene: scene.digest(),
+            seed,
+            precision: arguments.precision.map_or(DEFAULT_PRECISION, Precision::from),
+            search: Search::new(initial_theta(&scene.skill.initial_theta, seed), epochs),
+            finished: false,
+        };
+        let folder = match &arguments.out {
+            Some(path) => RunFolder::create(path)?,
+            None => RunFolder::create_numbered(&Path::new("runs").join(default_name(&scene.name, seed)))?,
+        };
+        folder.replace(SCENE, scene.to_toml().as_bytes())?;
+        // A scene without a state would be in the way of a second attempt, and nothing to resume from either.
+        folder.replace(STATE, &state.to_bytes()).inspect_err(|_| folder.discard(SCENE))?;
+        Ok(Self { folder, rule: RmsProp::from(&scene.optimiser), scene, map, state })
+    }
+
+    fn resume(arguments: &RunArgs, path: &Path) -> Result<Self, CliError> {
+        let folder = RunFolder::open(path)?;
+        let damaged = |error| {
+            CliError::Input(format!("{} cannot be resumed from: {error}", folder.file(STATE).display()))
+        };
+        let mut state = RunState::from_bytes(&folder.read(STATE)?).map_err(damaged)?;
+        let scene = saved_scene(&folder, &state)?;
+        refuse_differences(arguments, path, &state)?;
+        if let Some(epochs) = arguments.epochs {
+            prolong(&mut state, checked_epochs(epochs)?)?;
+        }
+        let map = SkillMap::new(&scene);
+        map.check_all_corners()?;
+        // The state leads: a line too many or too few, from a run that was ended between two writes, is put right.
+        let lines: String = state.search.history().iter().map(json_line).collect();
+        folder.replace(METRICS, lines.as_bytes())?;
+        folder.replace(STATE, &state.to_bytes())?;
+        Ok(Self { folder, rule: RmsProp::from(&scene.optimiser), scene, map, state })
+    }
+
+    /// Evaluates the epochs that are left, then writes the plan.
+    fn complete(&mut self, arguments: &RunArgs, context: &mut Context<'_>) -> Result<Evaluation, CliError> {
+        let RunState { seed, precision, .. } = self.state;
+        let mut progress = Progress::new(context.err, context.live);
+        progress.line(&format!(
+            "{}: seed {seed}, {}, into {}",
+            self.scene.name,
+            precision_name(precision),
+            self.folder.path().display()
+        ));
+        let settings = arguments.resources.settings(seed, precision);
+        let mut simulator = (context.factory)(&self.scene, &settings)?;
+        let result = self
+            .evaluate_epochs(simulator.as_mut(), &mut progress, &context.interrupt)
+            .and_then(|()| self.write_plan(simulator.as_mut(), &mut progress, &context.interrupt));
+        progress.clear();
+        result
+    }
+
+    fn evaluate_epochs(
+        &mut self,
+        simulator: &mut dyn Evaluate,
+        progress: &mut Progress<'_>,
+        interrupt: &Interrupt,
+    ) -> Result<(), CliError> {
+        let epochs = self.state.search.epochs();
+        while let Some(request) = self.state.search.next() {
+            stop_if_requested(interrupt)?;
+            let task = format!("epoch {}/{epochs}", request.epoch);
+            progress.begin(&task, epochs - request.epoch, self.state.search.history());
+            let mut tick = |done, total| {
+                progress.tick(done, total);
+                !interrupt.is_requested()
+            };
+            let evaluation = simulator.evaluate(&request.theta, request.want_gradient, &mut tick)?;
+            self.save_epoch(&evaluation, progress)?;
+        }
+        Ok(())
+    }
+
+    fn save_epoch(&mut self, evaluation: &Evaluation, progress: &mut Progress<'_>) -> Result<(), CliError> {
+        let seconds = (progress.seconds() * 1e3).round() / 1e3;
+        let record = *self.state.search.record(&self.rule, evaluation, seconds)?;
+        let search = &self.state.search;
+        progress.epoch(&record, search.epochs(), search.history());
+        self.folder.append(METRICS, json_line(&record).as_bytes())?;
+        self.folder.replace(STATE, &self.state.to_bytes())?;
+        self.write_curves()
+    }
+
+    fn write_curves(&self) -> Result<(), CliError> {
+        let search = &self.state.search;
+        let curves = Curves {
+            title: &format!("{}, seed {}", self.scene.name, self.state.seed),
+            history: search.history(),
+            epochs: search.epochs(),
+            curriculum_epochs: self.rule.curriculum_epochs,
+            best: search.best(),
+        };
+        let svg = curves.to_svg().map_err(|error| CliError::Failed(error.to_string()))?;
+        Ok(self.folder.replace(CURVES, svg.as_bytes())?)
+    }
+
+    /// The best epoch's skill, quantised, simulated again as it will be performed, and written.
+    fn write_plan(
+        &mut self,
+        simulator: &mut dyn Evaluate,
+        progress: &mut Progress<'_>,
+        interrupt: &Interrupt,
+    ) -> Result<Evaluation, CliError> {
+        stop_if_requested(interrupt)?;
+        let best = *self.state.search.best().expect("a search that is done has a best epoch");
+        let quantised = self.map.quantised(&best.theta)?;
+        self.map.check_limits(&quantised)?;
+        progress.begin("the plan, as shipped", 0, &[]);
+        let mut tick = |done, total| {
+            progress.tick(done, total);
+            !interrupt.is_requested()
+        };
+        let evaluation = simulator.simulate(&quantised.controls, &mut tick)?;
+        let parts = PlanParts {
+            scene: &self.scene,
+            map: &self.map,
+            seed: self.state.seed,
+            precision: self.state.precision,
+            theta: &best.theta,
+            quantised: &quantised,
+            evaluation: &evaluation,
+        };
+        let plan =
+            parts.to_bytes().map_err(|error| CliError::Failed(format!("no plan can be made: {error}")))?;
+        self.folder.replace(PLAN, &plan)?;
+        self.state.finished = true;
+        self.folder.replace(STATE, &self.state.to_bytes())?;
+        self.write_curves()?;
+        Ok(evaluation)
+    }
+
+    fn conclude(&self, plan: &Evaluation, context: &mut Context<'_>) -> Result<(), CliError> {
+        let search = &self.state.search;
+        if let ([first, ..], Some(last), Some(best)) =
+            (search.history(), search.history().last(), search.best())
+        {
+            write!(context.out, "\n{}", Finding { map: &self.map, first, best, last, plan }.text())?;
+        }
+        let path = self.folder.file(PLAN);
+        writeln!(context.out, "\nThe curves are in {}.", self.folder.file(CURVES).display())?;
+        writeln!(context.out, "Next, play the plan on the simulated arm:\n")?;
+        writeln!(context.out, "    cargo run --release --bin execute -- {}", path.display())?;
+        Ok(())
+    }
+}
+
+impl From<SearchError> for CliError {
+    fn from(error: SearchError) -> Self {
+        Self::Failed(error.to_string())
+    }
+}
+
+fn stop_if_requested(interrupt: &Interrupt) -> Result<(), CliError> {
+    if interrupt.is_requested() { Err(RolloutError::Stopped.into()) } else { Ok(()) }
+}
+
+fn checked_epochs(epochs: u32) -> Result<u32, CliError> {
+    if epochs <= MAX_EPOCHS {
+        return Ok(epochs);
+    }
+    Err(CliError::Input(format!("--epochs is {epochs}, but at most {MAX_EPOCHS} are possible")))
+}
+
+/// A scene's name as a folder's name.
+fn default_name(scene: &str, seed: u64) -> String {
+    let safe = |c: char| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '-' };
+    let name: String = scene.chars().map(safe).collect();
+    format!("{}-seed{seed}", name.trim_start_matches('.'))
+}
+
+fn resume_command(folder: &Path) -> String {
+    format!("cargo run --release --bin optimise -- --resume {}", folder.display())
+}
+
+fn json_line(record: &impl serde::Serialize) -> String {
+    let line = serde_json::to_string(record).expect("a record holds nothing that JSON cannot express");
+    line + "\n"
+}
+
+/// The scene that the run was started with.
+fn saved_scene(folder: &RunFolder, state: &RunState) -> Result<Scene, CliError> {
+    let file = folder.file(SCENE).display().to_string();
+    let bytes = folder.read(SCENE)?;
+    let text = String::from_utf8(bytes).map_err(|_| CliError::Input(format!("{file} is not a text file")))?;
+    let scene = Scene::from_toml(&file, &text)?;
+    if scene.digest() != state.scene {
+        return Err(CliError::Input(format!("{file} is no longer the scene that the run was started with")));
+    }
+    Ok(scene)
+}
+
+/// What is given again on resuming must be what the run was started with.
+fn refuse_differences(arguments: &RunArgs, path: &Path, state: &RunState) -> Result<(), CliError> {
+    let refuse = |what: String| Err(CliError::Input(format!("the run in {} {what}", path.display())));
+    if let Some(name) = &arguments.scene {
+        let digest = Scene::load(name)?.digest();
+        if digest != state.scene {
+            let [asked, saved] = [digest, state.scene].map(|digest| hex(&digest[..4]));
+            return refuse(format!(
+                "was started with another scene than `{name}` (digest {saved}, not {asked})"
+            ));
+        }
+    }
+    if let Some(seed) = arguments.seed.filter(|seed| *seed != state.seed) {
+        return refuse(format!("was started with seed {}, not {seed}", state.seed));
+    }
+    let asked = arguments.precision.map(Precision::from);
+    if let Some(asked) = asked.filter(|asked| *asked != state.precision) {
+        let [asked, saved] = [asked, state.precision].map(precision_name);
+        return refuse(format!("was started with precision {saved}, not {asked}"));
+    }
+    Ok(())
+}
+
+fn prolong(state: &mut RunState, epochs: u32) -> Result<(), CliError> {
+    let now = state.search.epochs();
+    if epochs < now {
+        return Err(CliError::Input(format!(
+            "--epochs is {epochs}, but the run has {now}; it can only be prolonged"
+        )));
+    }
+    if epochs > now {
+        state.search.extend(epochs);
+        state.finished = false;
+    }
+    Ok(())
+}

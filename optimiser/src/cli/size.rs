@@ -1,0 +1,78 @@
+//! Sizes as people write them: `128MiB`, `2GiB`, `500MB`.
+
+/// Bytes of a size with an optional unit, decimal (kB, MB, GB, TB) or binary (KiB, MiB, GiB, TiB).
+///
+/// # Errors
+/// A sentence about what is wrong.
+pub fn parse_size(text: &str) -> Result<u64, String> {
+    let text = text.trim();
+    let split = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
+    let (number, unit) = text.split_at(split);
+    let number: f64 =
+        number.parse().map_err(|_| format!("`{text}` is not a size like 128MiB, 2GiB or 500MB"))?;
+    let factor: f64 = match unit.trim().to_ascii_lowercase().as_str() {
+        "" | "b" => 1.0,
+        "kb" => 1e3,
+        "mb" => 1e6,
+        "gb" => 1e9,
+        "tb" => 1e12,
+        "kib" | "k" => 1024.0,
+        "mib" | "m" => 1024.0 * 1024.0,
+        "gib" | "g" => 1024.0 * 1024.0 * 1024.0,
+        "tib" | "t" => 1024.0 * 1024.0 * 1024.0 * 1024.0,
+        _ => {
+            return Err(format!(
+                "`{unit}` is not a unit of size; use one of B, kB, MB, GB, TB, KiB, MiB, GiB, TiB"
+            ));
+        }
+    };
+    let bytes = number * factor;
+    // 2^53: beyond it whole bytes are no longer told apart, and no machine is so large.
+    if !(1.0..=9_007_199_254_740_992.0).contains(&bytes) {
+        return Err(format!("`{text}` is not a size that a machine has"));
+    }
+    Ok(bytes as u64)
+}
+
+/// A size in the largest binary unit that leaves a number above one.
+pub fn format_size(bytes: u64) -> String {
+    let units = [("GiB", 30), ("MiB", 20), ("KiB", 10)];
+    match units.iter().find(|(_, shift)| bytes >> shift > 0) {
+        Some((unit, shift)) => format!("{:.1} {unit}", bytes as f64 / (1u64 << shift) as f64),
+        None => format!("{bytes} B"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes_in_all_units() {
+        for (text, bytes) in [
+            ("128MiB", 128 << 20),
+            ("2GiB", 2 << 30),
+            ("500MB", 500_000_000),
+            ("1.5 GiB", 3 << 29),
+            ("4096", 4096),
+            ("64k", 65536),
+            ("1TB", 1_000_000_000_000),
+        ] {
+            assert_eq!(parse_size(text), Ok(bytes), "{text}");
+        }
+    }
+
+    #[test]
+    fn what_is_no_size_is_refused() {
+        for text in ["", "MiB", "-1MiB", "1.2.3MB", "5 parsecs", "0", "1e9", "99999999TiB", "nan"] {
+            assert!(parse_size(text).is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn formats() {
+        assert_eq!(format_size(1 << 30), "1.0 GiB");
+        assert_eq!(format_size(1536), "1.5 KiB");
+        assert_eq!(format_size(12), "12 B");
+    }
+}

@@ -1,0 +1,503 @@
+//! The commands end to end, with a stand-in for the simulator that only looks at where the motion ends.
+
+use super::*;
+use crate::{
+    optim::EpochRecord,
+    report::folder::{CURVES, METRICS, PLAN, RunFolder, SCENE, STATE},
+    rollout::{Evaluation, Progress, RolloutError},
+    skill::{Control, SkillMap, Theta},
+};
+use powderline_shared::{displacement::Displacement, plan::PlanReader};
+use serde_json::Value;
+use std::{
+    cell::Cell,
+    fs,
+    path::{Path, PathBuf},
+    rc::Rc,
+};
+
+/// Ticks of one evaluation.
+const TICKS: u64 = 3;
+
+/// Loss: squared distance of the motion's end from a wished one.
+struct Ends {
+    map: SkillMap,
+    interrupt: Interrupt,
+    /// Ticks left until Ctrl-C.
+    patience: Rc<Cell<u64>>,
+}
+
+impl Ends {
+    const WISH: Control = [0.09, 0.0, 0.01, 0.0, 1.3, 0.0];
+
+    fn tick(&self, progress: Progress<'_>) -> Result<(), RolloutError> {
+        for done in 1..=TICKS {
+            self.patience.set(self.patience.get().saturating_sub(1));
+            if self.patience.get() == 0 {
+                self.interrupt.request();
+            }
+            if !progress(done, TICKS) {
+                return Err(RolloutError::Stopped);
+            }
+        }
+        Ok(())
+    }
+
+    fn judge(controls: impl Iterator<Item = Control>) -> (Evaluation, Control) {
+        let end = controls.fold([0.0; 6], |sum, control| std::array::from_fn(|k| sum[k] + control[k]));
+        let error: Control = std::array::from_fn(|k| end[k] - Self::WISH[k]);
+        let loss = 1.0 + error.iter().map(|x| x * x).sum::<f64>();
+        let transported = (200.0 / loss) as u32;
+        let indicator = 200 - i64::from(transported);
+        (Evaluation { loss, indicator, transported, spilled: 7, gradient: None }, error.map(|x| 2.0 * x))
+    }
+}
+
+impl Evaluate for Ends {
+    fn evaluate(
+        &mut self,
+        theta: &Theta,
+        gradient: bool,
+        progress: Progress<'_>,
+    ) -> Result<Evaluation, RolloutError> {
+        self.tick(progress)?;
+        let at = self.map.linearise(theta)?;
+        let (evaluation, bar) = Self::judge(at.controls.iter().copied());
+        let bars = vec![bar; at.controls.len()];
+        Ok(Evaluation { gradient: gradient.then(|| at.pull_back(&bars)), ..evaluation })
+    }
+
+    fn simulate(
+        &mut self,
+        controls: &[Displacement],
+        progress: Progress<'_>,
+    ) -> Result<Evaluation, RolloutError> {
+        self.tick(progress)?;
+        Ok(Self::judge(controls.iter().map(Displacement::components)).0)
+    }
+}
+
+/// Exit code, standard output, standard error.
+struct Done {
+    code: u8,
+    out: String,
+    err: String,
+}
+
+/// Runs `optimise` with Ctrl-C after `patience` ticks.
+fn optimise_for(patience: u64, arguments: &[&str]) -> Done {
+    let interrupt = Interrupt::default();
+    let patience = Rc::new(Cell::new(patience));
+    let factory = |scene: &Scene, _: &SimulatorSettings| -> Result<Box<dyn Evaluate>, RolloutError> {
+        let (interrupt, patience) = (interrupt.clone(), patience.clone());
+        Ok(Box::new(Ends { map: SkillMap::new(scene), interrupt, patience }))
+    };
+    let (mut out, mut err) = (Vec::new(), Vec::new());
+    let mut context = Context {
+        factory: &factory,
+        interrupt: interrupt.clone(),
+        out: &mut out,
+        err: &mut err,
+        live: false,
+    };
+    let result = execute(["optimise"].iter().chain(arguments), &mut context);
+    let text = |bytes| String::from_utf8(bytes).unwrap();
+    let (out, mut err) = (text(out), text(err));
+    let code = result.as_ref().map_or_else(CliError::code, |()| 0);
+    if let Err(error) = result {
+        err += &error.to_string();
+    }
+    Done { code, out, err }
+}
+
+fn optimise(arguments: &[&str]) -> Done {
+    optimise_for(u64::MAX, arguments)
+}
+
+/// A place for one test's folders.
+struct Place(tempfile::TempDir);
+
+impl Place {
+    fn new() -> Self {
+        Self(tempfile::tempdir().unwrap())
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn text(&self, name: &str) -> String {
+        self.path(name).to_str().unwrap().to_owned()
+    }
+
+    /// A finished run of `epochs` epochs.
+    fn finished(&self, name: &str, epochs: u32) -> String {
+        let folder = self.text(name);
+        let done =
+            optimise(&["bench-small", "--seed", "4", "--epochs", &epochs.to_string(), "--out", &folder]);
+        assert_eq!(done.code, 0, "{}", done.err);
+        folder
+    }
+}
+
+/// The metrics without the wall times.
+fn metrics(folder: &str) -> Vec<Value> {
+    let text = fs::read_to_string(Path::new(folder).join(METRICS)).unwrap();
+    let parse = |line| {
+        let mut value: Value = serde_json::from_str(line).unwrap();
+        value.as_object_mut().unwrap().remove("seconds").unwrap();
+        value
+    };
+    text.lines().map(parse).collect()
+}
+
+fn bytes(folder: &str, name: &str) -> Vec<u8> {
+    fs::read(Path::new(folder).join(name)).unwrap()
+}
+
+/// One line, no debug output, and a word that tells what it is about.
+fn assert_sentence(done: &Done, code: u8, about: &str) {
+    let sentence = done.err.lines().last().unwrap_or_default();
+    assert_eq!(done.code, code, "{}", done.err);
+    assert!(sentence.contains(about), "`{about}` in: {sentence}");
+    assert!(done.out.is_empty(), "{}", done.out);
+}
+
+#[test]
+fn arguments_are_consistent() {
+    use clap::CommandFactory;
+    Cli::command().debug_assert();
+    for line in [
+        "",
+        "bench-fine",
+        "--seed 2",
+        "run bench --epochs 3",
+        "--resume runs/x --epochs 40",
+        "simulate --plan p --json",
+    ] {
+        let arguments = ["optimise"].into_iter().chain(line.split_whitespace());
+        assert!(Cli::try_parse_from(arguments).is_ok(), "{line}");
+    }
+    for line in [
+        "--resume a --out b",
+        "simulate",
+        "simulate --plan p --theta 0",
+        "simulate --plan p --seed 1",
+        "--threads 0",
+        "--memory 5x",
+    ] {
+        let arguments = ["optimise"].into_iter().chain(line.split_whitespace());
+        assert!(Cli::try_parse_from(arguments).is_err(), "{line}");
+    }
+}
+
+#[test]
+fn run_leaves_its_files_and_says_what_it_found() {
+    let place = Place::new();
+    let folder = place.text("run");
+    let done = optimise(&["run", "bench-small", "--seed", "4", "--epochs", "20", "--out", &folder]);
+    assert_eq!(done.code, 0, "{}", done.err);
+    for file in [SCENE, STATE, METRICS, CURVES, PLAN] {
+        assert!(Path::new(&folder).join(file).is_file(), "{file}");
+    }
+    assert!(done.out.contains("The loss fell from"), "{}", done.out);
+    let command = format!("cargo run --release --bin execute -- {folder}/skill.plan");
+    assert!(done.out.contains(&command), "{}", done.out);
+    assert_eq!(done.err.lines().filter(|line| line.starts_with("epoch")).count(), 21, "{}", done.err);
+    assert_eq!(Scene::load(&format!("{folder}/scene.toml")).unwrap(), Scene::load("bench-small").unwrap());
+}
+
+#[test]
+fn metrics_have_their_fields_in_order_and_one_line_per_epoch() {
+    let place = Place::new();
+    let folder = place.finished("run", 5);
+    let text = fs::read_to_string(Path::new(&folder).join(METRICS)).unwrap();
+    assert_eq!(text.lines().count(), 6);
+    for (epoch, line) in text.lines().enumerate() {
+        let names = ["epoch", "loss", "indicator", "transported", "spilled", "theta", "gradient", "seconds"];
+        let positions = names.map(|name| line.find(&format!("\"{name}\":")).unwrap());
+        assert!(positions.is_sorted(), "{line}");
+        let record: EpochRecord = serde_json::from_str(line).unwrap();
+        assert_eq!(record.epoch as usize, epoch);
+        assert_eq!(record.gradient.is_none(), epoch == 5);
+    }
+}
+
+#[test]
+fn curriculum_moves_three_parameters_first() {
+    let place = Place::new();
+    let lines = metrics(&place.finished("run", 18));
+    let theta = |epoch: usize, k: usize| lines[epoch]["theta"][k].as_f64().unwrap().to_bits();
+    assert!((0..=15).all(|epoch| theta(epoch, 3) == theta(0, 3) && theta(epoch, 4) == theta(0, 4)));
+    assert_ne!(theta(1, 0), theta(0, 0));
+    assert_ne!(theta(16, 4), theta(15, 4));
+}
+
+#[test]
+fn run_interrupted_anywhere_and_resumed_has_the_same_bits() {
+    let place = Place::new();
+    let whole = place.finished("whole", 4);
+    // Five evaluations and the simulation of the plan.
+    for patience in 1..=6 * TICKS {
+        let folder = place.text(&format!("run{patience}"));
+        let done = optimise_for(patience, &["bench-small", "--seed", "4", "--epochs", "4", "--out", &folder]);
+        assert_sentence(&done, 130, &format!("--resume {folder}"));
+        assert!(!Path::new(&folder).join(PLAN).exists());
+        let done = optimise(&["--resume", &folder]);
+        assert_eq!(done.code, 0, "{}", done.err);
+        assert_eq!(metrics(&folder), metrics(&whole), "after {patience}");
+        assert_eq!(bytes(&folder, PLAN), bytes(&whole, PLAN), "after {patience}");
+        assert_eq!(bytes(&folder, CURVES), bytes(&whole, CURVES), "after {patience}");
+    }
+}
+
+#[test]
+fn run_interrupted_again_and_again_has_the_same_bits() {
+    let place = Place::new();
+    let whole = place.finished("whole", 4);
+    let folder = place.text("run");
+    let mut done = optimise_for(2, &["bench-small", "--seed", "4", "--epochs", "4", "--out", &folder]);
+    let mut resumptions = 0;
+    while done.code == 130 {
+        done = optimise_for(TICKS + 1, &["--resume", &folder]);
+        resumptions += 1;
+    }
+    assert_eq!((done.code, resumptions), (0, 6), "{}", done.err);
+    assert_eq!(metrics(&folder), metrics(&whole));
+    assert_eq!(bytes(&folder, PLAN), bytes(&whole, PLAN));
+}
+
+#[test]
+fn finished_run_is_prolonged_to_the_bits_of_a_longer_one() {
+    let place = Place::new();
+    let long = place.finished("long", 9);
+    let folder = place.finished("short", 4);
+    let done = optimise(&["--resume", &folder, "--epochs", "9"]);
+    assert_eq!(done.code, 0, "{}", done.err);
+    assert_eq!(metrics(&folder), metrics(&long));
+    assert_eq!(bytes(&folder, PLAN), bytes(&long, PLAN));
+}
+
+#[test]
+fn resuming_a_finished_run_says_so() {
+    let place = Place::new();
+    let folder = place.finished("run", 2);
+    let plan = bytes(&folder, PLAN);
+    let done = optimise(&["--resume", &folder]);
+    assert!(done.code == 0 && done.out.contains("is finished"), "{}{}", done.out, done.err);
+    assert_eq!(bytes(&folder, PLAN), plan);
+}
+
+#[test]
+fn metrics_lost_or_half_written_are_put_right_on_resuming() {
+    let place = Place::new();
+    let whole = place.finished("whole", 4);
+    for damage in ["", "{\"epoch\":0,\"lo"] {
+        let folder = place.text(&format!("run{}", damage.len()));
+        optimise_for(3 * TICKS, &["bench-small", "--seed", "4", "--epochs", "4", "--out", &folder]);
+        fs::write(Path::new(&folder).join(METRICS), damage).unwrap();
+        assert_eq!(optimise(&["--resume", &folder]).code, 0);
+        assert_eq!(metrics(&folder), metrics(&whole));
+    }
+}
+
+#[test]
+fn resume_refuses_another_scene_seed_precision_and_fewer_epochs() {
+    let place = Place::new();
+    let folder = place.finished("run", 3);
+    for (arguments, about) in [
+        (&["bench"][..], "another scene than `bench`"),
+        (&["--seed", "5"], "seed 4, not 5"),
+        (&["--precision", "f64"], "precision f32, not f64"),
+        (&["--epochs", "2"], "can only be prolonged"),
+    ] {
+        let done = optimise(&[&["--resume", &folder], arguments].concat());
+        assert_sentence(&done, 2, about);
+    }
+    let same = ["--resume", &folder, "bench-small", "--seed", "4", "--precision", "f32", "--epochs", "3"];
+    assert_eq!(optimise(&same).code, 0);
+}
+
+#[test]
+fn resume_refuses_a_scene_that_was_changed_meanwhile() {
+    let place = Place::new();
+    let folder = place.finished("run", 1);
+    let path = Path::new(&folder).join(SCENE);
+    let mut scene = Scene::load("bench-small").unwrap();
+    scene.optimiser.learning_rate = 0.06;
+    fs::write(&path, scene.to_toml()).unwrap();
+    assert_sentence(&optimise(&["--resume", &folder, "--epochs", "2"]), 2, "no longer the scene");
+}
+
+#[test]
+fn damaged_state_is_refused() {
+    let place = Place::new();
+    let folder = place.finished("run", 1);
+    let path = Path::new(&folder).join(STATE);
+    let sound = fs::read(&path).unwrap();
+    for (broken, about) in [
+        (&sound[..sound.len() / 2], "damaged"),
+        (&sound[..0], "not a state file"),
+        (b"PLSTATE\0\x07\0\0\0".as_slice(), "version 7"),
+    ] {
+        fs::write(&path, broken).unwrap();
+        assert_sentence(&optimise(&["--resume", &folder]), 2, about);
+    }
+}
+
+#[test]
+fn folder_in_use_or_taken_is_refused() {
+    let place = Place::new();
+    let folder = place.text("run");
+    let other = RunFolder::create(Path::new(&folder)).unwrap();
+    assert_sentence(&optimise(&["bench-small", "--out", &folder]), 1, "another run is writing");
+    other.replace(STATE, b"x").unwrap();
+    assert_sentence(&optimise(&["--resume", &folder]), 1, "another run is writing");
+    drop(other);
+    assert_sentence(&optimise(&["bench-small", "--out", &folder]), 2, "not overwritten");
+    assert_eq!(bytes(&folder, STATE), b"x");
+}
+
+#[test]
+fn folder_that_cannot_be_written_is_refused_before_anything_is_simulated() {
+    let place = Place::new();
+    fs::write(place.path("file"), "").unwrap();
+    let folder = place.text("file/run");
+    assert_sentence(&optimise_for(0, &["bench-small", "--out", &folder]), 1, "cannot be created");
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn full_disk_loses_nothing_that_was_saved() {
+    let place = Place::new();
+    let whole = place.finished("whole", 4);
+    for file in ["state.new", "curves.svg.new", "skill.plan.new"] {
+        let folder = place.text(&format!("run-{file}"));
+        optimise_for(2 * TICKS, &["bench-small", "--seed", "4", "--epochs", "4", "--out", &folder]);
+        // Resuming writes the state first; the disk fills up later.
+        let full = Path::new(&folder).join(file);
+        if file == "state.new" {
+            fs::create_dir(&full).unwrap();
+        } else {
+            std::os::unix::fs::symlink("/dev/full", &full).unwrap();
+        }
+        let done = optimise(&["--resume", &folder]);
+        assert_sentence(&done, 1, "cannot be written");
+        if file == "state.new" {
+            fs::remove_dir(&full).unwrap();
+        }
+        assert_eq!(optimise(&["--resume", &folder]).code, 0);
+        assert_eq!(metrics(&folder), metrics(&whole), "{file}");
+        assert_eq!(bytes(&folder, PLAN), bytes(&whole, PLAN), "{file}");
+    }
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn full_disk_at_the_start_leaves_the_way_free() {
+    let place = Place::new();
+    let folder = place.text("run");
+    fs::create_dir(&folder).unwrap();
+    for file in ["scene.toml.new", "state.new"] {
+        std::os::unix::fs::symlink("/dev/full", Path::new(&folder).join(file)).unwrap();
+        assert_sentence(&optimise(&["bench-small", "--out", &folder]), 1, "No space left");
+    }
+    assert_eq!(optimise(&["bench-small", "--epochs", "1", "--out", &folder]).code, 0);
+}
+
+#[test]
+fn plan_reproduces_exactly() {
+    let place = Place::new();
+    let folder = place.finished("run", 3);
+    let plan = format!("{folder}/skill.plan");
+    let done = optimise(&["simulate", "--plan", &plan, "--json"]);
+    assert_eq!(done.code, 0, "{}", done.err);
+    let report: Value = serde_json::from_str(&done.out).unwrap();
+    assert_eq!(report["plan"]["reproduced"], true);
+    assert_eq!((&report["seed"], &report["precision"]), (&4.into(), &"f32".into()));
+    let bytes = fs::read(&plan).unwrap();
+    let header = *PlanReader::new(&bytes).unwrap().header();
+    assert_eq!(report["loss"].as_f64().map(f64::to_bits), Some(header.predicted_loss.to_bits()));
+    assert_eq!(report["theta"][2].as_f64().map(f64::to_bits), Some(header.theta[2].to_bits()));
+    let text = optimise(&["simulate", "--plan", &plan]).out;
+    assert!(text.contains("exactly those that the plan reports"), "{text}");
+}
+
+#[test]
+fn plan_of_another_scene_is_refused() {
+    let place = Place::new();
+    let plan = format!("{}/skill.plan", place.finished("run", 1));
+    assert_sentence(
+        &optimise(&["simulate", "bench", "--plan", &plan]),
+        2,
+        "made for another scene than bench",
+    );
+    let alone = place.text("alone.plan");
+    fs::copy(&plan, &alone).unwrap();
+    assert_sentence(&optimise(&["simulate", "--plan", &alone]), 2, "made for another scene than bench");
+    assert_eq!(optimise(&["simulate", "bench-small", "--plan", &alone]).code, 0);
+}
+
+#[test]
+fn simulate_takes_a_theta() {
+    let done = optimise(&["simulate", "bench-small", "--theta", "-0.5,0,0.25,1,-1", "--json"]);
+    assert_eq!(done.code, 0, "{}", done.err);
+    let report: Value = serde_json::from_str(&done.out).unwrap();
+    assert_eq!(report["theta"], serde_json::json!([-0.5, 0.0, 0.25, 1.0, -1.0]));
+    assert_eq!(report["target"], 200);
+    assert!(report["plan"].is_null());
+}
+
+#[test]
+fn simulate_refuses_what_is_no_theta() {
+    for (theta, about) in [
+        ("2,0,0,0,0", "scooping depth"),
+        ("0,0,0,0,-1.0001", "pouring angle"),
+        ("0,0,NaN,0,0", "lift height"),
+        ("0,0,0,0", "there are 4"),
+        ("0,0,0,0,0,0", "there are 6"),
+        ("0,0,x,0,0", "`x` is no number"),
+        ("", "no number"),
+    ] {
+        assert_sentence(&optimise(&["simulate", "bench-small", "--theta", theta]), 2, about);
+    }
+}
+
+#[test]
+fn inspect_tells_what_a_plan_holds() {
+    let place = Place::new();
+    let plan = format!("{}/skill.plan", place.finished("run", 1));
+    let text = optimise(&["inspect", &plan]).out;
+    for part in ["scooping depth", "uses", "steps of 10000 us", "workspace", "digest"] {
+        assert!(text.contains(part), "{part} in {text}");
+    }
+    let report: Value = serde_json::from_str(&optimise(&["inspect", &plan, "--json"]).out).unwrap();
+    assert!(report["limit_use"]["linear_jerk"].as_f64().unwrap() <= 1.0 && report["limit_broken"].is_null());
+    assert_eq!(report["parameters"][4]["unit"], "rad");
+}
+
+#[test]
+fn what_is_no_plan_is_refused() {
+    let place = Place::new();
+    let plan = format!("{}/skill.plan", place.finished("run", 1));
+    let sound = fs::read(&plan).unwrap();
+    let broken = place.text("broken.plan");
+    for (contents, about) in [(&sound[..100], "checksum"), (b"hello, world", "begins with"), (b"", "0 bytes")]
+    {
+        fs::write(&broken, contents).unwrap();
+        assert_sentence(&optimise(&["inspect", &broken]), 2, about);
+        assert_sentence(&optimise(&["simulate", "--plan", &broken]), 2, about);
+    }
+    assert_sentence(&optimise(&["inspect", &place.text("none")]), 2, "cannot be read");
+}
+
+#[test]
+fn scene_without_a_motion_for_every_skill_is_refused() {
+    let place = Place::new();
+    let mut scene = Scene::load("bench-small").unwrap();
+    scene.skill.profile = crate::scene::Profile::ConstantSpeed;
+    let path = place.text("jerky.toml");
+    fs::write(&path, scene.to_toml()).unwrap();
+    assert_sentence(&optimise(&[&path, "--out", &place.text("run")]), 2, "linear acceleration");
+    assert!(!place.path("run").exists());
+}

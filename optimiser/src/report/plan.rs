@@ -1,0 +1,87 @@
+//! From a skill to the bytes of a plan.
+
+use crate::{
+    rollout::Evaluation,
+    scene::Scene,
+    skill::{LSB, Quantised, SkillMap, Theta},
+};
+use powderline_shared::plan::{PlanError, PlanHeader, PlanWriter, Precision, StartPose, Version, WriteError};
+use std::convert::Infallible;
+
+/// What a plan is made of.
+#[derive(Clone, Copy, Debug)]
+pub struct PlanParts<'a> {
+    /// The resolved scene.
+    pub scene: &'a Scene,
+    /// The mapping of that scene.
+    pub map: &'a SkillMap,
+    /// Seed of the run.
+    pub seed: u64,
+    /// Precision of the simulation.
+    pub precision: Precision,
+    /// The skill.
+    pub theta: &'a Theta,
+    /// The skill's quantised motion.
+    pub quantised: &'a Quantised,
+    /// What the quantised motion achieves.
+    pub evaluation: &'a Evaluation,
+}
+
+impl PlanParts<'_> {
+    /// The plan's bytes.
+    ///
+    /// # Errors
+    /// A number that no plan may hold.
+    pub fn to_bytes(&self) -> Result<Vec<u8>, PlanError> {
+        let mut bytes = Vec::new();
+        self.write(&mut bytes).map_err(|error| match error {
+            WriteError::Plan(error) => error,
+            WriteError::Sink(never) => match never {},
+        })?;
+        Ok(bytes)
+    }
+
+    fn write(&self, bytes: &mut Vec<u8>) -> Result<(), WriteError<Infallible>> {
+        let sink = |part: &[u8]| {
+            bytes.extend_from_slice(part);
+            Ok(())
+        };
+        let mut writer = PlanWriter::new(sink, &self.header())?;
+        for step in &self.quantised.steps {
+            writer.step(*step)?;
+        }
+        writer.finish().map(drop)
+    }
+
+    fn header(&self) -> PlanHeader {
+        let Self { scene, map, evaluation, .. } = self;
+        PlanHeader {
+            scene_digest: scene.digest(),
+            optimiser_version: version(),
+            seed: self.seed,
+            precision: self.precision,
+            theta: *self.theta,
+            skill_parameters: map.parameters(self.theta),
+            control_period_us: scene.time.control_period_us,
+            step_count: self.quantised.steps.len() as u32,
+            lsb: LSB,
+            start: StartPose::from(map.start_pose()),
+            limits: *map.limits(),
+            predicted_loss: evaluation.loss,
+            predicted_indicator: evaluation.indicator,
+            predicted_transported_count: evaluation.transported,
+            predicted_transported_kg: f64::from(evaluation.transported) * scene.particle_mass_kg(),
+            predicted_spilled_count: evaluation.spilled,
+        }
+    }
+}
+
+/// Version of this program.
+fn version() -> Version {
+    let number = |text: &str| text.parse().unwrap_or_default();
+    Version {
+        major: number(env!("CARGO_PKG_VERSION_MAJOR")),
+        minor: number(env!("CARGO_PKG_VERSION_MINOR")),
+        patch: number(env!("CARGO_PKG_VERSION_PATCH")),
+    }
+}

@@ -1,0 +1,173 @@
+//! What a plan says about itself.
+
+use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::PlanError;
+use crate::displacement::{LSB_MAX, Lsb};
+use crate::limits::Limits;
+use crate::pose::Pose;
+
+/// Shortest control period, microseconds.
+pub const PERIOD_US_MIN: u32 = 100;
+/// Longest control period, microseconds.
+pub const PERIOD_US_MAX: u32 = 1_000_000;
+/// Most steps of a plan: almost three hours at 100 Hz.
+pub const MAX_STEPS: u32 = 1_000_000;
+
+/// How far the norm of the start orientation may be from 1.
+const UNIT_TOLERANCE: f64 = 1e-9;
+
+/// Names and units of [`PlanHeader::skill_parameters`] and [`PlanHeader::theta`], in their order.
+pub const SKILL_PARAMETERS: [(&str, &str); 5] = [
+    ("scooping depth", "m"),
+    ("scooping angle", "rad"),
+    ("lift height", "m"),
+    ("transport displacement", "m"),
+    ("pouring angle", "rad"),
+];
+
+/// Version of the program that made a plan.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Version {
+    /// Incompatible changes.
+    pub major: u16,
+    /// Additions.
+    pub minor: u16,
+    /// Repairs.
+    pub patch: u16,
+}
+
+/// Floating-point numbers that the powder was simulated in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Precision {
+    /// 32 bits.
+    F32,
+    /// 64 bits.
+    F64,
+}
+
+/// The anchor that the plan expects, as stored.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StartPose {
+    /// Origin of the tool in the world, metres.
+    pub position_m: [f64; 3],
+    /// Unit quaternion (w, x, y, z) from tool to world coordinates.
+    pub orientation_wxyz: [f64; 4],
+}
+
+impl From<&Pose> for StartPose {
+    fn from(pose: &Pose) -> Self {
+        let q = pose.orientation;
+        Self { position_m: pose.position_m.into(), orientation_wxyz: [q.w, q.i, q.j, q.k] }
+    }
+}
+
+impl From<&StartPose> for Pose {
+    /// Takes the stored numbers as they are, so that the same bits come out on every machine.
+    fn from(start: &StartPose) -> Self {
+        let [w, x, y, z] = start.orientation_wxyz;
+        Self {
+            position_m: Vector3::from(start.position_m),
+            orientation: UnitQuaternion::new_unchecked(Quaternion::new(w, x, y, z)),
+        }
+    }
+}
+
+/// Provenance, motion and prediction.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PlanHeader {
+    /// Digest of the resolved scene that the plan was made for.
+    pub scene_digest: [u8; 32],
+    /// Version of the optimiser.
+    pub optimiser_version: Version,
+    /// Seed of the run.
+    pub seed: u64,
+    /// Number format of the simulation.
+    pub precision: Precision,
+    /// Skill parameters, normalised to [-1, 1], in the order of [`SKILL_PARAMETERS`].
+    pub theta: [f64; 5],
+    /// The same in physical units: m, rad, m, m, rad.
+    pub skill_parameters: [f64; 5],
+    /// Control period, microseconds; one step of the body each.
+    pub control_period_us: u32,
+    /// Steps in the body.
+    pub step_count: u32,
+    /// What one count of the body is worth.
+    pub lsb: Lsb,
+    /// The anchor X0.
+    pub start: StartPose,
+    /// What the motion keeps.
+    pub limits: Limits,
+    /// Loss of the quantised motion, metres.
+    pub predicted_loss: f64,
+    /// Indicator of the quantised motion: target count minus particles that arrived.
+    pub predicted_indicator: i64,
+    /// Particles that arrived in the target container.
+    pub predicted_transported_count: u32,
+    /// Mass that arrived in the target container, kilograms.
+    pub predicted_transported_kg: f64,
+    /// Particles that ended neither in the source nor in the target container.
+    pub predicted_spilled_count: u32,
+}
+
+impl PlanHeader {
+    /// The anchor X0.
+    #[must_use]
+    pub fn start_pose(&self) -> Pose {
+        Pose::from(&self.start)
+    }
+
+    /// Checks that every number can be meant.
+    ///
+    /// # Errors
+    /// The first field that cannot.
+    pub fn validate(&self) -> Result<(), PlanError> {
+        self.check_finite()?;
+        self.check_ranges()?;
+        self.limits.validate()?;
+        self.limits.check_resolution(self.lsb, self.control_period_us)?;
+        Ok(())
+    }
+
+    fn check_finite(&self) -> Result<(), PlanError> {
+        let start = &self.start;
+        let groups: [(&'static str, &[f64]); 6] = [
+            ("theta", &self.theta),
+            ("skill parameters", &self.skill_parameters),
+            ("start position", &start.position_m),
+            ("start orientation", &start.orientation_wxyz),
+            ("predicted loss", &[self.predicted_loss]),
+            ("predicted transported mass", &[self.predicted_transported_kg]),
+        ];
+        for (field, values) in groups {
+            if let Some(&value) = values.iter().find(|value| !value.is_finite()) {
+                return Err(PlanError::NotFinite { field, value });
+            }
+        }
+        Ok(())
+    }
+
+    fn check_ranges(&self) -> Result<(), PlanError> {
+        if let Some(&value) = self.theta.iter().find(|value| !(-1.0..=1.0).contains(*value)) {
+            return Err(PlanError::ThetaOutOfRange { value });
+        }
+        if self.predicted_transported_kg < 0.0 {
+            return Err(PlanError::NegativeMass { value: self.predicted_transported_kg });
+        }
+        in_range("control period in microseconds", self.control_period_us, PERIOD_US_MIN, PERIOD_US_MAX)?;
+        in_range("step count", self.step_count, 1, MAX_STEPS)?;
+        in_range("translation LSB in nanometres", self.lsb.translation_nm, 1, LSB_MAX)?;
+        in_range("rotation LSB in nanoradians", self.lsb.rotation_nrad, 1, LSB_MAX)?;
+        let [w, x, y, z] = self.start.orientation_wxyz;
+        let norm = libm::sqrt(w * w + x * x + y * y + z * z);
+        if libm::fabs(norm - 1.0) > UNIT_TOLERANCE {
+            return Err(PlanError::OrientationNotUnit { norm });
+        }
+        Ok(())
+    }
+}
+
+fn in_range(field: &'static str, value: u32, min: u32, max: u32) -> Result<(), PlanError> {
+    if (min..=max).contains(&value) { Ok(()) } else { Err(PlanError::OutOfRange { field, value, min, max }) }
+}
