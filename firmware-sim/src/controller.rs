@@ -11,7 +11,7 @@
 
 use std::collections::VecDeque;
 
-use powderline_shared::displacement::{Displacement, Lsb, Setpoint, pose_at};
+use powderline_shared::displacement::{Displacement, Setpoint, pose_at};
 use powderline_shared::fault::{Fault, FaultCode, Side};
 use powderline_shared::limits::{LimitChecker, Limits, Motion, PeakUse, Violation};
 use powderline_shared::plan::{PERIOD_US_MAX, PERIOD_US_MIN};
@@ -269,7 +269,9 @@ impl Controller {
             (S::SwitchedOn, Command::Shutdown) => self.enter(S::ReadyToSwitchOn),
             (S::ReadyToSwitchOn, Command::SwitchOn) => self.enter(S::SwitchedOn),
             (S::SwitchedOn, Command::EnableOperation) => self.enable(),
-            (S::ReadyToSwitchOn | S::SwitchedOn, Command::DisableVoltage) => self.enter(S::SwitchOnDisabled),
+            (S::ReadyToSwitchOn | S::SwitchedOn, Command::DisableVoltage | Command::QuickStop) => {
+                self.enter(S::SwitchOnDisabled);
+            }
             (S::OperationEnabled, Command::DisableOperation) if still => self.leave_operation(S::SwitchedOn),
             (S::OperationEnabled, Command::Shutdown) if still => self.leave_operation(S::ReadyToSwitchOn),
             (S::OperationEnabled | S::QuickStopActive, Command::DisableVoltage) if still => {
@@ -281,7 +283,10 @@ impl Controller {
                 Command::QuickStop | Command::DisableOperation | Command::Shutdown | Command::DisableVoltage,
             ) => self.stop(S::QuickStopActive, FaultCode::StopCommanded),
             (S::Fault, Command::FaultReset) => self.leave_operation(S::SwitchOnDisabled),
-            _ => self.drop_one(),
+            _ => {
+                self.drop_one();
+                self.report();
+            }
         }
     }
 
@@ -605,11 +610,5 @@ impl Controller {
             self.outbox.pop_front();
         }
         self.outbox.push_back(message);
-    }
-
-    /// What one count of the session is worth.
-    #[must_use]
-    pub fn lsb(&self) -> Lsb {
-        self.session.as_ref().map_or_else(Lsb::default, |session| session.request.lsb)
     }
 }

@@ -116,7 +116,7 @@ pub struct Transition {
 }
 
 /// All transitions but 0 (power on) and 13, which leads from any state to fault reaction.
-pub const TRANSITIONS: [Transition; 14] = {
+pub const TRANSITIONS: [Transition; 16] = {
     use Command as C;
     use State as S;
     [
@@ -127,9 +127,11 @@ pub const TRANSITIONS: [Transition; 14] = {
         still(5, S::OperationEnabled, Event::Command(C::DisableOperation), S::SwitchedOn),
         line(6, S::SwitchedOn, Event::Command(C::Shutdown), S::ReadyToSwitchOn),
         line(7, S::ReadyToSwitchOn, Event::Command(C::DisableVoltage), S::SwitchOnDisabled),
+        line(7, S::ReadyToSwitchOn, Event::Command(C::QuickStop), S::SwitchOnDisabled),
         still(8, S::OperationEnabled, Event::Command(C::Shutdown), S::ReadyToSwitchOn),
         still(9, S::OperationEnabled, Event::Command(C::DisableVoltage), S::SwitchOnDisabled),
         line(10, S::SwitchedOn, Event::Command(C::DisableVoltage), S::SwitchOnDisabled),
+        line(10, S::SwitchedOn, Event::Command(C::QuickStop), S::SwitchOnDisabled),
         line(11, S::OperationEnabled, Event::Command(C::QuickStop), S::QuickStopActive),
         still(12, S::QuickStopActive, Event::Command(C::DisableVoltage), S::SwitchOnDisabled),
         line(14, S::FaultReactionActive, Event::Automatic, S::Fault),
@@ -176,7 +178,7 @@ mod tests {
 
     #[test]
     fn numbers_rise_and_no_line_is_ambiguous() {
-        assert!(TRANSITIONS.windows(2).all(|pair| matches!(pair, [a, b] if a.number < b.number)));
+        assert!(TRANSITIONS.windows(2).all(|pair| matches!(pair, [a, b] if a.number <= b.number)));
         for (i, a) in TRANSITIONS.iter().enumerate() {
             assert!(TRANSITIONS.iter().skip(i + 1).all(|b| (a.from, a.event) != (b.from, b.event)));
         }
