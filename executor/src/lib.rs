@@ -8,7 +8,7 @@
 //! plan -> player -> guard -> schedule -> session -> (wire) -> arm
 //! ```
 //!
-//! The feature `std` adds [`host`](crate::host) and the program `execute`.
+//! The feature `std` adds the module `host` and the program `execute`.
 #![no_std]
 #![forbid(unsafe_code)]
 #![warn(

@@ -198,7 +198,10 @@ fn a_silent_arm_is_noticed() {
         }
         match executor.poll(now_us) {
             Action::Send(message) => arm.handle_message(now_us, &message),
-            Action::Wait => now_us += 1_000,
+            Action::Wait => {
+                now_us += 1_000;
+                assert!(now_us < 10_000_000, "the session never ends");
+            }
             Action::Finished(outcome) => break outcome,
         }
     };
@@ -233,7 +236,7 @@ fn a_latched_arm_refuses_the_next_session_until_it_is_reset() {
     let bytes = plan_bytes(&header(), &one_move());
     let plan = PlanReader::new(&bytes).unwrap();
     let mut arm = Controller::new(arm_for(&plan));
-    let OpenRequest { .. } = stream_until_silent(&plan, &mut arm);
+    stream_until_silent(&plan, &mut arm);
     assert_eq!(arm.state(), State::Fault);
     let refused = |arm: &mut Controller| {
         let mut executor = Executor::new(0, &plan, Config { session: 9, ..Config::default() });
@@ -248,7 +251,7 @@ fn a_latched_arm_refuses_the_next_session_until_it_is_reset() {
 }
 
 /// Opens, enables, sends the first setpoints and no more.
-fn stream_until_silent(plan: &PlanReader<'_>, arm: &mut Controller) -> OpenRequest {
+fn stream_until_silent(plan: &PlanReader<'_>, arm: &mut Controller) {
     let header = plan.header();
     let request = OpenRequest {
         version: PROTOCOL_VERSION,
@@ -268,7 +271,6 @@ fn stream_until_silent(plan: &PlanReader<'_>, arm: &mut Controller) -> OpenReque
         arm.handle_message(0, &ToArm::Setpoint { session: 1, setpoint });
     }
     while arm.poll(9_000_000).is_some() {}
-    request
 }
 
 /// The joined pair with setpoints dropped by a rule; what an observer at the arm sees, tick by tick.
@@ -328,8 +330,6 @@ fn segment() -> impl Strategy<Value = Move> {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(64))]
-
     #[test]
     fn random_smooth_plans_arrive(moves in prop::collection::vec(segment(), 1..5), look_ahead in 1u16..=16) {
         let bytes = plan_bytes(&header(), &moves);
