@@ -13,17 +13,16 @@ use std::collections::VecDeque;
 
 use powderline_shared::displacement::{Displacement, Setpoint, pose_at};
 use powderline_shared::fault::{Fault, FaultCode, Side};
-use powderline_shared::limits::{LimitChecker, Limits, Motion, PeakUse, Violation};
-use powderline_shared::plan::{PERIOD_US_MAX, PERIOD_US_MIN};
+use powderline_shared::limits::{Limits, Motion, PeakUse, Violation};
+use powderline_shared::plan::PERIOD_US_MAX;
 use powderline_shared::pose::Pose;
-use powderline_shared::wire::message::{
-    FromArm, NO_SESSION, OpenRequest, PROTOCOL_VERSION, Refusal, Status, ToArm,
-};
+use powderline_shared::wire::message::{FromArm, NO_SESSION, OpenRequest, Status, ToArm};
 use powderline_shared::wire::state::{Command, Phase, State};
 
 use crate::arm::Arm;
-use crate::buffer::{CAPACITY, Refused, SetpointBuffer};
+use crate::buffer::{CAPACITY, Refused};
 use crate::interpolator::Interpolator;
+use crate::session::{self, Anchored, Session};
 use crate::stop::StopProfile;
 
 /// Ticks for which a missing setpoint is bridged by decelerating before the stop is latched.
@@ -94,26 +93,6 @@ enum Activity {
     Settling { ticks_left: u32 },
     /// A stop.
     Stopping(StopProfile),
-}
-
-#[derive(Clone, Debug)]
-struct Session {
-    request: OpenRequest,
-    limits: Limits,
-    anchored: Option<Anchored>,
-}
-
-/// What exists from enabling on.
-#[derive(Clone, Debug)]
-struct Anchored {
-    anchor: Pose,
-    checker: LimitChecker,
-    buffer: SetpointBuffer,
-    applied_tick: u32,
-    lost: u32,
-    /// A limit broken up to this tick is the echo of a lost setpoint.
-    echo_until: u32,
-    ended: bool,
 }
 
 impl Controller {
@@ -229,36 +208,13 @@ impl Controller {
         // A repeated request is answered again: the answer may have been lost.
         let same =
             self.session.as_ref().is_some_and(|open| open.request == *request && open.anchored.is_none());
-        if !same && let Err(reason) = self.may_open(request) {
+        if !same && let Err(reason) = session::admit(request, &self.own_limits, self.state) {
             self.send(FromArm::Refused { session, reason });
             return;
         }
-        let limits = self.own_limits.tighter(&request.limits);
-        self.session = Some(Session { request: *request, limits, anchored: None });
+        self.session = Some(Session::new(request, &self.own_limits));
         self.send(FromArm::Opened { session });
         self.report();
-    }
-
-    fn may_open(&self, request: &OpenRequest) -> Result<(), Refusal> {
-        if request.version != PROTOCOL_VERSION {
-            return Err(Refusal::Version { arm: PROTOCOL_VERSION });
-        }
-        let idle = matches!(self.state, State::SwitchOnDisabled | State::ReadyToSwitchOn | State::SwitchedOn);
-        if !idle {
-            return Err(Refusal::Busy);
-        }
-        if !(PERIOD_US_MIN..=PERIOD_US_MAX).contains(&request.period_us) {
-            return Err(Refusal::Period);
-        }
-        let limits = self.own_limits.tighter(&request.limits);
-        let meaningful = request.session != NO_SESSION
-            && request.lsb.is_valid()
-            && request.end_tick > 0
-            && (1..=CAPACITY).contains(&u32::from(request.start_level))
-            && request.limits.validate().is_ok()
-            && limits.validate().is_ok()
-            && limits.check_resolution(request.lsb, request.period_us).is_ok();
-        if meaningful { Ok(()) } else { Err(Refusal::Meaningless) }
     }
 
     fn command(&mut self, command: Command) {
@@ -298,16 +254,8 @@ impl Controller {
     fn enable(&mut self) {
         let anchor = self.arm.pose();
         let Some(session) = self.session.as_mut() else { return self.drop_one() };
-        let OpenRequest { session: number, lsb, period_us, .. } = session.request;
-        session.anchored = Some(Anchored {
-            anchor,
-            checker: LimitChecker::new(session.limits, lsb, period_us, anchor),
-            buffer: SetpointBuffer::default(),
-            applied_tick: 0,
-            lost: 0,
-            echo_until: 0,
-            ended: false,
-        });
+        let number = session.request.session;
+        session.anchored = Some(Anchored::new(session, anchor));
         self.motion = Motion::at_rest(anchor);
         self.path = Interpolator::hold(anchor);
         self.enter(State::OperationEnabled);
@@ -564,11 +512,10 @@ impl Controller {
     fn phase(&self) -> Option<Phase> {
         let session = self.session.as_ref().filter(|_| self.state == State::OperationEnabled)?;
         let anchored = session.anchored.as_ref()?;
-        let waiting = u32::from(anchored.buffer.count_after(anchored.applied_tick));
         Some(match self.activity {
             Activity::Still | Activity::Stopping(_) if anchored.ended => Phase::Holding,
             Activity::Still | Activity::Stopping(_) => Phase::Armed,
-            Activity::Following { .. } if anchored.applied_tick + waiting < session.request.end_tick => {
+            Activity::Following { .. } if anchored.ahead_until() < session.request.end_tick => {
                 Phase::Streaming
             }
             Activity::Following { .. } | Activity::Settling { .. } => Phase::Completing,

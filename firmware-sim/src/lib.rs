@@ -12,4 +12,5 @@ pub mod buffer;
 pub mod clock;
 pub mod controller;
 pub mod interpolator;
+mod session;
 pub mod stop;

@@ -13,6 +13,9 @@
 //! The shortest T is taken at which velocity, acceleration and jerk, as the differences over a tick that the limits are
 //! defined by, stay within bounds up to and beyond standstill. Where that polynomial would first exceed the speed limit
 //! (braking begins while still accelerating near it), the acceleration is taken out first, as fast as the jerk allows.
+//!
+//! The workspace box has no say here: an arm that must stop while it moves along or towards a wall of the box may pass it
+//! by its stopping distance. Whoever draws the box leaves that margin.
 
 use nalgebra::Vector3;
 use powderline_shared::displacement::Displacement;
