@@ -1,1 +1,35 @@
-//! Placeholder.
+//! Plays a plan to an arm.
+//!
+//! The core neither reads a clock nor touches a wire: time is an argument, messages go in by
+//! [`Executor::handle_message`] and come out of [`Executor::poll`]. So the same code runs under virtual time, on a host's
+//! bus and on a microcontroller, with the plan left in flash. No allocation, no panic, no unsafe code.
+//!
+//! ```text
+//! plan -> player -> guard -> schedule -> session -> (wire) -> arm
+//! ```
+//!
+//! The feature `std` adds the module `host` and the program `execute`.
+#![no_std]
+#![forbid(unsafe_code)]
+#![warn(
+    clippy::indexing_slicing,
+    clippy::unwrap_used,
+    clippy::expect_used,
+    clippy::panic,
+    clippy::arithmetic_side_effects,
+    clippy::cast_possible_truncation,
+    clippy::std_instead_of_core
+)]
+#![cfg_attr(test, expect(clippy::unwrap_used, reason = "a test may stop at the first surprise"))]
+
+#[cfg(any(feature = "std", test))]
+extern crate std;
+
+pub mod guard;
+#[cfg(feature = "std")]
+pub mod host;
+pub mod player;
+pub mod schedule;
+pub mod session;
+
+pub use session::{Action, Config, Executor, Outcome};

@@ -162,7 +162,7 @@ impl Setpoint {
             *count = round_to_counts(tick, axis, value, lsb)?;
         }
         let setpoint = Self { tick, counts };
-        setpoint.check_rotation(lsb)?;
+        setpoint.validate(lsb)?;
         Ok(setpoint)
     }
 
@@ -181,7 +181,7 @@ impl Setpoint {
             })?;
         }
         let next = Self { tick, counts };
-        next.check_rotation(lsb)?;
+        next.validate(lsb)?;
         next.check_continuity(self, lsb)?;
         Ok(next)
     }
@@ -216,7 +216,11 @@ impl Setpoint {
         }
     }
 
-    fn check_rotation(self, lsb: Lsb) -> Result<(), SetpointError> {
+    /// Checks that the rotation from the anchor is below pi.
+    ///
+    /// # Errors
+    /// It is not.
+    pub fn validate(self, lsb: Lsb) -> Result<(), SetpointError> {
         let angle_rad = norm(&self.cumulative(lsb).rotation());
         if angle_rad < PI {
             Ok(())

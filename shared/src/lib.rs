@@ -1,8 +1,9 @@
 //! The words that both ends of a Powderline arm speak.
 //!
 //! The optimiser writes a [`plan`], the executor plays it, the arm's controller performs it. What the three must agree
-//! on, to the last bit, lives here and only here: rotations ([`pose`]), quantised cumulative
-//! setpoints ([`displacement`]).
+//! on, to the last bit, lives here and only here: rotations ([`pose`]), quantised cumulative setpoints
+//! ([`displacement`]), motion limits ([`limits`]), fault codes ([`fault`]), the plan file ([`plan`]) and what executor
+//! and arm say to each other ([`wire`]).
 //!
 //! No `std`, no allocation, no unsafe code and no panic: the same crate runs on the host and on a microcontroller, and
 //! `libm` gives both the same bits.
@@ -27,3 +28,4 @@ pub mod fault;
 pub mod limits;
 pub mod plan;
 pub mod pose;
+pub mod wire;

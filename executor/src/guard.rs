@@ -1,0 +1,101 @@
+//! The last look at a setpoint before it leaves: limits, from where the arm really stands.
+
+use powderline_shared::displacement::{Lsb, Setpoint, pose_at};
+use powderline_shared::fault::{Fault, FaultCode, Side};
+use powderline_shared::limits::{LimitChecker, Limits, PeakUse, Violation};
+use powderline_shared::pose::Pose;
+
+/// Checks setpoints in the order of their ticks.
+#[derive(Clone, Copy, Debug)]
+pub struct Guard {
+    anchor: Pose,
+    lsb: Lsb,
+    end_tick: u32,
+    checker: LimitChecker,
+}
+
+impl Guard {
+    /// For an arm that stands at `anchor`.
+    #[must_use]
+    pub fn new(anchor: Pose, limits: Limits, lsb: Lsb, period_us: u32, end_tick: u32) -> Self {
+        Self { anchor, lsb, end_tick, checker: LimitChecker::new(limits, lsb, period_us, anchor) }
+    }
+
+    /// Checks the next setpoint; the last one also for whether the arm may come to rest there.
+    ///
+    /// # Errors
+    /// The first limit broken.
+    pub fn check(&mut self, setpoint: Setpoint) -> Result<(), Violation> {
+        self.checker.check(pose_at(&self.anchor, setpoint, self.lsb))?;
+        if setpoint.tick >= self.end_tick {
+            let mut ending = self.checker;
+            ending.finish()?;
+        }
+        Ok(())
+    }
+
+    /// Largest use of each limit so far.
+    #[must_use]
+    pub fn peak_use(&self) -> PeakUse {
+        self.checker.peak_use()
+    }
+}
+
+/// The fault that a broken limit is.
+#[must_use]
+pub fn fault_of(violation: &Violation) -> Fault {
+    Fault { code: FaultCode::from_limit(violation.limit, Side::Executor), tick: violation.tick }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use powderline_shared::displacement::Axis;
+    use powderline_shared::limits::Limit;
+
+    const PERIOD_US: u32 = 10_000;
+
+    fn loose() -> Limits {
+        Limits {
+            workspace_min_m: [-1.0; 3],
+            workspace_max_m: [1.0; 3],
+            linear_velocity_m_s: 1e3,
+            linear_acceleration_m_s2: 1e3,
+            linear_jerk_m_s3: 1e3,
+            angular_velocity_rad_s: 1e3,
+            angular_acceleration_rad_s2: 1e3,
+            angular_jerk_rad_s3: 1e3,
+        }
+    }
+
+    /// 20 micrometres and microradians, then none: 2 mm/s, 0.2 m/s^2, 20 m/s^3.
+    fn first_violation(limits: Limits) -> Option<Violation> {
+        let mut guard = Guard::new(Pose::identity(), limits, Lsb::default(), PERIOD_US, 1);
+        guard.check(Setpoint { tick: 1, counts: [200, 0, 0, 0, 200, 0] }).err()
+    }
+
+    #[test]
+    fn each_limit_is_refused_by_the_guard_alone() {
+        assert_eq!(first_violation(loose()), None);
+        let cases = [
+            (Limits { workspace_max_m: [1e-5, 1.0, 1.0], ..loose() }, Limit::Workspace(Axis::X), 201),
+            (Limits { linear_velocity_m_s: 1e-3, ..loose() }, Limit::LinearVelocity, 202),
+            (Limits { linear_acceleration_m_s2: 0.1, ..loose() }, Limit::LinearAcceleration, 203),
+            (Limits { linear_jerk_m_s3: 15.0, ..loose() }, Limit::LinearJerk, 204),
+            (Limits { angular_velocity_rad_s: 1e-3, ..loose() }, Limit::AngularVelocity, 205),
+            (Limits { angular_acceleration_rad_s2: 0.1, ..loose() }, Limit::AngularAcceleration, 206),
+            (Limits { angular_jerk_rad_s3: 15.0, ..loose() }, Limit::AngularJerk, 207),
+        ];
+        for (limits, limit, code) in cases {
+            let violation = first_violation(limits).unwrap();
+            assert_eq!((violation.limit, fault_of(&violation).code.number()), (limit, code));
+        }
+    }
+
+    #[test]
+    fn the_last_setpoint_must_be_one_to_rest_on() {
+        // Coming to rest is the larger jerk: +20 at the start, then -40.
+        let found = first_violation(Limits { linear_jerk_m_s3: 30.0, ..loose() }).unwrap();
+        assert_eq!((found.limit, found.tick), (Limit::LinearJerk, 2));
+    }
+}

@@ -1,0 +1,289 @@
+//! What a run has to say, for people and for programs.
+
+use core::fmt::{self, Write as _};
+use std::format;
+use std::string::{String, ToString};
+
+use powderline_shared::displacement::Lsb;
+use powderline_shared::fault::{Fault, FaultCode};
+use powderline_shared::limits::PeakUse;
+use powderline_shared::plan::{PlanReader, Precision, SKILL_PARAMETERS, StartPose};
+use powderline_shared::pose::Pose;
+use serde::Serialize;
+
+use super::run::RunResult;
+use crate::session::Outcome;
+
+/// Largest accepted difference between the final pose and the plan's end, LSB.
+const HALF_LSB: f64 = 0.5;
+
+/// Everything about a run.
+#[derive(Clone, Debug, Serialize)]
+pub struct Report {
+    /// The plan.
+    pub plan: PlanFacts,
+    /// Whether the arm holds the plan's last setpoint.
+    pub completed: bool,
+    /// Why not.
+    pub stop: Option<Stop>,
+    /// What was played.
+    pub ticks: Ticks,
+    /// Begin to end, seconds of the arm's time.
+    pub duration_s: f64,
+    /// Under the wall clock: how late this process was at the worst, seconds.
+    pub worst_lateness_s: Option<f64>,
+    /// Where the arm stands.
+    pub final_pose: StartPose,
+    /// Where the plan ends.
+    pub plan_end_pose: StartPose,
+    /// Final pose minus plan's end (x, y, z, rx, ry, rz), LSB.
+    pub error_lsb: [f64; 6],
+    /// Whether each of them is at most half an LSB.
+    pub within_half_lsb: bool,
+    /// Largest use of the plan's limits, per cent.
+    pub peak_use_percent: PeakUse,
+}
+
+/// The plan's header, for programs.
+#[derive(Clone, Debug, Serialize)]
+pub struct PlanFacts {
+    /// As given on the command line.
+    pub file: String,
+    /// Hexadecimal.
+    pub content_hash: String,
+    /// Hexadecimal.
+    pub scene_digest: String,
+    /// major.minor.patch.
+    pub optimiser_version: String,
+    /// Of the run that made it.
+    pub seed: u64,
+    /// `f32` or `f64`.
+    pub precision: &'static str,
+    /// Normalised.
+    pub theta: [f64; 5],
+    /// m, rad, m, m, rad.
+    pub skill_parameters: [f64; 5],
+    /// Microseconds.
+    pub control_period_us: u32,
+    /// Steps.
+    pub step_count: u32,
+    /// What one count is worth.
+    pub lsb: Lsb,
+    /// Metres.
+    pub predicted_loss: f64,
+    /// Target count minus particles that arrive.
+    pub predicted_indicator: i64,
+    /// Particles.
+    pub predicted_transported_count: u32,
+    /// Kilograms.
+    pub predicted_transported_kg: f64,
+    /// Particles.
+    pub predicted_spilled_count: u32,
+}
+
+/// Why an arm stopped.
+#[derive(Clone, Debug, Serialize)]
+pub struct Stop {
+    /// Stable number.
+    pub code: u16,
+    /// Last setpoint taken before.
+    pub tick: u32,
+    /// One plain sentence.
+    pub reason: &'static str,
+    /// The numbers behind it, if there are any.
+    pub detail: Option<String>,
+}
+
+/// Counts of ticks.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Ticks {
+    /// In the plan.
+    pub planned: u32,
+    /// Taken by the arm.
+    pub applied: u32,
+    /// Not there when needed.
+    pub lost: u32,
+}
+
+impl Report {
+    /// Puts together what a run of `plan` from `file` gave.
+    #[must_use]
+    pub fn new(file: &str, plan: &PlanReader<'_>, run: &RunResult) -> Self {
+        let header = plan.header();
+        let end = plan.end_pose();
+        let error_lsb = error_lsb(&end, &run.final_pose, header.lsb);
+        Self {
+            plan: PlanFacts::new(file, plan),
+            completed: run.outcome == Outcome::Completed,
+            stop: match run.outcome {
+                Outcome::Completed => None,
+                Outcome::Stopped(fault) => Some(Stop::new(fault, run)),
+            },
+            ticks: Ticks { planned: header.step_count, applied: run.arm.applied_tick, lost: run.arm.lost },
+            duration_s: seconds(run.duration_us),
+            worst_lateness_s: run.worst_lateness_us.map(seconds),
+            final_pose: StartPose::from(&run.final_pose),
+            plan_end_pose: StartPose::from(&end),
+            error_lsb,
+            within_half_lsb: error_lsb.iter().all(|error| error.abs() <= HALF_LSB),
+            peak_use_percent: percent(run.peak_use),
+        }
+    }
+
+    /// Whether the arm did what the plan says.
+    #[must_use]
+    pub fn succeeded(&self) -> bool {
+        self.completed && self.within_half_lsb
+    }
+
+    /// Whether a person stopped it.
+    #[must_use]
+    pub fn stopped_by_a_person(&self) -> bool {
+        self.stop.as_ref().is_some_and(|stop| stop.code == FaultCode::OperatorStop.number())
+    }
+}
+
+impl PlanFacts {
+    /// Reads them off the plan's header.
+    #[must_use]
+    pub fn new(file: &str, plan: &PlanReader<'_>) -> Self {
+        let header = plan.header();
+        let version = header.optimiser_version;
+        Self {
+            file: file.to_string(),
+            content_hash: format!("{:016x}", plan.content_hash()),
+            scene_digest: hex(&header.scene_digest),
+            optimiser_version: format!("{}.{}.{}", version.major, version.minor, version.patch),
+            seed: header.seed,
+            precision: match header.precision {
+                Precision::F32 => "f32",
+                Precision::F64 => "f64",
+            },
+            theta: header.theta,
+            skill_parameters: header.skill_parameters,
+            control_period_us: header.control_period_us,
+            step_count: header.step_count,
+            lsb: header.lsb,
+            predicted_loss: header.predicted_loss,
+            predicted_indicator: header.predicted_indicator,
+            predicted_transported_count: header.predicted_transported_count,
+            predicted_transported_kg: header.predicted_transported_kg,
+            predicted_spilled_count: header.predicted_spilled_count,
+        }
+    }
+}
+
+impl fmt::Display for PlanFacts {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let digest: String = self.scene_digest.chars().take(12).collect();
+        writeln!(f, "Plan {} ({})", self.file, self.content_hash)?;
+        writeln!(
+            f,
+            "  from      optimiser {}, scene {digest}.., seed {}, {}",
+            self.optimiser_version, self.seed, self.precision
+        )?;
+        write!(f, "  skill     ")?;
+        for ((name, unit), (separator, value)) in SKILL_PARAMETERS
+            .into_iter()
+            .zip(["", ", ", ", ", ", ", ", "].into_iter().zip(self.skill_parameters))
+        {
+            write!(f, "{separator}{name} {value:.4} {unit}")?;
+        }
+        let length_s = seconds(u64::from(self.control_period_us).saturating_mul(u64::from(self.step_count)));
+        writeln!(f)?;
+        writeln!(
+            f,
+            "  motion    {} steps of {} ms, {length_s:.3} s",
+            self.step_count,
+            f64::from(self.control_period_us) / 1e3
+        )?;
+        writeln!(
+            f,
+            "  predicts  {} particles ({:.2} g) transported, {} spilled, indicator {}, loss {:.6}",
+            self.predicted_transported_count,
+            self.predicted_transported_kg * 1e3,
+            self.predicted_spilled_count,
+            self.predicted_indicator,
+            self.predicted_loss
+        )
+    }
+}
+
+impl Stop {
+    fn new(fault: Fault, run: &RunResult) -> Self {
+        let numbers = run.violation.map(|violation| violation.to_string());
+        let refusal = run.refusal.map(|refusal| refusal.to_string());
+        Self {
+            code: fault.code.number(),
+            tick: fault.tick,
+            reason: fault.code.sentence(),
+            detail: refusal.or(numbers),
+        }
+    }
+}
+
+/// Without the plan's facts, which are shown before the run.
+impl fmt::Display for Report {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Ticks { planned, applied, lost } = self.ticks;
+        match &self.stop {
+            None => writeln!(f, "Completed: {applied} of {planned} ticks in {:.3} s", self.duration_s)?,
+            Some(stop) => {
+                writeln!(f, "Stopped at tick {applied} of {planned}, after {:.3} s", self.duration_s)?;
+                writeln!(f, "  reason    {} (fault {})", stop.reason, stop.code)?;
+                stop.detail.iter().try_for_each(|detail| writeln!(f, "            {detail}"))?;
+            }
+        }
+        if lost > 0 {
+            writeln!(f, "  lost      {lost} setpoints were not there when the arm needed them")?;
+        }
+        let worst = self.error_lsb.iter().fold(0.0_f64, |worst, error| worst.max(error.abs()));
+        let verdict = if self.within_half_lsb { "within half an LSB" } else { "more than half an LSB" };
+        writeln!(f, "  end pose  {worst:.3} LSB off the plan's end at most: {verdict}")?;
+        let peak = &self.peak_use_percent;
+        writeln!(
+            f,
+            "  limits    peak use: linear velocity {:.0} %, acceleration {:.0} %, jerk {:.0} %; \
+             angular velocity {:.0} %, acceleration {:.0} %, jerk {:.0} %",
+            peak.linear_velocity,
+            peak.linear_acceleration,
+            peak.linear_jerk,
+            peak.angular_velocity,
+            peak.angular_acceleration,
+            peak.angular_jerk
+        )?;
+        self.worst_lateness_s.iter().try_for_each(|late| {
+            writeln!(f, "  clock     this process woke up {:.3} ms late at the worst", late * 1e3)
+        })
+    }
+}
+
+fn error_lsb(end: &Pose, found: &Pose, lsb: Lsb) -> [f64; 6] {
+    let [x, y, z, rx, ry, rz] = end.displacement_to(found).components();
+    let (length, angle) = (lsb.translation_m(), lsb.rotation_rad());
+    [x / length, y / length, z / length, rx / angle, ry / angle, rz / angle]
+}
+
+fn percent(share: PeakUse) -> PeakUse {
+    PeakUse {
+        linear_velocity: share.linear_velocity * 100.0,
+        linear_acceleration: share.linear_acceleration * 100.0,
+        linear_jerk: share.linear_jerk * 100.0,
+        angular_velocity: share.angular_velocity * 100.0,
+        angular_acceleration: share.angular_acceleration * 100.0,
+        angular_jerk: share.angular_jerk * 100.0,
+    }
+}
+
+#[expect(clippy::cast_precision_loss, reason = "2^53 microseconds are 285 years")]
+fn seconds(microseconds: u64) -> f64 {
+    microseconds as f64 / 1e6
+}
+
+fn hex(bytes: &[u8]) -> String {
+    bytes.iter().fold(String::new(), |mut text, byte| {
+        // Writing to a string cannot fail.
+        let _ = write!(text, "{byte:02x}");
+        text
+    })
+}

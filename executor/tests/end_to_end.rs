@@ -1,0 +1,369 @@
+//! Executor and simulated arm, joined, over virtual time.
+
+mod common;
+
+use common::{Move, header, one_move, plan_bytes};
+use powderline_executor::host::pace::VirtualTime;
+use powderline_executor::host::run::{Observer, RunResult, Unattended, play};
+use powderline_executor::{Action, Config, Executor, Outcome};
+use powderline_firmware_sim::controller::{ArmConfig, Controller};
+use powderline_shared::displacement::Displacement;
+use powderline_shared::fault::FaultCode;
+use powderline_shared::limits::{Limits, Motion};
+use powderline_shared::plan::{PlanHeader, PlanReader};
+use powderline_shared::wire::message::{FromArm, OpenRequest, PROTOCOL_VERSION, Refusal, Status, ToArm};
+use powderline_shared::wire::state::{Command, State};
+use proptest::prelude::*;
+
+fn arm_for(plan: &PlanReader<'_>) -> ArmConfig {
+    ArmConfig::bench(plan.header().start_pose())
+}
+
+fn play_on(plan: &PlanReader<'_>, arm: ArmConfig) -> RunResult {
+    play(plan, Config::default(), arm, &mut VirtualTime, &mut Unattended)
+}
+
+fn fault_code(outcome: Outcome) -> Option<FaultCode> {
+    match outcome {
+        Outcome::Completed => None,
+        Outcome::Stopped(fault) => Some(fault.code),
+    }
+}
+
+#[test]
+fn a_plan_ends_where_it_says_bit_for_bit() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    let result = play_on(&plan, arm_for(&plan));
+    assert_eq!(result.outcome, Outcome::Completed);
+    assert_eq!(result.final_pose, plan.end_pose());
+    assert_eq!((result.arm.applied_tick, result.arm.lost), (120, 0));
+    // Armed at once, 120 periods, three more until acceleration and jerk are gone.
+    assert_eq!(result.duration_us, (120 + 3) * 10_000);
+}
+
+#[test]
+fn what_was_sent_uses_the_limits_as_the_plan_does() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    let (sent, planned) = (play_on(&plan, arm_for(&plan)).peak_use, plan.check_limits().unwrap());
+    assert!((sent.linear_velocity - planned.linear_velocity).abs() < 1e-12);
+    assert!(sent.angular_jerk <= planned.angular_jerk);
+}
+
+#[test]
+fn the_look_ahead_does_not_change_the_motion() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    for look_ahead in 0..=16 {
+        let config = Config { look_ahead, ..Config::default() };
+        let result = play(&plan, config, arm_for(&plan), &mut VirtualTime, &mut Unattended);
+        assert_eq!(
+            (result.outcome, result.final_pose),
+            (Outcome::Completed, plan.end_pose()),
+            "{look_ahead}"
+        );
+    }
+}
+
+#[test]
+fn a_plan_shorter_than_the_look_ahead_is_played() {
+    let nothing = Move { translation_m: [0.0; 3], rotation_rad: [0.0; 3], steps: 1 };
+    let bytes = plan_bytes(&header(), &[nothing]);
+    let plan = PlanReader::new(&bytes).unwrap();
+    assert_eq!(play_on(&plan, arm_for(&plan)).outcome, Outcome::Completed);
+}
+
+#[test]
+fn each_limit_is_refused_by_executor_and_by_arm_independently() {
+    let fine = header().limits;
+    let cases = [
+        (
+            Limits { workspace_max_m: [0.35, 1.0, 1.0], ..fine },
+            FaultCode::GuardWorkspace,
+            FaultCode::ArmWorkspace,
+        ),
+        (
+            Limits { linear_velocity_m_s: 0.15, ..fine },
+            FaultCode::GuardLinearVelocity,
+            FaultCode::ArmLinearVelocity,
+        ),
+        (
+            Limits { linear_acceleration_m_s2: 0.4, ..fine },
+            FaultCode::GuardLinearAcceleration,
+            FaultCode::ArmLinearAcceleration,
+        ),
+        (Limits { linear_jerk_m_s3: 2.0, ..fine }, FaultCode::GuardLinearJerk, FaultCode::ArmLinearJerk),
+        (
+            Limits { angular_velocity_rad_s: 1.0, ..fine },
+            FaultCode::GuardAngularVelocity,
+            FaultCode::ArmAngularVelocity,
+        ),
+        (
+            Limits { angular_acceleration_rad_s2: 2.0, ..fine },
+            FaultCode::GuardAngularAcceleration,
+            FaultCode::ArmAngularAcceleration,
+        ),
+        (
+            Limits { angular_jerk_rad_s3: 15.0, ..fine },
+            FaultCode::GuardAngularJerk,
+            FaultCode::ArmAngularJerk,
+        ),
+    ];
+    for (tight, by_executor, by_arm) in cases {
+        // The plan breaks the limits that it carries: found when loaded, and by the guard.
+        let bytes = plan_bytes(&PlanHeader { limits: tight, ..header() }, &one_move());
+        let plan = PlanReader::new(&bytes).unwrap();
+        assert!(plan.check_limits().is_err());
+        let result = play_on(&plan, arm_for(&plan));
+        assert_eq!(fault_code(result.outcome), Some(by_executor));
+        assert!(result.violation.is_some() && result.arm.standstill);
+
+        // The plan is fine by its own limits, the arm has tighter ones.
+        let bytes = plan_bytes(&header(), &one_move());
+        let plan = PlanReader::new(&bytes).unwrap();
+        let arm = ArmConfig { limits: tight, ..arm_for(&plan) };
+        let result = play_on(&plan, arm);
+        assert_eq!(fault_code(result.outcome), Some(by_arm));
+        assert!(result.violation.is_some() && result.arm.standstill);
+    }
+}
+
+#[test]
+fn an_arm_that_stands_elsewhere_is_not_moved() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    let off = Displacement { translation_m: [0.01, 0.0, 0.0], ..Displacement::default() };
+    let elsewhere = plan.header().start_pose().displaced(&off);
+    let result = play_on(&plan, ArmConfig { pose: elsewhere, ..arm_for(&plan) });
+    assert_eq!(fault_code(result.outcome), Some(FaultCode::AnchorElsewhere));
+    assert_eq!(result.final_pose, elsewhere);
+}
+
+#[test]
+fn a_small_offset_of_the_anchor_is_carried_along() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    let off = Displacement { translation_m: [1e-4, 0.0, -2e-4], ..Displacement::default() };
+    let result =
+        play_on(&plan, ArmConfig { pose: plan.header().start_pose().displaced(&off), ..arm_for(&plan) });
+    assert_eq!(result.outcome, Outcome::Completed);
+    let difference = plan.end_pose().displacement_to(&result.final_pose).translation() - off.translation();
+    assert!(difference.norm() < 1e-12);
+}
+
+#[test]
+fn an_arm_whose_limits_drown_in_noise_refuses_the_session() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    let limits = Limits { linear_jerk_m_s3: 0.1, ..header().limits };
+    let result = play_on(&plan, ArmConfig { limits, ..arm_for(&plan) });
+    assert_eq!(fault_code(result.outcome), Some(FaultCode::SessionRefused));
+    assert_eq!(result.refusal, Some(Refusal::Meaningless));
+}
+
+/// Asks for a stop at a tick.
+struct StopAt(u32);
+
+impl Observer for StopAt {
+    fn observe(&mut self, _now_us: u64, arm: &Status) -> bool {
+        arm.applied_tick >= self.0
+    }
+}
+
+#[test]
+fn a_person_can_stop_at_any_tick() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    for tick in 0..120 {
+        let result = play(&plan, Config::default(), arm_for(&plan), &mut VirtualTime, &mut StopAt(tick));
+        assert_eq!(fault_code(result.outcome), Some(FaultCode::OperatorStop), "{tick}");
+        assert!(result.arm.standstill && result.arm.state != State::OperationEnabled);
+    }
+}
+
+#[test]
+fn a_silent_arm_is_noticed() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    let mut arm = Controller::new(arm_for(&plan));
+    let mut executor = Executor::new(0, &plan, Config::default());
+    let mut now_us = 0;
+    let silent_from_us = 500_000;
+    let outcome = loop {
+        while let Some(message) = arm.poll(now_us) {
+            if now_us < silent_from_us {
+                executor.handle_message(now_us, &message);
+            }
+        }
+        match executor.poll(now_us) {
+            Action::Send(message) => arm.handle_message(now_us, &message),
+            Action::Wait => {
+                now_us += 1_000;
+                assert!(now_us < 10_000_000, "the session never ends");
+            }
+            Action::Finished(outcome) => break outcome,
+        }
+    };
+    assert_eq!(fault_code(outcome), Some(FaultCode::ArmSilent));
+    // The arm has come to rest by itself, and for its own reason.
+    assert!(matches!(arm.state(), State::Fault | State::QuickStopActive));
+    assert_eq!(arm.fault().map(|fault| fault.code), Some(FaultCode::SetpointMissing));
+}
+
+#[test]
+fn an_arm_that_never_answers_is_given_up() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    let mut executor = Executor::new(0, &plan, Config::default());
+    let (mut now_us, mut requests) = (0, 0);
+    let outcome = loop {
+        match executor.poll(now_us) {
+            Action::Send(message) => {
+                assert!(matches!(message, ToArm::Open(_)));
+                requests += 1;
+            }
+            Action::Wait => now_us = executor.poll_at().unwrap(),
+            Action::Finished(outcome) => break outcome,
+        }
+    };
+    assert_eq!(fault_code(outcome), Some(FaultCode::HandshakeTimeout));
+    assert_eq!((now_us, requests), (2_000_000, 20));
+}
+
+#[test]
+fn a_latched_arm_refuses_the_next_session_until_it_is_reset() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    let mut arm = Controller::new(arm_for(&plan));
+    stream_until_silent(&plan, &mut arm);
+    assert_eq!(arm.state(), State::Fault);
+    let refused = |arm: &mut Controller| {
+        let mut executor = Executor::new(0, &plan, Config { session: 9, ..Config::default() });
+        let Action::Send(open) = executor.poll(0) else { panic!("nothing to say") };
+        arm.handle_message(10_000_000, &open);
+        std::iter::from_fn(|| arm.poll(10_000_000))
+            .any(|message| message == FromArm::Refused { session: 9, reason: Refusal::Busy })
+    };
+    assert!(refused(&mut arm));
+    arm.handle_message(11_000_000, &ToArm::Control { session: 1, command: Command::FaultReset });
+    assert!(!refused(&mut arm));
+}
+
+/// Opens, enables, sends the first setpoints and no more.
+fn stream_until_silent(plan: &PlanReader<'_>, arm: &mut Controller) {
+    let header = plan.header();
+    let request = OpenRequest {
+        version: PROTOCOL_VERSION,
+        session: 1,
+        plan_hash: plan.content_hash(),
+        period_us: header.control_period_us,
+        end_tick: header.step_count,
+        lsb: header.lsb,
+        limits: header.limits,
+        start_level: 4,
+    };
+    arm.handle_message(0, &ToArm::Open(request));
+    for command in [Command::Shutdown, Command::SwitchOn, Command::EnableOperation] {
+        arm.handle_message(0, &ToArm::Control { session: 1, command });
+    }
+    for setpoint in plan.setpoints().take(16) {
+        arm.handle_message(0, &ToArm::Setpoint { session: 1, setpoint });
+    }
+    while arm.poll(9_000_000).is_some() {}
+}
+
+/// The joined pair with setpoints dropped by a rule; what an observer at the arm sees, tick by tick.
+fn play_with_losses(plan: &PlanReader<'_>, drops: impl Fn(u32) -> bool) -> (Outcome, Controller, [f64; 6]) {
+    let mut arm = Controller::new(arm_for(plan));
+    let mut executor = Executor::new(0, plan, Config::default());
+    let period_us = plan.header().control_period_us;
+    let (mut now_us, mut seen, mut peak) = (0, Motion::at_rest(arm.pose()), [0.0_f64; 6]);
+    loop {
+        while let Some(message) = arm.poll(now_us) {
+            executor.handle_message(now_us, &message);
+        }
+        match executor.poll(now_us) {
+            Action::Send(ToArm::Setpoint { setpoint, .. }) if drops(setpoint.tick) => {}
+            Action::Send(message) => arm.handle_message(now_us, &message),
+            Action::Finished(outcome) => return (outcome, arm, peak),
+            Action::Wait => {
+                now_us += u64::from(period_us);
+                while let Some(message) = arm.poll(now_us) {
+                    executor.handle_message(now_us, &message);
+                }
+                seen = seen.moved_to(arm.pose(), period_us);
+                for (peak, value) in peak.iter_mut().zip(seen.norms()) {
+                    *peak = peak.max(value);
+                }
+            }
+        }
+    }
+}
+
+fn assert_within(limits: &Limits, peak: [f64; 6]) {
+    // Quantisation noise at 0.1 um, 10 ms.
+    let noise = [2e-5, 4e-3, 0.7, 2e-5, 4e-3, 0.7];
+    for (((limit, bound), value), noise) in limits.derivative_bounds().into_iter().zip(peak).zip(noise) {
+        assert!(value <= bound + noise, "{limit}: {value} > {bound}");
+    }
+}
+
+#[test]
+fn a_stream_that_breaks_off_ends_in_a_latched_stop_with_its_reason() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    for from in (5..=120).step_by(5) {
+        let (outcome, arm, peak) = play_with_losses(&plan, |tick| tick >= from);
+        assert_eq!(fault_code(outcome), Some(FaultCode::SetpointMissing), "from {from}");
+        assert_eq!(arm.state(), State::Fault);
+        assert!(arm.status().standstill);
+        assert_within(&header().limits, peak);
+    }
+}
+
+fn segment() -> impl Strategy<Value = Move> {
+    let offset = -0.06..0.06;
+    let angle = -0.35..0.35;
+    ([offset.clone(), offset.clone(), offset], [angle.clone(), angle.clone(), angle], 60u32..150)
+        .prop_map(|(translation_m, rotation_rad, steps)| Move { translation_m, rotation_rad, steps })
+}
+
+proptest! {
+    #[test]
+    fn random_smooth_plans_arrive(moves in prop::collection::vec(segment(), 1..5), look_ahead in 1u16..=16) {
+        let bytes = plan_bytes(&header(), &moves);
+        let plan = PlanReader::new(&bytes).unwrap();
+        plan.check_limits().unwrap();
+        let config = Config { look_ahead, ..Config::default() };
+        let result = play(&plan, config, arm_for(&plan), &mut VirtualTime, &mut Unattended);
+        prop_assert_eq!(result.outcome, Outcome::Completed);
+        // Against the exact, unquantised end: half an LSB and no more.
+        let exact: f64 = moves.iter().map(|segment| segment.translation_m[0]).sum();
+        let reached = result.final_pose.position_m.x - plan.header().start.position_m[0];
+        prop_assert!((reached - exact).abs() <= 0.5e-7 * 1.001);
+        prop_assert_eq!(result.final_pose, plan.end_pose());
+    }
+
+    #[test]
+    fn whatever_is_lost_the_arm_keeps_its_limits_and_arrives_or_says_why(
+        moves in prop::collection::vec(segment(), 1..4), seed: u64, one_in in 2u64..60,
+    ) {
+        let bytes = plan_bytes(&header(), &moves);
+        let plan = PlanReader::new(&bytes).unwrap();
+        let lost = |tick: u32| {
+            let mixed = (seed ^ u64::from(tick)).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+            (mixed >> 32) % one_in == 0
+        };
+        let (outcome, arm, peak) = play_with_losses(&plan, lost);
+        assert_within(&header().limits, peak);
+        match outcome {
+            Outcome::Completed => prop_assert_eq!(arm.pose(), plan.end_pose()),
+            Outcome::Stopped(fault) => {
+                // If the very first setpoints are lost the arm never starts; the executor gives up.
+                prop_assert!(matches!(fault.code, FaultCode::SetpointMissing | FaultCode::ArmSilent), "{}", fault);
+                prop_assert!(arm.status().standstill);
+            }
+        }
+    }
+}

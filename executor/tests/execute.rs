@@ -1,0 +1,205 @@
+//! The program, from outside.
+
+mod common;
+
+use std::fs::{self, File};
+use std::path::Path;
+use std::process::{Command, Output};
+
+use common::{header, one_move, plan_bytes};
+use powderline_shared::limits::Limits;
+use powderline_shared::plan::{MAX_FILE_BYTES, PlanHeader};
+use serde_json::Value;
+use tempfile::TempDir;
+
+fn execute(arguments: &[&str]) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_execute")).args(arguments).output().unwrap()
+}
+
+fn path(dir: &TempDir, name: &str) -> String {
+    dir.path().join(name).to_str().unwrap().to_owned()
+}
+
+fn written(dir: &TempDir, name: &str, bytes: &[u8]) -> String {
+    let path = path(dir, name);
+    fs::write(&path, bytes).unwrap();
+    path
+}
+
+fn good_plan() -> Vec<u8> {
+    plan_bytes(&header(), &one_move())
+}
+
+/// The one JSON object on standard output.
+fn json(output: &Output) -> Value {
+    let text = str::from_utf8(&output.stdout).unwrap();
+    assert_eq!(text.trim_end().lines().count(), 1, "{text}");
+    serde_json::from_str(text).unwrap()
+}
+
+/// Exit code 3 and one sentence on standard error that holds all of `words`; the same as JSON.
+fn assert_refused(plan: &str, words: &[&str]) {
+    let output = execute(&[plan]);
+    let error = str::from_utf8(&output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(3), "{error}");
+    assert!(output.stdout.is_empty());
+    assert_eq!(error.trim_end().lines().count(), 1, "{error}");
+    assert!(!error.contains("panicked"));
+    for word in words.iter().chain([&plan]) {
+        assert!(error.contains(word), "\"{word}\" is missing in: {error}");
+    }
+    let output = execute(&[plan, "--json"]);
+    let object = json(&output);
+    assert_eq!((output.status.code(), &object["exit_code"]), (Some(3), &Value::from(3)));
+    assert!(error.contains(object["error"].as_str().unwrap()));
+}
+
+#[test]
+fn a_good_plan_is_performed() {
+    let dir = TempDir::new().unwrap();
+    let plan = written(&dir, "skill.plan", &good_plan());
+    let output = execute(&[&plan]);
+    let text = str::from_utf8(&output.stdout).unwrap();
+    assert_eq!(output.status.code(), Some(0), "{text}");
+    for words in ["120 steps of 10 ms", "Completed: 120 of 120 ticks", "within half an LSB", "peak use"] {
+        assert!(text.contains(words), "\"{words}\" is missing in: {text}");
+    }
+    assert!(output.stderr.is_empty());
+}
+
+#[test]
+fn json_is_one_object_with_the_facts() {
+    let dir = TempDir::new().unwrap();
+    let plan = written(&dir, "skill.plan", &good_plan());
+    let output = execute(&[&plan, "--json"]);
+    assert_eq!(output.status.code(), Some(0));
+    let report = json(&output);
+    assert_eq!(report["completed"], true);
+    assert_eq!(report["within_half_lsb"], true);
+    assert_eq!(report["stop"], Value::Null);
+    assert_eq!(report["ticks"]["applied"], 120);
+    assert_eq!(report["plan"]["predicted_transported_count"], 850);
+    assert_eq!(report["final_pose"], report["plan_end_pose"]);
+    assert!(report["peak_use_percent"]["linear_velocity"].as_f64().unwrap() > 10.0);
+}
+
+#[test]
+fn under_the_wall_clock_the_arm_ends_at_the_same_bits() {
+    let dir = TempDir::new().unwrap();
+    let mut moves = one_move();
+    moves[0].steps = 60;
+    moves[0].translation_m = [0.01; 3];
+    moves[0].rotation_rad = [0.0, 0.1, 0.0];
+    let plan = written(&dir, "skill.plan", &plan_bytes(&header(), &moves));
+    let (virtual_time, wall_clock) =
+        (json(&execute(&[&plan, "--json"])), json(&execute(&[&plan, "--json", "--realtime"])));
+    assert_eq!(virtual_time["final_pose"], wall_clock["final_pose"]);
+    assert!(wall_clock["worst_lateness_s"].is_number() && virtual_time["worst_lateness_s"].is_null());
+}
+
+#[test]
+fn files_that_are_no_plans_are_refused_in_one_sentence() {
+    let dir = TempDir::new().unwrap();
+    assert_refused(&path(&dir, "missing.plan"), &["no such file"]);
+    assert_refused(dir.path().to_str().unwrap(), &["directory", "plan file"]);
+    assert_refused(&written(&dir, "empty", b""), &["empty"]);
+    assert_refused(&written(&dir, "short", b"PWD"), &["3 bytes", "14"]);
+    assert_refused(&written(&dir, "scene.toml", b"name = \"bench\"\n"), &["begins with", "PWDLPLAN"]);
+    assert_refused(&written(&dir, "binary", &[0xa5; 100_000]), &["begins with"]);
+    let good = good_plan();
+    assert_refused(&written(&dir, "cut", &good[..good.len() / 2]), &["checksum", "cut short"]);
+    let mut flipped = good.clone();
+    flipped[200] ^= 4;
+    assert_refused(&written(&dir, "flipped", &flipped), &["checksum", "damaged"]);
+    let mut future = good;
+    future[8] = 9;
+    assert_refused(&written(&dir, "future", &future), &["version 9", "version 1"]);
+}
+
+#[test]
+fn a_huge_file_is_refused_unread() {
+    let dir = TempDir::new().unwrap();
+    let huge = path(&dir, "huge.plan");
+    File::create(&huge).unwrap().set_len(1 << 30).unwrap();
+    assert_refused(&huge, &["1073741824 bytes", &MAX_FILE_BYTES.to_string()]);
+}
+
+#[test]
+#[cfg(unix)]
+fn a_device_is_refused() {
+    if Path::new("/dev/zero").exists() {
+        assert_refused("/dev/zero", &["not a regular file"]);
+    }
+}
+
+#[test]
+fn a_plan_that_breaks_its_own_limits_is_refused_with_the_numbers() {
+    let dir = TempDir::new().unwrap();
+    let limits = Limits { linear_velocity_m_s: 0.1, ..header().limits };
+    let bytes = plan_bytes(&PlanHeader { limits, ..header() }, &one_move());
+    assert_refused(&written(&dir, "fast.plan", &bytes), &["linear velocity", "tick", "0.1 m/s"]);
+}
+
+#[test]
+fn a_plan_too_fast_for_the_arm_is_a_fault_with_its_reason() {
+    let dir = TempDir::new().unwrap();
+    let limits = Limits {
+        linear_velocity_m_s: 100.0,
+        linear_acceleration_m_s2: 1e3,
+        linear_jerk_m_s3: 1e5,
+        angular_velocity_rad_s: 100.0,
+        angular_acceleration_rad_s2: 1e3,
+        angular_jerk_rad_s3: 1e5,
+        ..header().limits
+    };
+    let mut moves = one_move();
+    moves[0].steps = 10;
+    let plan = written(&dir, "fast.plan", &plan_bytes(&PlanHeader { limits, ..header() }, &moves));
+    let output = execute(&[&plan, "--json"]);
+    let report = json(&output);
+    assert_eq!(output.status.code(), Some(1), "{report}");
+    assert_eq!(
+        (&report["completed"], &report["within_half_lsb"]),
+        (&Value::from(false), &Value::from(false))
+    );
+    assert!((301..=307).contains(&report["stop"]["code"].as_u64().unwrap()), "{report}");
+    assert!(report["stop"]["detail"].as_str().unwrap().contains("but the limit is"), "{report}");
+    let text = execute(&[&plan]);
+    assert!(str::from_utf8(&text.stdout).unwrap().contains("Stopped at tick"));
+}
+
+#[test]
+fn wrong_usage_is_exit_code_2() {
+    assert_eq!(execute(&[]).status.code(), Some(2));
+    assert_eq!(execute(&["a", "b"]).status.code(), Some(2));
+    assert_eq!(execute(&["a", "--nonsense"]).status.code(), Some(2));
+    let help = execute(&["--help"]);
+    assert_eq!(help.status.code(), Some(0));
+    assert!(str::from_utf8(&help.stdout).unwrap().contains("Exit codes"));
+}
+
+#[test]
+#[cfg(unix)]
+fn ctrl_c_is_a_controlled_stop() {
+    use std::process::Stdio;
+    use std::thread::sleep;
+    use std::time::Duration;
+
+    let dir = TempDir::new().unwrap();
+    let mut moves = one_move();
+    moves[0].steps = 3_000;
+    let plan = written(&dir, "long.plan", &plan_bytes(&header(), &moves));
+    let child = Command::new(env!("CARGO_BIN_EXE_execute"))
+        .args([&plan, "--realtime", "--json"])
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap();
+    sleep(Duration::from_millis(700));
+    let killed = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
+    assert!(killed.success());
+    let output = child.wait_with_output().unwrap();
+    assert_eq!(output.status.code(), Some(4));
+    let report = json(&output);
+    assert_eq!(report["stop"]["code"], 501);
+    assert!(report["ticks"]["applied"].as_u64().unwrap() < 3_000);
+}

@@ -1,0 +1,114 @@
+//! Setpoints that wait for their tick.
+
+use powderline_shared::displacement::Setpoint;
+
+/// How many ticks ahead the arm has room for.
+pub const CAPACITY: u32 = 16;
+
+/// Why a setpoint is not kept.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Refused {
+    /// Its tick has been taken already; harmless.
+    Stale,
+    /// It is there already, the same; harmless.
+    Same,
+    /// It is there already, with other content.
+    Different,
+    /// Beyond the room granted.
+    BeyondCredit,
+}
+
+/// One slot for each of the next [`CAPACITY`] ticks.
+#[derive(Clone, Debug, Default)]
+pub struct SetpointBuffer {
+    slots: [Option<Setpoint>; CAPACITY as usize],
+}
+
+impl SetpointBuffer {
+    /// Keeps a setpoint for a tick after `applied`.
+    ///
+    /// # Errors
+    /// Why it is not kept.
+    pub fn insert(&mut self, setpoint: Setpoint, applied: u32) -> Result<(), Refused> {
+        if setpoint.tick <= applied {
+            return Err(Refused::Stale);
+        }
+        if setpoint.tick - applied > CAPACITY {
+            return Err(Refused::BeyondCredit);
+        }
+        let slot = &mut self.slots[Self::index(setpoint.tick)];
+        match slot {
+            Some(kept) if *kept == setpoint => Err(Refused::Same),
+            Some(kept) if kept.tick == setpoint.tick => Err(Refused::Different),
+            _ => {
+                *slot = Some(setpoint);
+                Ok(())
+            }
+        }
+    }
+
+    /// The setpoint of a tick, left in place.
+    #[must_use]
+    pub fn peek(&self, tick: u32) -> Option<Setpoint> {
+        self.slots[Self::index(tick)].filter(|setpoint| setpoint.tick == tick)
+    }
+
+    /// The setpoint of a tick, taken out.
+    pub fn take(&mut self, tick: u32) -> Option<Setpoint> {
+        let found = self.peek(tick)?;
+        self.slots[Self::index(tick)] = None;
+        Some(found)
+    }
+
+    /// How many wait for a tick after `applied`.
+    #[must_use]
+    pub fn count_after(&self, applied: u32) -> u16 {
+        let waiting = self.slots.iter().flatten().filter(|setpoint| setpoint.tick > applied);
+        waiting.fold(0, |count, _| count + 1)
+    }
+
+    fn index(tick: u32) -> usize {
+        (tick % CAPACITY) as usize
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn setpoint(tick: u32, x: i32) -> Setpoint {
+        Setpoint { tick, counts: [x, 0, 0, 0, 0, 0] }
+    }
+
+    #[test]
+    fn order_does_not_matter_and_repetition_is_harmless() {
+        let mut buffer = SetpointBuffer::default();
+        for tick in [3, 1, 2] {
+            assert_eq!(buffer.insert(setpoint(tick, 5), 0), Ok(()));
+            assert_eq!(buffer.insert(setpoint(tick, 5), 0), Err(Refused::Same));
+        }
+        assert_eq!(buffer.count_after(0), 3);
+        assert_eq!(buffer.take(1), Some(setpoint(1, 5)));
+        assert_eq!(buffer.take(1), None);
+        assert_eq!(buffer.insert(setpoint(1, 5), 1), Err(Refused::Stale));
+    }
+
+    #[test]
+    fn a_changed_setpoint_and_one_without_credit_are_refused() {
+        let mut buffer = SetpointBuffer::default();
+        buffer.insert(setpoint(1, 5), 0).unwrap();
+        assert_eq!(buffer.insert(setpoint(1, 6), 0), Err(Refused::Different));
+        assert_eq!(buffer.insert(setpoint(CAPACITY, 0), 0), Ok(()));
+        assert_eq!(buffer.insert(setpoint(CAPACITY + 1, 0), 0), Err(Refused::BeyondCredit));
+        assert_eq!(buffer.insert(setpoint(u32::MAX, 0), 0), Err(Refused::BeyondCredit));
+    }
+
+    #[test]
+    fn what_was_never_taken_makes_room_in_the_next_round() {
+        let mut buffer = SetpointBuffer::default();
+        buffer.insert(setpoint(1, 5), 0).unwrap();
+        buffer.insert(setpoint(1 + CAPACITY, 7), 1).unwrap();
+        assert_eq!(buffer.peek(1), None);
+        assert_eq!(buffer.take(1 + CAPACITY), Some(setpoint(1 + CAPACITY, 7)));
+    }
+}

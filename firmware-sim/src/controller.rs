@@ -1,0 +1,561 @@
+//! The arm's controller: states, session, playback by its own clock, limits on everything, stops by itself.
+//!
+//! At each tick exactly one pose is commanded for the next, in this order of preference:
+//!
+//! 1. the setpoint of the next tick;
+//! 2. it is missing but the one after is there: the path of constant jerk to that one (loss of single setpoints heals);
+//! 3. nothing is there: the begin of a stop, for at most [`EXTRAPOLATION_TICKS`] ticks;
+//! 4. still nothing, or any limit broken: the rest of the stop, latched.
+//!
+//! Every commanded pose but those of a stop passes the limit check first; a stop keeps the limits by construction.
+
+use std::collections::VecDeque;
+
+use powderline_shared::displacement::{Displacement, Setpoint, pose_at};
+use powderline_shared::fault::{Fault, FaultCode, Side};
+use powderline_shared::limits::{Limits, Motion, PeakUse, Violation};
+use powderline_shared::plan::PERIOD_US_MAX;
+use powderline_shared::pose::Pose;
+use powderline_shared::wire::message::{FromArm, NO_SESSION, OpenRequest, Status, ToArm};
+use powderline_shared::wire::state::{Command, Phase, State};
+
+use crate::arm::Arm;
+use crate::buffer::{CAPACITY, Refused};
+use crate::interpolator::Interpolator;
+use crate::session::{self, Anchored, Session};
+use crate::stop::StopProfile;
+
+/// Ticks for which a missing setpoint is bridged by decelerating before the stop is latched.
+pub const EXTRAPOLATION_TICKS: u32 = 2;
+
+/// Ticks on the last setpoint after which velocity, acceleration and jerk are zero.
+const SETTLE_TICKS: u32 = 3;
+
+/// Ticks during which a bridged setpoint still shows in the jerk.
+const BRIDGE_ECHO_TICKS: u32 = 3;
+
+/// Messages kept for a reader that is late; the oldest go first.
+const OUTBOX_CAPACITY: usize = 256;
+
+/// What a simulated arm is.
+#[derive(Clone, Copy, Debug)]
+pub struct ArmConfig {
+    /// Its own limits; a session can only tighten them.
+    pub limits: Limits,
+    /// Where it stands at power on.
+    pub pose: Pose,
+}
+
+impl ArmConfig {
+    /// An arm standing at `pose` that is about as quick as research arms are: linear limits as published for the Franka
+    /// arm, two wrist joints of pi rad/s turning together, and 2 m of reach.
+    #[must_use]
+    pub fn bench(pose: Pose) -> Self {
+        let limits = Limits {
+            workspace_min_m: [-2.0; 3],
+            workspace_max_m: [2.0; 3],
+            linear_velocity_m_s: 3.0,
+            linear_acceleration_m_s2: 9.0,
+            linear_jerk_m_s3: 4_500.0,
+            angular_velocity_rad_s: core::f64::consts::TAU,
+            angular_acceleration_rad_s2: 50.0,
+            angular_jerk_rad_s3: 8_500.0,
+        };
+        Self { limits, pose }
+    }
+}
+
+/// The simulated controller, with its arm.
+#[derive(Clone, Debug)]
+pub struct Controller {
+    own_limits: Limits,
+    state: State,
+    session: Option<Session>,
+    arm: Arm,
+    path: Interpolator,
+    motion: Motion,
+    activity: Activity,
+    next_tick_us: Option<u64>,
+    fault: Option<Fault>,
+    violation: Option<Violation>,
+    dropped: u32,
+    outbox: VecDeque<FromArm>,
+}
+
+/// What the clock drives.
+#[derive(Clone, Copy, Debug)]
+enum Activity {
+    /// Nothing; the arm stands.
+    Still,
+    /// The stream of setpoints; a stop has begun if setpoints are missing.
+    Following { bridge: Option<(StopProfile, u32)> },
+    /// On the last setpoint, for so many more ticks.
+    Settling { ticks_left: u32 },
+    /// A stop.
+    Stopping(StopProfile),
+}
+
+impl Controller {
+    /// Power on. The self-test of the simulation is over at once (transitions 0 and 1).
+    #[must_use]
+    pub fn new(config: ArmConfig) -> Self {
+        let mut controller = Self {
+            own_limits: config.limits,
+            state: State::SwitchOnDisabled,
+            session: None,
+            arm: Arm::new(config.pose),
+            path: Interpolator::hold(config.pose),
+            motion: Motion::at_rest(config.pose),
+            activity: Activity::Still,
+            next_tick_us: None,
+            fault: None,
+            violation: None,
+            dropped: 0,
+            outbox: VecDeque::new(),
+        };
+        controller.report();
+        controller
+    }
+
+    /// Takes in one message.
+    pub fn handle_message(&mut self, now_us: u64, message: &ToArm) {
+        self.advance(now_us);
+        match *message {
+            ToArm::Open(request) => self.open(&request),
+            ToArm::Control { session, command } if self.is_current(session) => self.command(command),
+            ToArm::Setpoint { session, setpoint } if self.is_current(session) => {
+                self.setpoint(now_us, setpoint);
+            }
+            ToArm::Control { .. } | ToArm::Setpoint { .. } => self.drop_one(),
+        }
+        self.advance(now_us);
+    }
+
+    /// Lets time pass; then the next message to the executor, if any. Call until `None`.
+    pub fn poll(&mut self, now_us: u64) -> Option<FromArm> {
+        self.advance(now_us);
+        self.outbox.pop_front()
+    }
+
+    /// When to poll next, at the latest; `None` while nothing moves.
+    #[must_use]
+    pub fn poll_at(&self) -> Option<u64> {
+        self.next_tick_us
+    }
+
+    /// Where the tool is, as of the last poll.
+    #[must_use]
+    pub fn pose(&self) -> Pose {
+        self.arm.pose()
+    }
+
+    /// What is commanded for the next tick, with its derivatives.
+    #[must_use]
+    pub fn motion(&self) -> &Motion {
+        &self.motion
+    }
+
+    /// The state.
+    #[must_use]
+    pub fn state(&self) -> State {
+        self.state
+    }
+
+    /// The latched fault.
+    #[must_use]
+    pub fn fault(&self) -> Option<Fault> {
+        self.fault
+    }
+
+    /// The numbers behind a latched limit fault.
+    #[must_use]
+    pub fn violation(&self) -> Option<Violation> {
+        self.violation
+    }
+
+    /// How much of the limits in force the accepted setpoints have used.
+    #[must_use]
+    pub fn peak_use(&self) -> Option<PeakUse> {
+        self.anchored().map(|anchored| anchored.checker.peak_use())
+    }
+
+    /// The limits in force: the arm's own, tightened by the session's.
+    #[must_use]
+    pub fn limits(&self) -> Limits {
+        self.session.as_ref().map_or(self.own_limits, |session| session.limits)
+    }
+
+    fn anchored(&self) -> Option<&Anchored> {
+        self.session.as_ref()?.anchored.as_ref()
+    }
+
+    fn anchored_mut(&mut self) -> Option<&mut Anchored> {
+        self.session.as_mut()?.anchored.as_mut()
+    }
+
+    fn is_current(&self, session: u16) -> bool {
+        self.session.as_ref().is_some_and(|open| open.request.session == session)
+    }
+
+    fn drop_one(&mut self) {
+        self.dropped = self.dropped.saturating_add(1);
+    }
+
+    // --- session and states ---
+
+    fn open(&mut self, request: &OpenRequest) {
+        let session = request.session;
+        // A repeated request is answered again: the answer may have been lost.
+        let same =
+            self.session.as_ref().is_some_and(|open| open.request == *request && open.anchored.is_none());
+        if !same && let Err(reason) = session::admit(request, &self.own_limits, self.state) {
+            self.send(FromArm::Refused { session, reason });
+            return;
+        }
+        self.session = Some(Session::new(request, &self.own_limits));
+        self.send(FromArm::Opened { session });
+        self.report();
+    }
+
+    fn command(&mut self, command: Command) {
+        use State as S;
+        let still = self.is_still();
+        match (self.state, command) {
+            (S::SwitchOnDisabled, Command::Shutdown) => self.enter(S::ReadyToSwitchOn),
+            (S::SwitchedOn, Command::Shutdown) => self.enter(S::ReadyToSwitchOn),
+            (S::ReadyToSwitchOn, Command::SwitchOn) => self.enter(S::SwitchedOn),
+            (S::SwitchedOn, Command::EnableOperation) => self.enable(),
+            (S::ReadyToSwitchOn | S::SwitchedOn, Command::DisableVoltage | Command::QuickStop) => {
+                self.enter(S::SwitchOnDisabled);
+            }
+            (S::OperationEnabled, Command::DisableOperation) if still => self.leave_operation(S::SwitchedOn),
+            (S::OperationEnabled, Command::Shutdown) if still => self.leave_operation(S::ReadyToSwitchOn),
+            (S::OperationEnabled | S::QuickStopActive, Command::DisableVoltage) if still => {
+                self.leave_operation(S::SwitchOnDisabled);
+            }
+            // A moving arm keeps its power until it stands, whatever is asked.
+            (
+                S::OperationEnabled,
+                Command::QuickStop | Command::DisableOperation | Command::Shutdown | Command::DisableVoltage,
+            ) => self.stop(S::QuickStopActive, FaultCode::StopCommanded),
+            (S::Fault, Command::FaultReset) => self.leave_operation(S::SwitchOnDisabled),
+            _ => {
+                self.drop_one();
+                self.report();
+            }
+        }
+    }
+
+    fn enter(&mut self, state: State) {
+        self.state = state;
+        self.report();
+    }
+
+    fn enable(&mut self) {
+        let anchor = self.arm.pose();
+        let Some(session) = self.session.as_mut() else { return self.drop_one() };
+        let number = session.request.session;
+        session.anchored = Some(Anchored::new(session, anchor));
+        self.motion = Motion::at_rest(anchor);
+        self.path = Interpolator::hold(anchor);
+        self.enter(State::OperationEnabled);
+        self.send(FromArm::Anchored { session: number, pose: anchor });
+    }
+
+    /// Closes the session: the next motion needs a new one, with a new anchor.
+    fn leave_operation(&mut self, state: State) {
+        self.session = None;
+        self.fault = None;
+        self.violation = None;
+        self.enter(state);
+    }
+
+    fn is_still(&self) -> bool {
+        matches!(self.activity, Activity::Still)
+    }
+
+    // --- setpoints ---
+
+    fn setpoint(&mut self, now_us: u64, setpoint: Setpoint) {
+        let following = matches!(self.activity, Activity::Still | Activity::Following { .. });
+        if self.state != State::OperationEnabled || !following {
+            return self.drop_one();
+        }
+        let Some(request) = self.session.as_ref().map(|session| session.request) else { return };
+        let Some(anchored) = self.anchored_mut() else { return };
+        if anchored.ended {
+            return self.drop_one();
+        }
+        let found = if setpoint.tick > request.end_tick {
+            Err(FaultCode::SetpointPastEnd)
+        } else if setpoint.validate(request.lsb).is_err() {
+            Err(FaultCode::SetpointNotRepresentable)
+        } else {
+            match anchored.buffer.insert(setpoint, anchored.applied_tick) {
+                Ok(()) => Ok(true),
+                Err(Refused::Stale | Refused::Same) => Ok(false),
+                Err(Refused::Different) => Err(FaultCode::SetpointRepeated),
+                Err(Refused::BeyondCredit) => Err(FaultCode::SetpointBeyondCredit),
+            }
+        };
+        match found {
+            Ok(true) => self.start_if_filled(now_us),
+            Ok(false) => self.drop_one(),
+            Err(code) => self.stop(State::FaultReactionActive, code),
+        }
+    }
+
+    fn start_if_filled(&mut self, now_us: u64) {
+        let Some(session) = &self.session else { return };
+        let Some(anchored) = &session.anchored else { return };
+        let wanted = u32::from(session.request.start_level).min(session.request.end_tick);
+        if self.is_still() && u32::from(anchored.buffer.count_after(0)) >= wanted {
+            self.activity = Activity::Following { bridge: None };
+            self.next_tick_us = Some(now_us);
+        }
+    }
+
+    // --- the clock ---
+
+    fn advance(&mut self, now_us: u64) {
+        while let Some(tick_us) = self.next_tick_us.filter(|tick_us| *tick_us <= now_us) {
+            let period_us = self.period_us();
+            self.next_tick_us = Some(tick_us.saturating_add(u64::from(period_us)));
+            self.arm.follow(self.path.pose_at(tick_us));
+            self.report_actual();
+            self.tick(tick_us);
+            if self.is_still() {
+                self.next_tick_us = None;
+            }
+            self.report();
+        }
+        self.arm.follow(self.path.pose_at(now_us));
+    }
+
+    fn tick(&mut self, tick_us: u64) {
+        match self.activity {
+            Activity::Still => {}
+            Activity::Following { bridge } => self.follow(tick_us, bridge),
+            Activity::Settling { ticks_left } => self.settle(tick_us, ticks_left),
+            Activity::Stopping(profile) => self.brake(tick_us, profile),
+        }
+    }
+
+    fn follow(&mut self, tick_us: u64, bridge: Option<(StopProfile, u32)>) {
+        let Some(session) = &self.session else { return };
+        let Some(anchored) = &session.anchored else { return };
+        let OpenRequest { lsb, end_tick, .. } = session.request;
+        let tick = anchored.applied_tick.saturating_add(1);
+        if tick > end_tick {
+            return match bridge {
+                None => self.settle(tick_us, SETTLE_TICKS),
+                // The last setpoint itself is missing: this is not the end of the plan.
+                Some((profile, _)) => self.miss(tick_us, profile),
+            };
+        }
+        let at = |tick| anchored.buffer.peek(tick).map(|found| pose_at(&anchored.anchor, found, lsb));
+        let (here, after) = (at(tick), at(tick.saturating_add(1)));
+        match (here, after) {
+            (Some(pose), after) => self.take(tick_us, pose, after),
+            (None, Some(after)) => {
+                self.lose_one(tick);
+                let pose = self.towards(after);
+                self.take(tick_us, pose, Some(after));
+            }
+            (None, None) => {
+                self.lose_one(tick);
+                self.extrapolate(tick_us, bridge);
+            }
+        }
+    }
+
+    /// Commands a pose that the limit check accepts; stops otherwise.
+    fn take(&mut self, tick_us: u64, pose: Pose, after: Option<Pose>) {
+        let Some(anchored) = self.anchored_mut() else { return };
+        match anchored.checker.check(pose) {
+            Ok(motion) => {
+                anchored.applied_tick = anchored.applied_tick.saturating_add(1);
+                let applied = anchored.applied_tick;
+                anchored.buffer.take(applied);
+                self.activity = Activity::Following { bridge: None };
+                self.command_pose(tick_us, motion, after);
+            }
+            Err(violation) => self.refuse(tick_us, violation),
+        }
+    }
+
+    /// Nothing to go by: begins, or goes on with, a stop that may still be taken back.
+    fn extrapolate(&mut self, tick_us: u64, bridge: Option<(StopProfile, u32)>) {
+        let fresh = || (StopProfile::new(&self.motion, &self.limits(), self.period_us()), 0);
+        let (mut profile, ticks) = bridge.unwrap_or_else(fresh);
+        if ticks >= EXTRAPOLATION_TICKS {
+            return self.miss(tick_us, profile);
+        }
+        let pose = profile.next_pose().unwrap_or(self.motion.pose);
+        self.take(tick_us, pose, None);
+        if let Activity::Following { bridge } = &mut self.activity {
+            *bridge = Some((profile, ticks.saturating_add(1)));
+        }
+    }
+
+    /// Stays on the last setpoint; also a motion, which must keep the limits.
+    fn settle(&mut self, tick_us: u64, ticks_left: u32) {
+        let pose = self.motion.pose;
+        let Some(anchored) = self.anchored_mut() else { return };
+        anchored.ended = true;
+        if ticks_left == 0 {
+            self.activity = Activity::Still;
+            return;
+        }
+        match anchored.checker.check(pose) {
+            Ok(motion) => {
+                self.activity = Activity::Settling { ticks_left: ticks_left.saturating_sub(1) };
+                self.command_pose(tick_us, motion, Some(pose));
+            }
+            Err(violation) => self.refuse(tick_us, violation),
+        }
+    }
+
+    fn brake(&mut self, tick_us: u64, mut profile: StopProfile) {
+        match profile.next_pose() {
+            Some(pose) => {
+                let motion = self.motion.moved_to(pose, self.period_us());
+                self.command_pose(tick_us, motion, None);
+                self.activity = Activity::Stopping(profile);
+            }
+            None => self.stand(),
+        }
+    }
+
+    /// A stop has come to its end. Quick stop stays active until power is taken away; a fault reaction becomes a fault.
+    fn stand(&mut self) {
+        self.activity = Activity::Still;
+        self.motion = Motion::at_rest(self.motion.pose);
+        if self.state == State::FaultReactionActive {
+            self.state = State::Fault;
+        }
+    }
+
+    fn command_pose(&mut self, tick_us: u64, motion: Motion, after: Option<Pose>) {
+        self.path = self.path.extended(motion.pose, after, tick_us, self.period_us());
+        self.motion = motion;
+    }
+
+    /// Where constant jerk leads in one tick if it is to lead to `after` in two: with d the displacement of both,
+    /// the first one's is v h / 2 + a h^2 / 4 + d / 4.
+    fn towards(&self, after: Pose) -> Pose {
+        let h = f64::from(self.period_us()) / 1e6;
+        let both = self.motion.pose.displacement_to(&after);
+        let (linear, angular) = (&self.motion.linear, &self.motion.angular);
+        let first = |v, a, d| v * (h / 2.0) + a * (h * h / 4.0) + d / 4.0;
+        self.motion.pose.displaced(&Displacement {
+            translation_m: first(linear.velocity, linear.acceleration, both.translation()).into(),
+            rotation_rad: first(angular.velocity, angular.acceleration, both.rotation()).into(),
+        })
+    }
+
+    fn lose_one(&mut self, tick: u32) {
+        if let Some(anchored) = self.anchored_mut() {
+            anchored.lost = anchored.lost.saturating_add(1);
+            anchored.echo_until = tick.saturating_add(BRIDGE_ECHO_TICKS);
+        }
+    }
+
+    // --- stops ---
+
+    /// A commanded pose breaks a limit. If that is the echo of a lost setpoint, the loss is the reason.
+    fn refuse(&mut self, tick_us: u64, violation: Violation) {
+        let echo = self.anchored().is_some_and(|anchored| violation.tick <= anchored.echo_until);
+        let code =
+            if echo { FaultCode::SetpointMissing } else { FaultCode::from_limit(violation.limit, Side::Arm) };
+        if self.fault.is_none() {
+            self.violation = Some(violation);
+        }
+        self.latch(State::FaultReactionActive, code);
+        self.brake(tick_us, self.stop_profile());
+    }
+
+    /// Setpoints are missing for too long: the stop that has begun is now latched.
+    fn miss(&mut self, tick_us: u64, profile: StopProfile) {
+        self.latch(State::FaultReactionActive, FaultCode::SetpointMissing);
+        self.brake(tick_us, profile);
+    }
+
+    /// Latches a reason between two ticks; braking begins with the next.
+    fn stop(&mut self, state: State, code: FaultCode) {
+        self.latch(state, code);
+        if self.is_still() {
+            self.stand();
+        } else {
+            self.activity = Activity::Stopping(self.stop_profile());
+        }
+        self.report();
+    }
+
+    fn stop_profile(&self) -> StopProfile {
+        StopProfile::new(&self.motion, &self.limits(), self.period_us())
+    }
+
+    /// The first reason stays.
+    fn latch(&mut self, state: State, code: FaultCode) {
+        self.state = state;
+        let tick = self.anchored().map_or(0, |anchored| anchored.applied_tick);
+        self.fault.get_or_insert(Fault { code, tick });
+    }
+
+    fn period_us(&self) -> u32 {
+        self.session.as_ref().map_or(PERIOD_US_MAX, |session| session.request.period_us)
+    }
+
+    // --- reports ---
+
+    fn phase(&self) -> Option<Phase> {
+        let session = self.session.as_ref().filter(|_| self.state == State::OperationEnabled)?;
+        let anchored = session.anchored.as_ref()?;
+        Some(match self.activity {
+            Activity::Still | Activity::Stopping(_) if anchored.ended => Phase::Holding,
+            Activity::Still | Activity::Stopping(_) => Phase::Armed,
+            Activity::Following { .. } if anchored.ahead_until() < session.request.end_tick => {
+                Phase::Streaming
+            }
+            Activity::Following { .. } | Activity::Settling { .. } => Phase::Completing,
+        })
+    }
+
+    /// The state as it would be reported now.
+    #[must_use]
+    pub fn status(&self) -> Status {
+        let anchored = self.anchored();
+        let applied_tick = anchored.map_or(0, |anchored| anchored.applied_tick);
+        Status {
+            session: self.session.as_ref().map_or(NO_SESSION, |session| session.request.session),
+            state: self.state,
+            phase: self.phase(),
+            standstill: self.is_still(),
+            applied_tick,
+            buffered: anchored.map_or(0, |anchored| anchored.buffer.count_after(applied_tick)),
+            credit_until: anchored.map_or(0, |_| applied_tick.saturating_add(CAPACITY)),
+            lost: anchored.map_or(0, |anchored| anchored.lost),
+            dropped: self.dropped,
+            fault: self.fault,
+        }
+    }
+
+    fn report(&mut self) {
+        self.send(FromArm::Status(self.status()));
+    }
+
+    fn report_actual(&mut self) {
+        let Some(session) = &self.session else { return };
+        let Some(anchored) = &session.anchored else { return };
+        let (session, tick, pose) = (session.request.session, anchored.applied_tick, self.arm.pose());
+        self.send(FromArm::Actual { session, tick, pose });
+    }
+
+    fn send(&mut self, message: FromArm) {
+        if self.outbox.len() >= OUTBOX_CAPACITY {
+            self.outbox.pop_front();
+        }
+        self.outbox.push_back(message);
+    }
+}

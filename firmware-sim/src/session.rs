@@ -1,0 +1,81 @@
+//! What the controller knows about the executor's session, and which sessions it admits.
+
+use powderline_shared::limits::{LimitChecker, Limits};
+use powderline_shared::plan::{PERIOD_US_MAX, PERIOD_US_MIN};
+use powderline_shared::pose::Pose;
+use powderline_shared::wire::message::{NO_SESSION, OpenRequest, PROTOCOL_VERSION, Refusal};
+use powderline_shared::wire::state::State;
+
+use crate::buffer::{CAPACITY, SetpointBuffer};
+
+/// An open session.
+#[derive(Clone, Debug)]
+pub(crate) struct Session {
+    pub(crate) request: OpenRequest,
+    /// The tighter of the arm's own and the session's.
+    pub(crate) limits: Limits,
+    pub(crate) anchored: Option<Anchored>,
+}
+
+impl Session {
+    pub(crate) fn new(request: &OpenRequest, own_limits: &Limits) -> Self {
+        Self { request: *request, limits: own_limits.tighter(&request.limits), anchored: None }
+    }
+}
+
+/// What exists from enabling on.
+#[derive(Clone, Debug)]
+pub(crate) struct Anchored {
+    pub(crate) anchor: Pose,
+    pub(crate) checker: LimitChecker,
+    pub(crate) buffer: SetpointBuffer,
+    pub(crate) applied_tick: u32,
+    pub(crate) lost: u32,
+    /// A limit broken up to this tick is the echo of a lost setpoint.
+    pub(crate) echo_until: u32,
+    /// The last setpoint has been reached; nothing more may come.
+    pub(crate) ended: bool,
+}
+
+impl Anchored {
+    pub(crate) fn new(session: &Session, anchor: Pose) -> Self {
+        let OpenRequest { lsb, period_us, .. } = session.request;
+        Self {
+            anchor,
+            checker: LimitChecker::new(session.limits, lsb, period_us, anchor),
+            buffer: SetpointBuffer::default(),
+            applied_tick: 0,
+            lost: 0,
+            echo_until: 0,
+            ended: false,
+        }
+    }
+
+    /// The tick up to which setpoints would last if none of those between were lost.
+    pub(crate) fn ahead_until(&self) -> u32 {
+        self.applied_tick.saturating_add(u32::from(self.buffer.count_after(self.applied_tick)))
+    }
+}
+
+/// Whether an arm in `state` opens the session.
+pub(crate) fn admit(request: &OpenRequest, own_limits: &Limits, state: State) -> Result<(), Refusal> {
+    if request.version != PROTOCOL_VERSION {
+        return Err(Refusal::Version { arm: PROTOCOL_VERSION });
+    }
+    let idle = matches!(state, State::SwitchOnDisabled | State::ReadyToSwitchOn | State::SwitchedOn);
+    if !idle {
+        return Err(Refusal::Busy);
+    }
+    if !(PERIOD_US_MIN..=PERIOD_US_MAX).contains(&request.period_us) {
+        return Err(Refusal::Period);
+    }
+    let limits = own_limits.tighter(&request.limits);
+    let meaningful = request.session != NO_SESSION
+        && request.lsb.is_valid()
+        && request.end_tick > 0
+        && (1..=CAPACITY).contains(&u32::from(request.start_level))
+        && request.limits.validate().is_ok()
+        && limits.validate().is_ok()
+        && limits.check_resolution(request.lsb, request.period_us).is_ok();
+    if meaningful { Ok(()) } else { Err(Refusal::Meaningless) }
+}

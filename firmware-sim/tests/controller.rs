@@ -1,0 +1,448 @@
+//! The controller on its own, driven by hand: no line of the executor is involved.
+
+use nalgebra::Vector3;
+use powderline_firmware_sim::buffer::CAPACITY;
+use powderline_firmware_sim::controller::{ArmConfig, Controller, EXTRAPOLATION_TICKS};
+use powderline_shared::displacement::{Displacement, Lsb, Setpoint, pose_at};
+use powderline_shared::fault::FaultCode;
+use powderline_shared::limits::{Limits, Motion};
+use powderline_shared::pose::Pose;
+use powderline_shared::wire::message::{FromArm, OpenRequest, PROTOCOL_VERSION, Refusal, ToArm};
+use powderline_shared::wire::state::{Command, Event, Phase, State, transition};
+
+const PERIOD_US: u32 = 10_000;
+const SESSION: u16 = 7;
+const END: u32 = 100;
+const START_LEVEL: u16 = 4;
+
+fn start() -> Pose {
+    Pose { position_m: Vector3::new(0.3, 0.1, 0.2), ..Pose::identity() }
+}
+
+fn limits() -> Limits {
+    Limits {
+        workspace_min_m: [0.0; 3],
+        workspace_max_m: [0.6; 3],
+        linear_velocity_m_s: 0.5,
+        linear_acceleration_m_s2: 2.0,
+        linear_jerk_m_s3: 40.0,
+        angular_velocity_rad_s: 2.0,
+        angular_acceleration_rad_s2: 10.0,
+        angular_jerk_rad_s3: 200.0,
+    }
+}
+
+fn request() -> OpenRequest {
+    OpenRequest {
+        version: PROTOCOL_VERSION,
+        session: SESSION,
+        plan_hash: 1,
+        period_us: PERIOD_US,
+        end_tick: END,
+        lsb: Lsb::default(),
+        limits: limits(),
+        start_level: START_LEVEL,
+    }
+}
+
+fn smooth(s: f64) -> f64 {
+    let s = s.min(1.0);
+    s * s * s * (10.0 + s * (6.0 * s - 15.0))
+}
+
+/// 0.2 m and 0.5 rad in `END` ticks.
+fn setpoint(tick: u32) -> Setpoint {
+    setpoint_of(tick, 0.2, 0.5)
+}
+
+fn setpoint_of(tick: u32, length_m: f64, angle_rad: f64) -> Setpoint {
+    let s = smooth(f64::from(tick) / f64::from(END));
+    let cumulative =
+        Displacement { translation_m: [length_m * s, 0.0, 0.0], rotation_rad: [0.0, angle_rad * s, 0.0] };
+    Setpoint::from_cumulative(tick, &cumulative, Lsb::default()).unwrap()
+}
+
+/// A controller under virtual time, and an observer who knows nothing but where the arm is at each tick.
+struct Bench {
+    arm: Controller,
+    now_us: u64,
+    seen: Motion,
+    peak: [f64; 6],
+    messages: Vec<FromArm>,
+}
+
+impl Bench {
+    fn new() -> Self {
+        let arm = Controller::new(ArmConfig { limits: limits(), pose: start() });
+        Self { arm, now_us: 0, seen: Motion::at_rest(start()), peak: [0.0; 6], messages: Vec::new() }
+    }
+
+    fn enabled() -> Self {
+        Self::enabled_with(request())
+    }
+
+    fn enabled_with(request: OpenRequest) -> Self {
+        let mut bench = Self::new();
+        bench.tell(ToArm::Open(request));
+        for command in [Command::Shutdown, Command::SwitchOn, Command::EnableOperation] {
+            bench.command(command);
+        }
+        assert_eq!(bench.arm.state(), State::OperationEnabled);
+        bench
+    }
+
+    fn tell(&mut self, message: ToArm) {
+        self.arm.handle_message(self.now_us, &message);
+        self.messages.extend(std::iter::from_fn(|| self.arm.poll(self.now_us)));
+    }
+
+    fn command(&mut self, command: Command) {
+        self.tell(ToArm::Control { session: SESSION, command });
+    }
+
+    fn set(&mut self, setpoint: Setpoint) {
+        self.tell(ToArm::Setpoint { session: SESSION, setpoint });
+    }
+
+    /// One period passes; the observer takes note.
+    fn period(&mut self) {
+        self.now_us += u64::from(PERIOD_US);
+        self.messages.extend(std::iter::from_fn(|| self.arm.poll(self.now_us)));
+        self.seen = self.seen.moved_to(self.arm.pose(), PERIOD_US);
+        for (peak, value) in self.peak.iter_mut().zip(self.seen.norms()) {
+            *peak = peak.max(value);
+        }
+    }
+
+    /// Streams `setpoint(tick)` where it gives one, four ticks ahead.
+    fn stream(&mut self, last_tick: u32, setpoint: impl Fn(u32) -> Option<Setpoint>) {
+        let ahead = u32::from(START_LEVEL);
+        (1..=ahead).filter_map(&setpoint).for_each(|setpoint| self.set(setpoint));
+        for tick in ahead + 1..=last_tick + ahead + 8 {
+            self.period();
+            if tick <= last_tick {
+                setpoint(tick).into_iter().for_each(|setpoint| self.set(setpoint));
+            }
+        }
+    }
+
+    fn rest(&mut self) {
+        for _ in 0..200 {
+            self.period();
+        }
+        assert!(self.arm.status().standstill);
+    }
+
+    fn assert_limits_kept(&self) {
+        // What rounding to the LSB can add, see `limits`.
+        let noise = [2e-5, 4e-3, 0.7, 2e-5, 4e-3, 0.7];
+        for (((limit, bound), value), noise) in
+            limits().derivative_bounds().into_iter().zip(self.peak).zip(noise)
+        {
+            assert!(value <= bound + noise, "{limit}: {value} > {bound}");
+        }
+    }
+
+    fn fault(&self) -> Option<FaultCode> {
+        self.arm.fault().map(|fault| fault.code)
+    }
+}
+
+#[test]
+fn a_whole_motion_ends_on_its_last_setpoint() {
+    let mut bench = Bench::enabled();
+    let anchor = bench.messages.iter().find_map(|message| match message {
+        FromArm::Anchored { pose, session: SESSION } => Some(*pose),
+        _ => None,
+    });
+    assert_eq!(anchor, Some(start()));
+    bench.stream(END, |tick| Some(setpoint(tick)));
+    assert_eq!(bench.arm.pose(), pose_at(&start(), setpoint(END), Lsb::default()));
+    let status = bench.arm.status();
+    assert_eq!((status.phase, status.applied_tick, status.lost), (Some(Phase::Holding), END, 0));
+    assert_eq!(bench.fault(), None);
+    bench.assert_limits_kept();
+    bench.command(Command::Shutdown);
+    assert_eq!(bench.arm.state(), State::ReadyToSwitchOn);
+}
+
+#[test]
+fn phases_follow_each_other() {
+    let mut bench = Bench::enabled();
+    bench.stream(END, |tick| Some(setpoint(tick)));
+    let mut phases: Vec<_> = bench
+        .messages
+        .iter()
+        .filter_map(|message| if let FromArm::Status(status) = message { status.phase } else { None })
+        .collect();
+    phases.dedup();
+    assert_eq!(phases, [Phase::Armed, Phase::Streaming, Phase::Completing, Phase::Holding]);
+}
+
+#[test]
+fn nothing_moves_without_a_session_and_enabled_operation() {
+    let mut bench = Bench::new();
+    bench.command(Command::Shutdown);
+    assert_eq!(bench.arm.state(), State::SwitchOnDisabled);
+    bench.tell(ToArm::Open(request()));
+    (1..10).for_each(|tick| bench.set(setpoint(tick)));
+    bench.rest();
+    assert_eq!(bench.arm.pose(), start());
+    assert_eq!(bench.arm.status().dropped, 10);
+}
+
+#[test]
+fn another_session_moves_nothing() {
+    let mut bench = Bench::enabled();
+    for tick in 1..10 {
+        bench.tell(ToArm::Setpoint { session: SESSION + 1, setpoint: setpoint(tick) });
+    }
+    bench.tell(ToArm::Control { session: SESSION + 1, command: Command::QuickStop });
+    bench.tell(ToArm::Open(OpenRequest { session: SESSION + 1, ..request() }));
+    let refused = FromArm::Refused { session: SESSION + 1, reason: Refusal::Busy };
+    assert!(bench.messages.contains(&refused));
+    bench.rest();
+    assert_eq!((bench.arm.pose(), bench.arm.state()), (start(), State::OperationEnabled));
+}
+
+#[test]
+fn sessions_that_do_not_fit_are_refused() {
+    let fine = request();
+    let no_limits = Limits { linear_jerk_m_s3: f64::NAN, ..limits() };
+    let cases = [
+        (OpenRequest { version: 2, ..fine }, Refusal::Version { arm: PROTOCOL_VERSION }),
+        (OpenRequest { period_us: 1, ..fine }, Refusal::Period),
+        (OpenRequest { session: 0, ..fine }, Refusal::Meaningless),
+        (OpenRequest { end_tick: 0, ..fine }, Refusal::Meaningless),
+        (OpenRequest { start_level: 0, ..fine }, Refusal::Meaningless),
+        (OpenRequest { start_level: 17, ..fine }, Refusal::Meaningless),
+        (OpenRequest { limits: no_limits, ..fine }, Refusal::Meaningless),
+        (OpenRequest { lsb: Lsb { translation_nm: 0, rotation_nrad: 1 }, ..fine }, Refusal::Meaningless),
+    ];
+    for (request, reason) in cases {
+        let mut bench = Bench::new();
+        bench.tell(ToArm::Open(request));
+        assert_eq!(bench.messages.last(), Some(&FromArm::Refused { session: request.session, reason }));
+    }
+}
+
+#[test]
+fn each_limit_is_kept_by_the_arm_alone() {
+    let fine = limits();
+    let cases = [
+        (Limits { workspace_max_m: [0.4, 0.6, 0.6], ..fine }, FaultCode::ArmWorkspace),
+        (Limits { linear_velocity_m_s: 0.3, ..fine }, FaultCode::ArmLinearVelocity),
+        (Limits { linear_acceleration_m_s2: 1.0, ..fine }, FaultCode::ArmLinearAcceleration),
+        (Limits { linear_jerk_m_s3: 8.0, ..fine }, FaultCode::ArmLinearJerk),
+        (Limits { angular_velocity_rad_s: 0.8, ..fine }, FaultCode::ArmAngularVelocity),
+        (Limits { angular_acceleration_rad_s2: 2.0, ..fine }, FaultCode::ArmAngularAcceleration),
+        (Limits { angular_jerk_rad_s3: 20.0, ..fine }, FaultCode::ArmAngularJerk),
+    ];
+    for (tight, code) in cases {
+        // Once as the session's limits, once as the arm's own.
+        for own in [false, true] {
+            let session = if own { fine } else { tight };
+            let mut bench = Bench::new();
+            bench.arm = Controller::new(ArmConfig { limits: if own { tight } else { fine }, pose: start() });
+            bench.tell(ToArm::Open(OpenRequest { limits: session, ..request() }));
+            for command in [Command::Shutdown, Command::SwitchOn, Command::EnableOperation] {
+                bench.command(command);
+            }
+            bench.stream(END, |tick| Some(setpoint(tick)));
+            bench.rest();
+            assert_eq!((bench.fault(), bench.arm.state()), (Some(code), State::Fault));
+            assert!(bench.arm.violation().is_some());
+            bench.assert_limits_kept();
+        }
+    }
+}
+
+#[test]
+fn a_single_lost_setpoint_heals_with_the_next() {
+    for lost in (6..END).step_by(7) {
+        let mut bench = Bench::enabled();
+        bench.stream(END, |tick| (tick != lost).then(|| setpoint(tick)));
+        assert_eq!(bench.fault(), None, "lost {lost}");
+        assert_eq!(bench.arm.status().lost, 1);
+        assert_eq!(bench.arm.pose(), pose_at(&start(), setpoint(END), Lsb::default()));
+        bench.assert_limits_kept();
+    }
+}
+
+#[test]
+fn silence_is_a_latched_stop_within_limits() {
+    for silent_from in (5..=END).step_by(5).chain([END - 1]) {
+        let mut bench = Bench::enabled();
+        bench.stream(END, |tick| (tick < silent_from).then(|| setpoint(tick)));
+        bench.rest();
+        assert_eq!(bench.arm.state(), State::Fault, "silent from {silent_from}");
+        let fault = bench.arm.fault().unwrap();
+        let latched_at = END.min(silent_from - 1 + EXTRAPOLATION_TICKS);
+        assert_eq!((fault.code, fault.tick), (FaultCode::SetpointMissing, latched_at));
+        bench.assert_limits_kept();
+    }
+}
+
+#[test]
+fn a_setpoint_that_is_late_at_rest_does_no_harm() {
+    // A dwell: 60 ticks on the spot; two setpoints in it come late.
+    let dwell = |tick: u32| Setpoint { tick, counts: [0; 6] };
+    let mut bench = Bench::enabled();
+    (1..=4).for_each(|tick| bench.set(dwell(tick)));
+    for _ in 0..5 {
+        bench.period();
+    }
+    assert_eq!(bench.arm.state(), State::OperationEnabled);
+    bench.set(dwell(5));
+    (6..=20).for_each(|tick| bench.set(dwell(tick)));
+    bench.period();
+    let status = bench.arm.status();
+    assert_eq!((status.state, status.lost, status.dropped), (State::OperationEnabled, 2, 2));
+}
+
+#[test]
+fn a_latched_stop_needs_reset_new_session_and_new_anchor() {
+    let mut bench = Bench::enabled();
+    bench.stream(END, |tick| (tick < 50).then(|| setpoint(tick)));
+    bench.rest();
+    let stopped_at = bench.arm.pose();
+    for command in [Command::Shutdown, Command::SwitchOn, Command::EnableOperation, Command::QuickStop] {
+        bench.command(command);
+    }
+    bench.tell(ToArm::Open(OpenRequest { session: 8, ..request() }));
+    (50..60).for_each(|tick| bench.set(setpoint(tick)));
+    bench.rest();
+    assert_eq!((bench.arm.state(), bench.arm.pose()), (State::Fault, stopped_at));
+    bench.command(Command::FaultReset);
+    assert_eq!(bench.arm.status().session, 0);
+    bench.tell(ToArm::Open(OpenRequest { session: 8, ..request() }));
+    for command in [Command::Shutdown, Command::SwitchOn, Command::EnableOperation] {
+        bench.tell(ToArm::Control { session: 8, command });
+    }
+    assert!(bench.messages.contains(&FromArm::Anchored { session: 8, pose: stopped_at }));
+}
+
+#[test]
+fn a_commanded_stop_keeps_limits_at_any_moment() {
+    for after in (1..END).step_by(3) {
+        let mut bench = Bench::enabled();
+        (1..=CAPACITY).for_each(|tick| bench.set(setpoint(tick)));
+        for tick in 1..=after {
+            bench.period();
+            let ahead = tick + CAPACITY;
+            if ahead <= END {
+                bench.set(setpoint(ahead));
+            }
+        }
+        // Whatever takes power away from a moving arm is a quick stop first.
+        let commands =
+            [Command::QuickStop, Command::DisableVoltage, Command::Shutdown, Command::DisableOperation];
+        bench.command(commands[after as usize % 4]);
+        assert_eq!(bench.arm.state(), State::QuickStopActive);
+        bench.command(Command::EnableOperation);
+        bench.rest();
+        assert_eq!(
+            (bench.arm.state(), bench.fault()),
+            (State::QuickStopActive, Some(FaultCode::StopCommanded))
+        );
+        bench.assert_limits_kept();
+        bench.command(Command::DisableVoltage);
+        assert_eq!(bench.arm.state(), State::SwitchOnDisabled);
+    }
+}
+
+#[test]
+fn setpoints_without_sense_stop_the_arm() {
+    let turned = Setpoint { tick: 6, counts: [0, 0, 0, 0, 31_500_000, 0] };
+    let changed = Setpoint { counts: [1; 6], ..setpoint(4) };
+    let cases = [
+        (changed, FaultCode::SetpointRepeated),
+        (setpoint(CAPACITY + 3), FaultCode::SetpointBeyondCredit),
+        (Setpoint { tick: END + 1, counts: [0; 6] }, FaultCode::SetpointPastEnd),
+        (turned, FaultCode::SetpointNotRepresentable),
+    ];
+    for (bad, code) in cases {
+        let mut bench = Bench::enabled();
+        (1..=5).for_each(|tick| bench.set(setpoint(tick)));
+        bench.period();
+        bench.set(bad);
+        bench.rest();
+        assert_eq!((bench.fault(), bench.arm.state()), (Some(code), State::Fault));
+        bench.assert_limits_kept();
+    }
+}
+
+#[test]
+fn a_motion_that_ends_without_coming_to_rest_is_stopped() {
+    let mut bench = Bench::enabled_with(OpenRequest { end_tick: 50, ..request() });
+    bench.stream(50, |tick| Some(setpoint(tick)));
+    bench.rest();
+    assert_eq!((bench.fault(), bench.arm.state()), (Some(FaultCode::ArmLinearAcceleration), State::Fault));
+    bench.assert_limits_kept();
+}
+
+#[test]
+fn between_ticks_the_arm_moves_without_jumps() {
+    let mut bench = Bench::enabled();
+    (1..=CAPACITY).for_each(|tick| bench.set(setpoint(tick)));
+    let mut last = bench.arm.pose();
+    for tick in 1..END {
+        for _ in 0..10 {
+            bench.now_us += u64::from(PERIOD_US) / 10;
+            while bench.arm.poll(bench.now_us).is_some() {}
+            let moved = last.displacement_to(&bench.arm.pose()).translation().norm();
+            assert!(moved <= 0.5 * 1e-3, "{moved}");
+            last = bench.arm.pose();
+        }
+        if tick + CAPACITY <= END {
+            bench.set(setpoint(tick + CAPACITY));
+        }
+    }
+}
+
+/// The controller's own transitions against the table that all share.
+#[test]
+fn states_follow_the_table() {
+    const COMMANDS: [Command; 7] = [
+        Command::Shutdown,
+        Command::SwitchOn,
+        Command::EnableOperation,
+        Command::DisableOperation,
+        Command::DisableVoltage,
+        Command::QuickStop,
+        Command::FaultReset,
+    ];
+    let up = [Command::Shutdown, Command::SwitchOn, Command::EnableOperation];
+    for command in COMMANDS {
+        for steps in 0..=3 {
+            let mut bench = Bench::new();
+            bench.tell(ToArm::Open(request()));
+            up[..steps].iter().for_each(|command| bench.command(*command));
+            assert_obeys(&mut bench, command);
+        }
+        for moving in [false, true] {
+            let mut stopping = Bench::enabled();
+            stopping.stream(50, |tick| (tick <= 20).then(|| setpoint(tick)));
+            if !moving {
+                stopping.rest();
+            }
+            assert_obeys(&mut stopping, command);
+
+            let mut running = Bench::enabled();
+            (1..=CAPACITY).for_each(|tick| running.set(setpoint(tick)));
+            (0..10).for_each(|_| running.period());
+            running.command(Command::QuickStop);
+            if !moving {
+                running.rest();
+            }
+            assert_obeys(&mut running, command);
+        }
+    }
+}
+
+fn assert_obeys(bench: &mut Bench, command: Command) {
+    let (from, still) = (bench.arm.state(), bench.arm.status().standstill);
+    let line = transition(from, Event::Command(command)).filter(|line| still || !line.at_standstill);
+    bench.command(command);
+    assert_eq!(bench.arm.state(), line.map_or(from, |line| line.to), "{} on {command:?}", from.name());
+}

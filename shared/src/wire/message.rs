@@ -1,0 +1,161 @@
+//! Messages between executor and arm, as values.
+//!
+//! | from     | message                | when                                                                    |
+//! |----------|------------------------|-------------------------------------------------------------------------|
+//! | executor | [`ToArm::Open`]        | first: which plan, at which period, how long, within which limits       |
+//! | arm      | [`FromArm::Opened`]    | the session is accepted ([`FromArm::Refused`]: it is not, and why)      |
+//! | executor | [`ToArm::Control`]     | to walk through the [`state`](super::state)s                            |
+//! | arm      | [`FromArm::Anchored`]  | operation enabled: the pose X0 that all setpoints start from            |
+//! | executor | [`ToArm::Setpoint`]    | each cumulative, each with the tick it belongs to, as credit allows     |
+//! | arm      | [`FromArm::Status`]    | on every change and at every tick                                       |
+//! | arm      | [`FromArm::Actual`]    | at every tick: the pose reached                                         |
+//!
+//! # Ticks
+//! The arm starts its clock, tick 0, when `start_level` setpoints are there. It takes setpoint k at tick k - 1 and reaches
+//! it at tick k. A setpoint may be sent while its tick is at most [`Status::credit_until`]; that number is absolute, so
+//! neither loss nor repetition of a report can inflate it.
+
+use serde::{Deserialize, Serialize};
+
+use super::state::{Command, Phase, State};
+use crate::displacement::{Lsb, Setpoint};
+use crate::fault::Fault;
+use crate::limits::Limits;
+use crate::pose::Pose;
+
+/// Version of the messages; both ends must have the same.
+pub const PROTOCOL_VERSION: u16 = 1;
+
+/// Session number that stands for no session.
+pub const NO_SESSION: u16 = 0;
+
+/// From executor to arm.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum ToArm {
+    /// Opens a session.
+    Open(OpenRequest),
+    /// Asks for a state.
+    Control {
+        /// Session it belongs to.
+        session: u16,
+        /// What is asked.
+        command: Command,
+    },
+    /// Where to be at a tick.
+    Setpoint {
+        /// Session it belongs to.
+        session: u16,
+        /// Tick and cumulative displacement from the anchor.
+        setpoint: Setpoint,
+    },
+}
+
+/// What the executor is about to play.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct OpenRequest {
+    /// See [`PROTOCOL_VERSION`].
+    pub version: u16,
+    /// Number that all messages of this session carry; not [`NO_SESSION`].
+    pub session: u16,
+    /// Content hash of the plan.
+    pub plan_hash: u64,
+    /// Control period, microseconds.
+    pub period_us: u32,
+    /// Tick of the last setpoint.
+    pub end_tick: u32,
+    /// What one count is worth.
+    pub lsb: Lsb,
+    /// Limits of the plan; the arm keeps the tighter of these and its own.
+    pub limits: Limits,
+    /// Setpoints that must be there before the arm starts its clock.
+    pub start_level: u16,
+}
+
+/// From arm to executor.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum FromArm {
+    /// The session is open.
+    Opened {
+        /// Its number.
+        session: u16,
+    },
+    /// The session is not opened.
+    Refused {
+        /// The number asked for.
+        session: u16,
+        /// Why.
+        reason: Refusal,
+    },
+    /// Operation is enabled at this pose.
+    Anchored {
+        /// Session.
+        session: u16,
+        /// X0.
+        pose: Pose,
+    },
+    /// Progress and state.
+    Status(Status),
+    /// Where the arm really is.
+    Actual {
+        /// Session.
+        session: u16,
+        /// Setpoint that it has just been due to reach.
+        tick: u32,
+        /// Measured pose.
+        pose: Pose,
+    },
+}
+
+/// Why an arm does not open a session.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Refusal {
+    /// The arm speaks another version.
+    Version {
+        /// Version of the arm.
+        arm: u16,
+    },
+    /// A session is open, or a fault is latched.
+    Busy,
+    /// The control period is outside the arm's range.
+    Period,
+    /// Session number, LSB, end tick, start level or limits have no meaning.
+    Meaningless,
+}
+
+impl core::fmt::Display for Refusal {
+    fn fmt(&self, f: &mut core::fmt::Formatter<'_>) -> core::fmt::Result {
+        match self {
+            Self::Version { arm } => {
+                write!(f, "the arm speaks protocol version {arm}, the executor version {PROTOCOL_VERSION}")
+            }
+            Self::Busy => f.write_str("the arm is in another session or has a fault latched"),
+            Self::Period => f.write_str("the arm cannot keep the plan's control period"),
+            Self::Meaningless => f.write_str("the session's numbers have no meaning to the arm"),
+        }
+    }
+}
+
+/// Progress and state of the arm.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Status {
+    /// Open session, or [`NO_SESSION`].
+    pub session: u16,
+    /// State.
+    pub state: State,
+    /// What it does in operation enabled; `None` in any other state.
+    pub phase: Option<Phase>,
+    /// Whether the arm stands still.
+    pub standstill: bool,
+    /// Last setpoint taken.
+    pub applied_tick: u32,
+    /// Setpoints waiting.
+    pub buffered: u16,
+    /// Last tick for which the arm has room.
+    pub credit_until: u32,
+    /// Setpoints that were not there when they were needed.
+    pub lost: u32,
+    /// Messages dropped: stale, repeated, or of another session.
+    pub dropped: u32,
+    /// The latched fault.
+    pub fault: Option<Fault>,
+}
