@@ -28,8 +28,6 @@ pub trait Real:
     const ZERO: Self;
     /// 1.
     const ONE: Self;
-    /// Sweeps of the cyclic Jacobi method that reduce a symmetric 3x3 matrix to rounding.
-    const JACOBI_SWEEPS: usize;
     /// Nearest value of this type.
     fn of(x: f64) -> Self;
     /// The value as `f64`, exact.
@@ -38,8 +36,9 @@ pub trait Real:
     fn sqrt(self) -> Self;
     /// Absolute value.
     fn abs(self) -> Self;
-    /// Integer part of a non-negative value below 2^31.
-    fn trunc_i32(self) -> i32;
+    /// Nearest integer (ties to even) of a value below 2^22, as a number and as an integer. A cast with `as`
+    /// saturates, and the compiler does not vectorise that.
+    fn nearest(self) -> (Self, i32);
     /// `ln(1 + x)`, within 2 units in the last place; NaN for `x <= -1`.
     fn ln_1p(self) -> Self;
     /// `exp(x) - 1`, within 3 units in the last place; the argument is held within +-80.
@@ -72,7 +71,6 @@ pub trait Real:
 impl Real for f32 {
     const ZERO: Self = 0.0;
     const ONE: Self = 1.0;
-    const JACOBI_SWEEPS: usize = 4;
 
     #[inline(always)]
     fn of(x: f64) -> Self {
@@ -91,8 +89,11 @@ impl Real for f32 {
         f32::abs(self)
     }
     #[inline(always)]
-    fn trunc_i32(self) -> i32 {
-        self as i32
+    fn nearest(self) -> (Self, i32) {
+        // At this size the unit of the last place is 1, and the low bits are the integer.
+        const SHIFT: f32 = 12_582_912.0;
+        let shifted = self + SHIFT;
+        (shifted - SHIFT, (shifted.to_bits() as i32).wrapping_sub(SHIFT.to_bits() as i32))
     }
     /// The reduction of Sun's fdlibm (`s_log1pf.c`), without its branches.
     #[inline(always)]
@@ -114,15 +115,14 @@ impl Real for f32 {
     #[inline(always)]
     fn exp_m1(self) -> Self {
         let x = self.at_least(-80.0).at_most(80.0);
-        let k = (x * core::f32::consts::LOG2_E + if x < 0.0 { -0.5 } else { 0.5 }) as i32;
-        let kf = k as f32;
+        let (kf, k) = (x * core::f32::consts::LOG2_E).nearest();
         let r = (x - kf * 0.693_145_75) - kf * 1.428_606_8e-6;
         let p = r
             * (1.0
                 + r * (0.5
                     + r * (1.0 / 6.0
                         + r * (1.0 / 24.0 + r * (1.0 / 120.0 + r * (1.0 / 720.0 + r * (1.0 / 5040.0)))))));
-        let scale = f32::from_bits(((k + 127) << 23) as u32);
+        let scale = f32::from_bits((k.wrapping_add(127) << 23) as u32);
         scale * p + (scale - 1.0)
     }
     #[inline(always)]
@@ -134,7 +134,6 @@ impl Real for f32 {
 impl Real for f64 {
     const ZERO: Self = 0.0;
     const ONE: Self = 1.0;
-    const JACOBI_SWEEPS: usize = 5;
 
     #[inline(always)]
     fn of(x: f64) -> Self {
@@ -153,8 +152,10 @@ impl Real for f64 {
         f64::abs(self)
     }
     #[inline(always)]
-    fn trunc_i32(self) -> i32 {
-        self as i32
+    fn nearest(self) -> (Self, i32) {
+        const SHIFT: f64 = 6_755_399_441_055_744.0;
+        let shifted = self + SHIFT;
+        (shifted - SHIFT, (shifted.to_bits() as i64).wrapping_sub(SHIFT.to_bits() as i64) as i32)
     }
     /// The reduction of Sun's fdlibm (`s_log1p.c`), without its branches.
     #[inline(always)]
@@ -183,8 +184,7 @@ impl Real for f64 {
     #[inline(always)]
     fn exp_m1(self) -> Self {
         let x = self.at_least(-80.0).at_most(80.0);
-        let k = (x * core::f64::consts::LOG2_E + if x < 0.0 { -0.5 } else { 0.5 }) as i32;
-        let kf = f64::from(k);
+        let (kf, k) = (x * core::f64::consts::LOG2_E).nearest();
         let r = (x - kf * 6.931_471_803_691_238e-1) - kf * 1.908_214_929_270_587_7e-10;
         // Taylor series to r^14, |r| <= ln(2)/2: the remainder is below 2e-19.
         const INVERSE_FACTORIAL: [f64; 12] = [
@@ -205,7 +205,7 @@ impl Real for f64 {
         let high = c[6] + r * (c[7] + r * (c[8] + r * (c[9] + r * (c[10] + r * c[11]))));
         let low = c[0] + r * (c[1] + r * (c[2] + r * (c[3] + r * (c[4] + r * (c[5] + r * high)))));
         let p = r + r * r * (0.5 + r * low);
-        let scale = f64::from_bits(((i64::from(k) + 1023) << 52) as u64);
+        let scale = f64::from_bits(((i64::from(k).wrapping_add(1023)) << 52) as u64);
         scale * p + (scale - 1.0)
     }
     #[inline(always)]

@@ -4,16 +4,14 @@
 //! `x' = x + dt v'`.
 
 use crate::mpm::Model;
-use crate::mpm::contact::{Motion, MotionBar, contact};
-use crate::mpm::grid_update::contact_lanes_adjoint;
+use crate::mpm::contact::{Motion, MotionBar};
+use crate::mpm::grid_update::{contact_lanes, contact_lanes_adjoint, meet};
 use crate::mpm::layout::{Block, Grid, Nodes, empty_tile, load_tile};
-use crate::mpm::obstacle::Touching;
 use crate::mpm::p2g::{Places, affine};
-use crate::mpm::particles::{Group, LANES, Lanes, mat_of, set_mat, set_vec, vec_of};
+use crate::mpm::particles::{Group, LANES, set_mat, set_vec, vec_of};
 use crate::mpm::stencil::{TILE_EDGE, Tile, gather, gather_with_gradient, scatter, weight_slopes};
 use crate::real::Real;
 use crate::small::{three, tr_mul_vec};
-use crate::shape::with_solid;
 
 /// Moves one block's particles. Returns whether all of them are still within the reach of their tile.
 pub(crate) struct TileToParticles<'a, T> {
@@ -52,31 +50,25 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticles<'_, T> {
                 set_mat(&mut output.c, l, c);
             }
             for t in &touching {
-                contact_particles(t, &input.x, &mut output.v);
+                contact_lanes(t, &t.piece.particle_law, &input.x, &mut output.v);
             }
-            let mut inside = [true; LANES];
-            for l in 0..LANES {
-                for axis in 0..3 {
-                    let x = input.x[axis][l] + model.dt * output.v[axis][l];
-                    output.x[axis][l] = x;
-                    let base = x * model.inverse_dx + shift[axis] - T::of(0.5);
-                    inside[l] &= base >= T::ZERO && base < T::of((TILE_EDGE - 2) as f64);
+            let reach = T::of((TILE_EDGE - 2) as f64);
+            let mut outside = [T::ZERO; LANES];
+            for axis in 0..3 {
+                let (x, v) = (input.x[axis], output.v[axis]);
+                let mut next = x;
+                for l in 0..LANES {
+                    next[l] = x[l] + model.dt * v[l];
+                    let base = next[l] * model.inverse_dx + shift[axis] - T::of(0.5);
+                    // A number that is not finite counts as outside, too.
+                    outside[l] = if base >= T::ZERO && base < reach { outside[l] } else { T::ONE };
                 }
+                output.x[axis] = next;
             }
-            all_inside &= inside[..living].iter().all(|b| *b);
+            all_inside &= outside[..living].iter().all(|o| *o == T::ZERO);
         }
         all_inside
     }
-}
-
-#[inline(always)]
-fn contact_particles<T: Real>(t: &Touching<'_, T>, x: &[Lanes<T>; 3], v: &mut [Lanes<T>; 3]) {
-    with_solid!(t.piece.shape, solid => {
-        for l in 0..LANES {
-            let after = contact(&solid, t.motion, &t.piece.particle_law, vec_of(x, l), vec_of(v, l));
-            set_vec(v, l, after);
-        }
-    });
 }
 
 /// Adjoint of [`TileToParticles`] for one block: scatters the cotangent of the nodes' velocities into a tile.
@@ -104,7 +96,7 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
         *self.tile_bar = empty_tile();
         let touching = model.obstacles.at_particles(&model.grid, self.block.coord, self.tool);
         let mut tool_bar = MotionBar::default();
-        let mut before = Vec::with_capacity(touching.len());
+        let mut met = Vec::with_capacity(touching.len());
         for g in 0..self.input.len() {
             let (input, bar) = (&self.input[g], &mut self.bar[g]);
             let mut places = Places::ZERO;
@@ -122,14 +114,9 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
                     let m = gather(&tile, &places.stencil(l));
                     set_vec(&mut v, l, [m.sum[0], m.sum[1], m.sum[2]]);
                 }
-                before.clear();
-                for t in &touching {
-                    before.push(v);
-                    contact_particles(t, &input.x, &mut v);
-                }
-                for (t, v) in touching.iter().zip(&before).rev() {
-                    let law = &t.piece.particle_law;
-                    contact_lanes_adjoint(t, law, &input.x, v, &mut bar.v, Some(&mut bar.x), &mut tool_bar);
+                meet(&touching, |piece| &piece.particle_law, &input.x, v, &mut met);
+                for m in met.iter().rev() {
+                    contact_lanes_adjoint(m, &input.x, &mut bar.v, Some(&mut bar.x), &mut tool_bar);
                 }
             }
             for l in 0..living {

@@ -1,14 +1,14 @@
 //! Grid update: momentum to velocity, gravity, contact at the nodes.
 
 use crate::mpm::Model;
-use crate::mpm::contact::{Motion, MotionBar, contact, contact_adjoint};
+use crate::mpm::contact::{Law, Motion, MotionBar, contact, contact_adjoint};
 use crate::mpm::layout::{BLOCK_EDGE, BLOCK_NODES, NodeBlock, Nodes, sum_tiles};
-use crate::mpm::obstacle::Touching;
+use crate::mpm::obstacle::{Piece, Touching};
 use crate::mpm::particles::{LANES, Lanes, set_vec, vec_of};
 use crate::mpm::stencil::Tile;
 use crate::real::Real;
-use crate::shape::with_solid;
-use crate::small::three;
+use crate::shape::{SignedDistance, with_solid};
+use crate::small::{sub, three, tr_mul_vec};
 
 /// Groups of lanes in a block's nodes.
 const CHUNKS: usize = BLOCK_NODES / LANES;
@@ -37,8 +37,10 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodes<'_, T> {
         let touching = self.model.obstacles.at_nodes(&self.model.grid, self.node.coord, self.tool);
         if !touching.is_empty() {
             let x = positions(self.model, self.node);
-            for t in &touching {
-                contact_nodes(t, &x, &mut v);
+            for (x, v) in x.iter().zip(&mut v) {
+                for t in &touching {
+                    contact_lanes(t, &t.piece.node_law, x, v);
+                }
             }
         }
         for (n, out) in self.velocity.iter_mut().enumerate() {
@@ -75,18 +77,6 @@ fn positions<T: Real>(model: &Model<T>, node: &NodeBlock) -> NodeLanes<T> {
     x
 }
 
-#[inline(always)]
-fn contact_nodes<T: Real>(t: &Touching<'_, T>, x: &NodeLanes<T>, v: &mut NodeLanes<T>) {
-    with_solid!(t.piece.shape, solid => {
-        for (x, v) in x.iter().zip(v) {
-            for l in 0..LANES {
-                let after = contact(&solid, t.motion, &t.piece.node_law, vec_of(x, l), vec_of(v, l));
-                set_vec(v, l, after);
-            }
-        }
-    });
-}
-
 /// Adjoint of [`UpdateNodes`]: from the tiles of velocity cotangents to cotangents of momentum and mass, and of the
 /// tool's motion.
 pub(crate) struct UpdateNodesAdjoint<'a, T> {
@@ -112,15 +102,12 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodesAdjoint<'_, T> {
         let touching = self.model.obstacles.at_nodes(&self.model.grid, self.node.coord, self.tool);
         if !touching.is_empty() {
             let x = positions(self.model, self.node);
-            let mut before = vec![free_velocity(self.model, self.momentum)];
-            for t in &touching[..touching.len() - 1] {
-                let mut v = before[before.len() - 1];
-                contact_nodes(t, &x, &mut v);
-                before.push(v);
-            }
-            for (t, v) in touching.iter().zip(&before).rev() {
-                for ((x, v), bar) in x.iter().zip(v).zip(&mut bar) {
-                    contact_lanes_adjoint(t, &t.piece.node_law, x, v, bar, None, &mut tool_bar);
+            let v = free_velocity(self.model, self.momentum);
+            let mut met = Vec::with_capacity(touching.len());
+            for ((x, v), bar) in x.iter().zip(v).zip(&mut bar) {
+                meet(&touching, |piece| &piece.node_law, x, v, &mut met);
+                for m in met.iter().rev() {
+                    contact_lanes_adjoint(m, x, bar, None, &mut tool_bar);
                 }
             }
         }
@@ -136,23 +123,80 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodesAdjoint<'_, T> {
     }
 }
 
+/// Whether any of [`LANES`] points is within the band of a piece. Beyond it contact changes nothing, exactly.
+#[inline(always)]
+fn reaches<T: Real, D: SignedDistance<T>>(solid: &D, motion: &Motion<T>, law: &Law<T>, x: &[Lanes<T>; 3]) -> bool {
+    let mut near = [T::ZERO; LANES];
+    for l in 0..LANES {
+        let y = tr_mul_vec(&motion.rotation, sub(vec_of(x, l), motion.position));
+        near[l] = T::ONE.only_if(solid.distance::<T>(y).0 < law.band);
+    }
+    near.iter().any(|n| *n > T::ZERO)
+}
+
+/// Contact of [`LANES`] points with one piece; says whether any of them was within its reach.
+#[inline(always)]
+pub(crate) fn contact_lanes<T: Real>(t: &Touching<'_, T>, law: &Law<T>, x: &[Lanes<T>; 3], v: &mut [Lanes<T>; 3]) -> bool {
+    // Copies on the stack cannot alias; with references the compiler would have to assume they do, and the
+    // loops would stay scalar.
+    let (motion, law, x, before) = (*t.motion, *law, *x, *v);
+    let mut after = before;
+    with_solid!(t.piece.shape, solid => {
+        let near = reaches(&solid, &motion, &law, &x);
+        if near {
+            for l in 0..LANES {
+                set_vec(&mut after, l, contact(&solid, &motion, &law, vec_of(&x, l), vec_of(&before, l)));
+            }
+            *v = after;
+        }
+        near
+    })
+}
+
+/// A piece that [`LANES`] points met, and their velocities just before.
+pub(crate) struct Met<'a, T> {
+    touching: Touching<'a, T>,
+    law: Law<T>,
+    before: [Lanes<T>; 3],
+}
+
+/// Runs through the pieces from velocity `v` and notes those within reach.
+#[inline(always)]
+pub(crate) fn meet<'a, T: Real>(
+    touching: &[Touching<'a, T>],
+    law: impl Fn(&'a Piece<T>) -> &'a Law<T>,
+    x: &[Lanes<T>; 3],
+    mut v: [Lanes<T>; 3],
+    met: &mut Vec<Met<'a, T>>,
+) {
+    met.clear();
+    for t in touching {
+        let (law, before) = (*law(t.piece), v);
+        if contact_lanes(t, &law, x, &mut v) {
+            met.push(Met { touching: *t, law, before });
+        }
+    }
+}
+
 /// Adjoint of contact for [`LANES`] points: `bar` goes from the velocity after contact to the one before;
 /// positions' and the tool's cotangents are added to.
 #[inline(always)]
 pub(crate) fn contact_lanes_adjoint<T: Real>(
-    t: &Touching<'_, T>,
-    law: &crate::mpm::contact::Law<T>,
+    met: &Met<'_, T>,
     x: &[Lanes<T>; 3],
-    v: &[Lanes<T>; 3],
     bar: &mut [Lanes<T>; 3],
     x_bar: Option<&mut [Lanes<T>; 3]>,
     tool_bar: &mut MotionBar,
 ) {
+    let Met { touching: t, law, before: v } = *met;
+    // Copies, as in `contact_lanes`.
+    let (motion, x, bar_after) = (*t.motion, *x, *bar);
+    let mut bar_before = bar_after;
     let mut sums = [[T::ZERO; LANES]; 12];
     with_solid!(t.piece.shape, solid => {
         for l in 0..LANES {
-            let b = contact_adjoint(&solid, t.motion, law, vec_of(x, l), vec_of(v, l), vec_of(bar, l));
-            set_vec(bar, l, b.v);
+            let b = contact_adjoint(&solid, &motion, &law, vec_of(&x, l), vec_of(&v, l), vec_of(&bar_after, l));
+            set_vec(&mut bar_before, l, b.v);
             for i in 0..3 {
                 sums[i][l] = b.x[i];
                 sums[3 + i][l] = b.rotation[i];
@@ -161,6 +205,7 @@ pub(crate) fn contact_lanes_adjoint<T: Real>(
             }
         }
     });
+    *bar = bar_before;
     if let Some(x_bar) = x_bar {
         for i in 0..3 {
             for l in 0..LANES {

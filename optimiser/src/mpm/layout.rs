@@ -263,14 +263,26 @@ pub(crate) fn sum_tiles<T: Real>(node: &NodeBlock, tiles: &[Tile<T>]) -> Nodes<T
     sum
 }
 
+/// Along one axis, for each node of a tile: which neighbour (0, 1, 2) owns it, and its place there.
+const OWNERS: [(usize, usize); TILE_EDGE] = [(0, 3), (1, 0), (1, 1), (1, 2), (1, 3), (2, 0), (2, 1), (2, 2)];
+
 /// Fills a particle block's tile from the node blocks around it.
 #[inline(always)]
 pub(crate) fn load_tile<T: Real>(block: &Block, nodes: &[Nodes<T>], tile: &mut Tile<T>) {
-    for (n, offset) in neighbour_offsets().enumerate() {
-        let from = &nodes[block.nodes[n] as usize];
-        shared_rows(offset.map(|o| -o), |at, to, count| {
-            tile[to..to + count].copy_from_slice(&from[at..at + count]);
-        });
+    let (rows, _) = tile.as_chunks_mut::<TILE_EDGE>();
+    for (i, (nx, ax)) in OWNERS.into_iter().enumerate() {
+        for ny in 0..3 {
+            // Three columns of blocks along z: below, here, above.
+            let column = (nx * 3 + ny) * 3;
+            let from = |k: usize| nodes[block.nodes[column + k] as usize].as_chunks::<BLOCK_EDGE>().0;
+            let (below, here, above) = (from(0), from(1), from(2));
+            let (ay, ty, count) = [(3, 0, 1), (0, 1, 4), (0, 5, 3)][ny];
+            for j in 0..count {
+                let row = ax * BLOCK_EDGE + ay + j;
+                let (a, b, c) = (&below[row], &here[row], &above[row]);
+                rows[i * TILE_EDGE + ty + j] = [a[3], b[0], b[1], b[2], b[3], c[0], c[1], c[2]];
+            }
+        }
     }
 }
 

@@ -40,6 +40,8 @@ pub(crate) struct Model<T> {
     pub(crate) mass_dx: T,
     /// `dt V0 (4/dx^2) dx`: what the stress is multiplied with in `A dx`.
     pub(crate) stress_dx: T,
+    /// Fraction of the strain rate's momentum that viscosity takes in a substep, `8 eta dt/(rho dx^2)`.
+    pub(crate) viscous_loss: T,
     /// Gravity times substep, m/s.
     pub(crate) gravity_dt: [T; 3],
     pub(crate) arch: pulp::Arch,
@@ -69,6 +71,7 @@ impl<T: Real> Model<T> {
             mass: T::of(mass),
             mass_dx: T::of(mass * dx),
             stress_dx: T::of(dt * volume * 4.0 / dx),
+            viscous_loss: T::of(std::env::var("ZETA").map_or(0.02, |z| z.parse::<f64>().unwrap())),
             gravity_dt: scene.domain.gravity_m_s2.map(|g| T::of(g * dt)),
             arch: pulp::Arch::new(),
         }

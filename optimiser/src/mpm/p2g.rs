@@ -1,22 +1,23 @@
 //! Particle to grid: trial strain, return map, and the scatter of mass and momentum.
 //!
 //! `m_i += w m`, `p_i += w [m v + A (x_i - x)]`, `A = m C - dt V0 (4/dx^2) tau` (MLS-MPM, Hu et al. 2018,
-//! equations 16 and 28, for quadratic splines).
+//! equations 16 and 28, for quadratic splines). In `A`, `C` stands without the part of the strain rate that
+//! viscosity takes.
 
 use crate::mpm::Model;
 use crate::mpm::layout::{Block, Grid, Nodes, empty_tile, load_tile};
 use crate::mpm::material::{return_map, return_map_adjoint, trial_strain, trial_strain_adjoint};
 use crate::mpm::particles::{Group, LANES, Lanes, mat_of, set_mat, set_vec, vec_of};
 use crate::mpm::stencil::{
-    Affine, Stencil, Tile, gather_with_gradient, scatter, weight_slopes, weights,
+    Affine, Stencil, TILE_EDGE, Tile, gather_with_gradient, scatter, weight_slopes, weights,
 };
 use crate::real::Real;
-use crate::small::{Mat3, Vec3, mul_vec, scale, sub, three, tr_mul_vec};
+use crate::small::{Mat3, Vec3, full, mul_vec, scale, sub, three, tr_mul_vec};
 
 /// Where the particles of a group stand in their block's tile.
 #[derive(Clone, Copy)]
 pub(crate) struct Places<T> {
-    start: [u32; LANES],
+    start: [i32; LANES],
     /// Distance from the stencil's base node, in cells.
     f: [Lanes<T>; 3],
 }
@@ -26,16 +27,18 @@ impl<T: Real> Places<T> {
 
     #[inline(always)]
     pub(crate) fn locate(&mut self, inverse_dx: T, shift: Vec3<T>, x: &[Lanes<T>; 3]) {
-        use crate::mpm::stencil::TILE_EDGE;
-        for l in 0..LANES {
-            let mut start = 0;
-            for axis in 0..3 {
-                let at = x[axis][l] * inverse_dx + shift[axis];
-                let base = (at - T::of(0.5)).trunc_i32();
-                self.f[axis][l] = at - T::of(f64::from(base));
-                start = start * TILE_EDGE as i32 + base;
+        let edge = TILE_EDGE as i32;
+        for axis in 0..3 {
+            let (mut f, mut start, x) = ([T::ZERO; LANES], self.start, x[axis]);
+            for l in 0..LANES {
+                let at = x[l] * inverse_dx + shift[axis];
+                // floor(at - 1/2), but for ties, where either neighbour is right: the splines are continuous.
+                let (whole, base) = (at - T::ONE).nearest();
+                f[l] = at - whole;
+                start[l] = start[l] * edge + base;
             }
-            self.start[l] = start as u32;
+            self.f[axis] = f;
+            self.start = start;
         }
     }
 
@@ -119,7 +122,8 @@ fn stress<T: Real>(model: &Model<T>, input: &Group<T>, output: &mut Group<T>, pa
             output.strain[i][l] = strain[i];
         }
         output.q[0][l] = q;
-        let tau = crate::small::full(tau);
+        let tau = full(tau);
+        let c = without_viscosity(&c, model.viscous_loss);
         let mut a_dx = [[T::ZERO; 3]; 3];
         for i in 0..3 {
             for j in 0..3 {
@@ -129,6 +133,15 @@ fn stress<T: Real>(model: &Model<T>, input: &Group<T>, output: &mut Group<T>, pa
         set_mat(&mut payload.a_dx, l, a_dx);
         set_vec(&mut payload.momentum, l, scale(model.mass, vec_of(&input.v, l)));
     }
+}
+
+/// `C` less what viscosity takes of its symmetric part, the strain rate `D`; spin is left alone, so that angular
+/// momentum is kept. Taking the fraction `z` of `m D` is the stress `2 eta D` with `eta = z rho dx^2/(8 dt)`.
+/// The map is symmetric: it is its own adjoint.
+#[inline(always)]
+fn without_viscosity<T: Real>(c: &Mat3<T>, loss: T) -> Mat3<T> {
+    let half_loss = T::of(0.5) * loss;
+    three!(i => three!(j => c[i][j] - half_loss * (c[i][j] + c[j][i])))
 }
 
 #[inline(always)]
@@ -201,6 +214,7 @@ fn stress_adjoint<T: Real>(model: &Model<T>, input: &Group<T>, a_dx_bar: &[Lanes
             bar.strain[i][l] = strain_bar[i];
         }
         bar.q[0][l] = q_bar;
+        let a_bar = without_viscosity(&a_bar, model.viscous_loss);
         let mut c_bar = [[T::ZERO; 3]; 3];
         for i in 0..3 {
             for j in 0..3 {

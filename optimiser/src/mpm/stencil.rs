@@ -112,6 +112,7 @@ pub(crate) struct Moments<T> {
 pub(crate) fn gather<T: Real>(tile: &Tile<T>, s: &Stencil<T>) -> Moments<T> {
     let zero = [T::ZERO; 4];
     let mut m = Moments { sum: zero, first: [zero; 3] };
+    let index = [T::ZERO, T::ONE, T::ONE + T::ONE];
     let twice = s.w[2][2] + s.w[2][2];
     for i in 0..3 {
         let mut sum_i = zero;
@@ -123,10 +124,10 @@ pub(crate) fn gather<T: Real>(tile: &Tile<T>, s: &Stencil<T>) -> Moments<T> {
             let r = times(wij, r);
             sum_i = plus(sum_i, r);
             m.first[2] = plus(m.first[2], times(wij, rk));
-            m.first[1] = plus(m.first[1], times(T::of(j as f64), r));
+            m.first[1] = plus(m.first[1], times(index[j], r));
         }
         m.sum = plus(m.sum, sum_i);
-        m.first[0] = plus(m.first[0], times(T::of(i as f64), sum_i));
+        m.first[0] = plus(m.first[0], times(index[i], sum_i));
     }
     m
 }
@@ -142,6 +143,7 @@ pub(crate) fn gather_with_gradient<T: Real>(
     let zero = [T::ZERO; 4];
     let mut m = Moments { sum: zero, first: [zero; 3] };
     let mut gradient = [zero; 3];
+    let index = [T::ZERO, T::ONE, T::ONE + T::ONE];
     let (wz, dz) = (s.w[2], slopes[2]);
     let mut pi = a.p;
     for i in 0..3 {
@@ -166,11 +168,11 @@ pub(crate) fn gather_with_gradient<T: Real>(
             let r = times(wij, r);
             sum_i = plus(sum_i, r);
             m.first[2] = plus(m.first[2], times(wij, rk));
-            m.first[1] = plus(m.first[1], times(T::of(j as f64), r));
+            m.first[1] = plus(m.first[1], times(index[j], r));
             pj = plus(pj, a.steps[1]);
         }
         m.sum = plus(m.sum, sum_i);
-        m.first[0] = plus(m.first[0], times(T::of(i as f64), sum_i));
+        m.first[0] = plus(m.first[0], times(index[i], sum_i));
         pi = plus(pi, a.steps[0]);
     }
     (m, [total(gradient[0]), total(gradient[1]), total(gradient[2])])

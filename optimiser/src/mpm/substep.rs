@@ -15,7 +15,7 @@ use crate::mpm::stencil::Tile;
 use crate::real::Real;
 
 /// The state at the beginning of a substep.
-#[derive(Clone, Debug)]
+#[derive(Debug)]
 pub(crate) struct State<T> {
     pub(crate) particles: Particles<T>,
     pub(crate) layout: Arc<Layout>,
@@ -23,6 +23,26 @@ pub(crate) struct State<T> {
     pub(crate) sorted_from: Option<(Arc<[u32]>, usize)>,
     /// The next substep cannot begin before a sort.
     stale: bool,
+}
+
+impl<T: Clone> Clone for State<T> {
+    fn clone(&self) -> Self {
+        Self {
+            particles: self.particles.clone(),
+            layout: Arc::clone(&self.layout),
+            sorted_from: self.sorted_from.clone(),
+            stale: self.stale,
+        }
+    }
+
+    /// Into the memory that is already there.
+    fn clone_from(&mut self, from: &Self) {
+        self.particles.groups.clone_from(&from.particles.groups);
+        self.particles.ids.clone_from(&from.particles.ids);
+        self.layout.clone_from(&from.layout);
+        self.sorted_from.clone_from(&from.sorted_from);
+        self.stale = from.stale;
+    }
 }
 
 impl<T: Real> State<T> {

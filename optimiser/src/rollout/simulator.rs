@@ -221,6 +221,7 @@ impl<T: Real> Rollout<'_, T> {
         let mut at = 0;
         let mut working = settled.clone();
         let mut kept = vec![(0, settled)];
+        let mut spare: Vec<State<T>> = Vec::new();
         for action in actions {
             match action {
                 Action::Restore => {
@@ -236,10 +237,13 @@ impl<T: Real> Rollout<'_, T> {
                         self.report(done, total)?;
                     }
                 }
-                Action::Keep => kept.push((at, working.clone())),
-                Action::Drop => {
-                    kept.pop();
+                Action::Keep => {
+                    // Memory of dropped states is used again: fresh pages cost more than the copy.
+                    let mut state = spare.pop().unwrap_or_else(|| working.clone());
+                    state.clone_from(&working);
+                    kept.push((at, state));
                 }
+                Action::Drop => spare.extend(kept.pop().map(|(_, state)| state)),
                 Action::Reverse(step) => {
                     let (evaluation, bar) = match end.take() {
                         Some(end) => end,
