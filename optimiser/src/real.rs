@@ -220,7 +220,8 @@ mod tests {
 
     fn samples() -> impl Iterator<Item = f64> {
         let small = (0..4000).map(|i| (f64::from(i) - 2000.0) * 4.9e-4);
-        let tiny = (-300..0).flat_map(|e| [10f64.powf(f64::from(e) / 12.0), -(10f64.powf(f64::from(e) / 12.0)) * 0.999]);
+        let tiny = (-300..0)
+            .flat_map(|e| [10f64.powf(f64::from(e) / 12.0), -(10f64.powf(f64::from(e) / 12.0)) * 0.999]);
         small.chain(tiny).chain([1.5, 3.0, 10.0, 77.0])
     }
 
@@ -232,13 +233,23 @@ mod tests {
                 assert!((Real::ln_1p(x) - want).abs() <= 4.5e-16 * want.abs(), "ln_1p({x})");
                 let narrow = x as f32;
                 let want = f64::from(narrow).ln_1p();
-                assert!((f64::from(Real::ln_1p(narrow)) - want).abs() <= 2.4e-7 * want.abs(), "ln_1p({narrow})");
+                assert!(
+                    (f64::from(Real::ln_1p(narrow)) - want).abs() <= 2.4e-7 * want.abs(),
+                    "ln_1p({narrow})"
+                );
             }
             let want = x.exp_m1();
-            assert!((Real::exp_m1(x) - want).abs() <= 7e-16 * want.abs(), "exp_m1({x}) {} {want}", Real::exp_m1(x));
+            assert!(
+                (Real::exp_m1(x) - want).abs() <= 7e-16 * want.abs(),
+                "exp_m1({x}) {} {want}",
+                Real::exp_m1(x)
+            );
             let narrow = x as f32;
             let want = f64::from(narrow).exp_m1();
-            assert!((f64::from(Real::exp_m1(narrow)) - want).abs() <= 3.6e-7 * want.abs(), "exp_m1({narrow})");
+            assert!(
+                (f64::from(Real::exp_m1(narrow)) - want).abs() <= 3.6e-7 * want.abs(),
+                "exp_m1({narrow})"
+            );
         }
     }
 

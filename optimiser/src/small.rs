@@ -100,6 +100,7 @@ pub(crate) fn full<T: Real>(s: Sym3<T>) -> Mat3<T> {
 /// `u diag(w) u^T`
 #[inline(always)]
 pub(crate) fn compose<T: Real>(u: &Mat3<T>, w: Vec3<T>) -> Sym3<T> {
-    let entry = |i: usize, j: usize| u[i][0] * w[0] * u[j][0] + u[i][1] * w[1] * u[j][1] + u[i][2] * w[2] * u[j][2];
+    let entry =
+        |i: usize, j: usize| u[i][0] * w[0] * u[j][0] + u[i][1] * w[1] * u[j][1] + u[i][2] * w[2] * u[j][2];
     [entry(0, 0), entry(1, 1), entry(2, 2), entry(0, 1), entry(0, 2), entry(1, 2)]
 }

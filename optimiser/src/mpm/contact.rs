@@ -77,7 +77,13 @@ fn smooth_step<T: Real>(t: T) -> (T, T) {
 
 /// Velocity after contact.
 #[inline(always)]
-pub(crate) fn contact<T: Real, D: SignedDistance<T>>(shape: &D, body: &Motion<T>, law: &Law<T>, x: Vec3<T>, v: Vec3<T>) -> Vec3<T> {
+pub(crate) fn contact<T: Real, D: SignedDistance<T>>(
+    shape: &D,
+    body: &Motion<T>,
+    law: &Law<T>,
+    x: Vec3<T>,
+    v: Vec3<T>,
+) -> Vec3<T> {
     let arm = sub(x, body.position);
     let (s, normal) = shape.distance(tr_mul_vec(&body.rotation, arm));
     let n = mul_vec(&body.rotation, normal);

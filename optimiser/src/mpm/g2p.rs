@@ -124,7 +124,8 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
                 let a_dx = three!(i => three!(j => model.four_per_dx * bar.c[3 * i + j][l]));
                 let stencil = places.stencil(l);
                 let q = affine(vec_of(&bar.v, l), &a_dx, f, T::ZERO);
-                let (moments, gradient) = gather_with_gradient(&tile, &stencil, &three!(i => weight_slopes(f[i])), &q);
+                let (moments, gradient) =
+                    gather_with_gradient(&tile, &stencil, &three!(i => weight_slopes(f[i])), &q);
                 scatter(self.tile_bar, &stencil, &q);
                 let through_f = tr_mul_vec(&a_dx, [moments.sum[0], moments.sum[1], moments.sum[2]]);
                 for axis in 0..3 {

@@ -125,7 +125,12 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodesAdjoint<'_, T> {
 
 /// Whether any of [`LANES`] points is within the band of a piece. Beyond it contact changes nothing, exactly.
 #[inline(always)]
-fn reaches<T: Real, D: SignedDistance<T>>(solid: &D, motion: &Motion<T>, law: &Law<T>, x: &[Lanes<T>; 3]) -> bool {
+fn reaches<T: Real, D: SignedDistance<T>>(
+    solid: &D,
+    motion: &Motion<T>,
+    law: &Law<T>,
+    x: &[Lanes<T>; 3],
+) -> bool {
     let mut near = [T::ZERO; LANES];
     for l in 0..LANES {
         let y = tr_mul_vec(&motion.rotation, sub(vec_of(x, l), motion.position));
@@ -136,7 +141,12 @@ fn reaches<T: Real, D: SignedDistance<T>>(solid: &D, motion: &Motion<T>, law: &L
 
 /// Contact of [`LANES`] points with one piece; says whether any of them was within its reach.
 #[inline(always)]
-pub(crate) fn contact_lanes<T: Real>(t: &Touching<'_, T>, law: &Law<T>, x: &[Lanes<T>; 3], v: &mut [Lanes<T>; 3]) -> bool {
+pub(crate) fn contact_lanes<T: Real>(
+    t: &Touching<'_, T>,
+    law: &Law<T>,
+    x: &[Lanes<T>; 3],
+    v: &mut [Lanes<T>; 3],
+) -> bool {
     // Copies on the stack cannot alias; with references the compiler would have to assume they do, and the
     // loops would stay scalar.
     let (motion, law, x, before) = (*t.motion, *law, *x, *v);

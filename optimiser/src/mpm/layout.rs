@@ -140,7 +140,10 @@ pub(crate) struct Lost {
 
 /// Particles in the order of blocks and cells, the layout, and where each lane came from (place in the old
 /// memory order, [`NOBODY`] for padding). Stable: particles of one cell keep their order.
-pub(crate) fn sort<T: Real>(grid: &Grid, old: &Particles<T>) -> Result<(Particles<T>, Layout, Vec<u32>), Lost> {
+pub(crate) fn sort<T: Real>(
+    grid: &Grid,
+    old: &Particles<T>,
+) -> Result<(Particles<T>, Layout, Vec<u32>), Lost> {
     let mut keys = Vec::with_capacity(old.groups.len() * LANES);
     for (g, lane, particle) in old.living() {
         let x = crate::mpm::particles::vec_of(&old.groups[g].x, lane).map(Real::to_f64);

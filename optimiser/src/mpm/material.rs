@@ -41,7 +41,8 @@ impl<T: Real> Material<T> {
     /// The cone is the one through the triaxial compression corners of Mohr-Coulomb,
     /// `alpha = sqrt(2/3) 2 sin(phi)/(3 - sin(phi))`; its tip carries the tension `cohesion cot(phi)`.
     pub fn new(youngs_modulus: f64, poissons_ratio: f64, friction_angle: f64, cohesion: f64) -> Self {
-        let lambda = youngs_modulus * poissons_ratio / ((1.0 + poissons_ratio) * (1.0 - 2.0 * poissons_ratio));
+        let lambda =
+            youngs_modulus * poissons_ratio / ((1.0 + poissons_ratio) * (1.0 - 2.0 * poissons_ratio));
         let mu = youngs_modulus / (2.0 * (1.0 + poissons_ratio));
         let sine = libm::sin(friction_angle);
         let alpha = (2.0f64 / 3.0).sqrt() * 2.0 * sine / (3.0 - sine);
@@ -60,9 +61,8 @@ impl<T: Real> Material<T> {
 #[inline(always)]
 pub(crate) fn trial_strain<T: Real>(strain: Sym3<T>, l: &Mat3<T>) -> Sym3<T> {
     let m = l_times_b(strain, l);
-    let entry = |i: usize, j: usize| {
-        m[i][j] + m[j][i] + (m[i][0] * l[j][0] + m[i][1] * l[j][1] + m[i][2] * l[j][2])
-    };
+    let entry =
+        |i: usize, j: usize| m[i][j] + m[j][i] + (m[i][0] * l[j][0] + m[i][1] * l[j][1] + m[i][2] * l[j][2]);
     [
         strain[0] + entry(0, 0),
         strain[1] + entry(1, 1),
@@ -75,7 +75,11 @@ pub(crate) fn trial_strain<T: Real>(strain: Sym3<T>, l: &Mat3<T>) -> Sym3<T> {
 
 /// Cotangents of [`trial_strain`]: of `E` and of `L`.
 #[inline(always)]
-pub(crate) fn trial_strain_adjoint<T: Real>(strain: Sym3<T>, l: &Mat3<T>, bar: Sym3<T>) -> (Sym3<T>, Mat3<T>) {
+pub(crate) fn trial_strain_adjoint<T: Real>(
+    strain: Sym3<T>,
+    l: &Mat3<T>,
+    bar: Sym3<T>,
+) -> (Sym3<T>, Mat3<T>) {
     let g = full(bar);
     let mut f = *l;
     let mut fb = l_times_b(strain, l); // L (I + E), completed to (I + L)(I + E)
@@ -182,7 +186,8 @@ fn principal<T: Real>(m: &Material<T>, trial: Sym3<T>, q: T) -> Principal<T> {
     let third = T::of(1.0 / 3.0);
     let (w, u) = eigen(trial);
     let half = T::of(0.5);
-    let eps = [half * w[0].ln_1p() + third * q, half * w[1].ln_1p() + third * q, half * w[2].ln_1p() + third * q];
+    let eps =
+        [half * w[0].ln_1p() + third * q, half * w[1].ln_1p() + third * q, half * w[2].ln_1p() + third * q];
     let t = eps[0] + eps[1] + eps[2];
     let mean = third * t;
     let e = [eps[0] - mean, eps[1] - mean, eps[2] - mean];

@@ -71,7 +71,7 @@ impl<T: Real> Model<T> {
             mass: T::of(mass),
             mass_dx: T::of(mass * dx),
             stress_dx: T::of(dt * volume * 4.0 / dx),
-            viscous_loss: T::of(std::env::var("ZETA").map_or(0.02, |z| z.parse::<f64>().unwrap())),
+            viscous_loss: T::of(scene.viscous_loss()),
             gravity_dt: scene.domain.gravity_m_s2.map(|g| T::of(g * dt)),
             arch: pulp::Arch::new(),
         }

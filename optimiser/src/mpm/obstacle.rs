@@ -7,9 +7,9 @@
 use crate::mpm::contact::{Law, Motion};
 use crate::mpm::layout::{BLOCK_EDGE, Grid};
 use crate::real::Real;
+use crate::scene::{Container, ContainerShape, Scene, Tool, ToolShape};
 use crate::shape::{Bowl, Capsule, HalfSpace, Ring, Shape, SignedDistance, Slab, with_solid};
 use crate::small::{sub, tr_mul_vec};
-use crate::scene::{Container, ContainerShape, Scene, Tool, ToolShape};
 
 /// One piece of a body.
 #[derive(Clone, Copy, Debug)]
@@ -55,7 +55,8 @@ impl<T: Real> Obstacles<T> {
                 .map(|index| {
                     let centre = block_centre(grid, grid.coord(index));
                     let reach = T::of(half_diagonal(cells, grid.dx));
-                    let touches = |f: &Fixed<T>| distance(&f.piece, &f.motion, centre) <= reach + f.piece.node_law.band;
+                    let touches =
+                        |f: &Fixed<T>| distance(&f.piece, &f.motion, centre) <= reach + f.piece.node_law.band;
                     (0u16..).zip(&fixed).filter(|(_, f)| touches(f)).map(|(i, _)| i).collect()
                 })
                 .collect()
@@ -65,7 +66,12 @@ impl<T: Real> Obstacles<T> {
     }
 
     /// Pieces that nodes of the block may touch, in the order of application: fixed ones, then the tool's.
-    pub(crate) fn at_nodes<'a>(&'a self, grid: &Grid, coord: [i32; 3], tool: &'a Motion<T>) -> Vec<Touching<'a, T>> {
+    pub(crate) fn at_nodes<'a>(
+        &'a self,
+        grid: &Grid,
+        coord: [i32; 3],
+        tool: &'a Motion<T>,
+    ) -> Vec<Touching<'a, T>> {
         self.touching(grid, coord, tool, &self.near_nodes, BLOCK_EDGE)
     }
 
@@ -215,7 +221,8 @@ impl Builder {
         let yaw = c.yaw_deg.to_radians();
         let (sin, cos) = (libm::sin(yaw), libm::cos(yaw));
         let rotation = [[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]];
-        let fixed = |shape| Fixed { piece: self.piece(shape, c.friction), motion: at_rest(rotation, c.position_m) };
+        let fixed =
+            |shape| Fixed { piece: self.piece(shape, c.friction), motion: at_rest(rotation, c.position_m) };
         shapes.into_iter().map(fixed).collect()
     }
 
@@ -235,7 +242,8 @@ impl Builder {
             let start = rear + half_width.max(handle.radius_m);
             shapes.push(Shape::Capsule(Capsule {
                 from: [-start, 0.0, 0.0].map(T::of),
-                along: [-handle.length_m * libm::cos(rise), 0.0, handle.length_m * libm::sin(rise)].map(T::of),
+                along: [-handle.length_m * libm::cos(rise), 0.0, handle.length_m * libm::sin(rise)]
+                    .map(T::of),
                 radius: T::of(handle.radius_m),
             }));
         }

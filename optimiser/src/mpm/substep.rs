@@ -124,7 +124,12 @@ impl<T: Real> Workspace<T> {
     }
 
     /// Advances the state by one substep with the tool's motion at the substep's end.
-    pub(crate) fn advance(&mut self, model: &Model<T>, tool: &Motion<T>, state: &mut State<T>) -> Result<(), Lost> {
+    pub(crate) fn advance(
+        &mut self,
+        model: &Model<T>,
+        tool: &Motion<T>,
+        state: &mut State<T>,
+    ) -> Result<(), Lost> {
         let layout = Arc::clone(&state.layout);
         self.fit(&layout, state.particles.groups.len());
         let mut output = std::mem::take(&mut self.spare);
@@ -198,7 +203,15 @@ impl<T: Real> Workspace<T> {
             .zip(&layout.blocks)
             .map(|((bar, tile_bar), block)| {
                 let input = &input[block.first_group..block.first_group + block.groups()];
-                model.arch.dispatch(TileToParticlesAdjoint { model, tool, block, velocity, input, bar, tile_bar })
+                model.arch.dispatch(TileToParticlesAdjoint {
+                    model,
+                    tool,
+                    block,
+                    velocity,
+                    input,
+                    bar,
+                    tile_bar,
+                })
             })
             .collect();
         let (tiles, momentum) = (&self.tiles, &self.momentum);

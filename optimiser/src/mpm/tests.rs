@@ -4,7 +4,9 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
 use crate::mpm::contact::{Law, Motion, contact, contact_adjoint};
-use crate::mpm::material::{Material, eigen, return_map, return_map_adjoint, trial_strain, trial_strain_adjoint};
+use crate::mpm::material::{
+    Material, eigen, return_map, return_map_adjoint, trial_strain, trial_strain_adjoint,
+};
 use crate::shape::{Bowl, Capsule, HalfSpace, Ring, Shape, SignedDistance, Slab, with_solid};
 use crate::small::{Mat3, Sym3, compose, full};
 
@@ -319,7 +321,8 @@ fn contact_has_taylor_slope_two_in_position_velocity_and_the_bodys_motion() {
             let free: [f64; 3] = dice.many(1.0);
             let twist: [f64; 6] = dice.many(0.5);
             let weight: [f64; 3] = dice.many(1.0);
-            let x: Vec<f64> = point.into_iter().chain(free).chain(base.position).chain([0.0; 3]).chain(twist).collect();
+            let x: Vec<f64> =
+                point.into_iter().chain(free).chain(base.position).chain([0.0; 3]).chain(twist).collect();
             with_solid!(shape, solid => {
                 let local = crate::small::tr_mul_vec(&base.rotation, crate::small::sub(point, base.position));
                 if solid.distance::<f64>(local).0 > 0.9 * law.band {

@@ -139,12 +139,5 @@ pub fn simulator<T: crate::real::Real>(
         .num_threads(threads)
         .build()
         .map_err(|_| RolloutError::Threads { threads })?;
-    Ok(Simulator::new(scene, scene.particle_positions_m(seed), start_pose(scene), pool, memory_bytes))
-}
-
-fn start_pose(scene: &crate::scene::Scene) -> powderline_shared::pose::Pose {
-    use powderline_shared::pose::exp_so3;
-    let pitch = exp_so3(&[0.0, scene.tool.start_pitch_deg.to_radians(), 0.0].into());
-    let heading = exp_so3(&[0.0, 0.0, scene.skill.heading_deg.to_radians()].into());
-    powderline_shared::pose::Pose { position_m: scene.tool.start_position_m.into(), orientation: heading * pitch }
+    Ok(Simulator::new(scene, scene.particle_positions_m(seed), pool, memory_bytes))
 }

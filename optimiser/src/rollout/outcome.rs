@@ -12,7 +12,9 @@ use powderline_shared::pose::Pose;
 pub(crate) fn observed(scene: &Scene, positions: &[[f64; 3]]) -> Vec<usize> {
     match scene.objective.observation {
         Observation::All => (0..positions.len()).collect(),
-        Observation::Subsample { particles } => subsample(scene.powder.seed, positions.len(), particles as usize),
+        Observation::Subsample { particles } => {
+            subsample(scene.powder.seed, positions.len(), particles as usize)
+        }
         Observation::VisibleFromAbove { pixel_m } => visible_from_above(positions, pixel_m),
     }
 }

@@ -57,7 +57,12 @@ impl Path {
         let turn = exp_so3(&(u.rotation() * part));
         let pose = &self.poses[step];
         let position = pose.position_m + u.translation() * part;
-        motion(&position, &(turn * pose.orientation), &(u.translation() / self.period_s), &(u.rotation() / self.period_s))
+        motion(
+            &position,
+            &(turn * pose.orientation),
+            &(u.translation() / self.period_s),
+            &(u.rotation() / self.period_s),
+        )
     }
 
     /// Cotangents of the controls from those of the motion in every substep.
@@ -92,7 +97,12 @@ pub(crate) fn resting<T: Real>(pose: &Pose) -> Motion<T> {
     motion(&pose.position_m, &pose.orientation, &Vector3::zeros(), &Vector3::zeros())
 }
 
-fn motion<T: Real>(p: &Vector3<f64>, r: &UnitQuaternion<f64>, v: &Vector3<f64>, w: &Vector3<f64>) -> Motion<T> {
+fn motion<T: Real>(
+    p: &Vector3<f64>,
+    r: &UnitQuaternion<f64>,
+    v: &Vector3<f64>,
+    w: &Vector3<f64>,
+) -> Motion<T> {
     let m: Matrix3<f64> = r.to_rotation_matrix().into_inner();
     let vector = |a: &Vector3<f64>| [T::of(a.x), T::of(a.y), T::of(a.z)];
     Motion {
@@ -181,7 +191,11 @@ mod tests {
                     functional(&moved)
                 };
                 let slope = (at(1e-5) - at(-1e-5)) / 2e-5;
-                assert!((slope - gradient[i][c]).abs() < 1e-7 * (1.0 + slope.abs()), "{i} {c}: {slope} {}", gradient[i][c]);
+                assert!(
+                    (slope - gradient[i][c]).abs() < 1e-7 * (1.0 + slope.abs()),
+                    "{i} {c}: {slope} {}",
+                    gradient[i][c]
+                );
             }
         }
     }

@@ -37,14 +37,14 @@ impl<T: Real> Simulator<T> {
     pub(crate) fn new(
         scene: &Scene,
         packing: Vec<[f64; 3]>,
-        anchor: Pose,
         pool: rayon::ThreadPool,
         memory_bytes: u64,
     ) -> Self {
+        let skill = SkillMap::new(scene);
         Self {
             scene: scene.clone(),
-            skill: SkillMap::new(scene),
-            anchor,
+            anchor: *skill.start_pose(),
+            skill,
             model: Model::new(scene),
             workspace: Workspace::new(),
             settled: None,
@@ -59,7 +59,11 @@ impl<T: Real> Simulator<T> {
     }
 
     /// Runs in the simulator's own threads.
-    fn in_pool<R: Send>(&mut self, job: impl FnOnce(&mut Rollout<'_, T>) -> R + Send, progress: Progress<'_>) -> R {
+    fn in_pool<R: Send>(
+        &mut self,
+        job: impl FnOnce(&mut Rollout<'_, T>) -> R + Send,
+        progress: Progress<'_>,
+    ) -> R {
         let mut rollout = Rollout {
             scene: &self.scene,
             anchor: &self.anchor,
@@ -106,15 +110,21 @@ impl<T: Real> Evaluate for Simulator<T> {
             return self.simulate(&controls, progress);
         }
         let linear = self.skill.linearise(theta)?;
-        let (mut evaluation, bars) = self.control_gradient(linear.controls.iter().map(displacement).collect(), progress)?;
+        let (mut evaluation, bars) =
+            self.control_gradient(linear.controls.iter().map(displacement).collect(), progress)?;
         evaluation.gradient = Some(linear.pull_back(&bars));
         Ok(evaluation)
     }
 
-    fn simulate(&mut self, controls: &[Displacement], progress: Progress<'_>) -> Result<Evaluation, RolloutError> {
+    fn simulate(
+        &mut self,
+        controls: &[Displacement],
+        progress: Progress<'_>,
+    ) -> Result<Evaluation, RolloutError> {
         let path = self.path(controls.to_vec());
         let (scene, anchor) = (self.scene.clone(), self.anchor);
-        let positions = self.in_pool(|r| Ok::<_, RolloutError>(r.forward(&path)?.particles.positions_by_id()), progress)?;
+        let positions =
+            self.in_pool(|r| Ok::<_, RolloutError>(r.forward(&path)?.particles.positions_by_id()), progress)?;
         Ok(evaluation(&scene, &positions, &path.end().unwrap_or(anchor)).0)
     }
 }
@@ -266,7 +276,11 @@ impl<T: Real> Rollout<'_, T> {
     }
 
     /// Last step, loss, and the loss's cotangent in the order of the last step's particles.
-    fn end_of(&mut self, path: &Path, mut state: State<T>) -> Result<(Evaluation, Vec<Group<T>>), RolloutError> {
+    fn end_of(
+        &mut self,
+        path: &Path,
+        mut state: State<T>,
+    ) -> Result<(Evaluation, Vec<Group<T>>), RolloutError> {
         if let Some(last) = path.len().checked_sub(1) {
             self.step(&mut state, last, &path.motion(last))?;
         }

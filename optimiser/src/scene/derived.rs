@@ -14,6 +14,9 @@ pub const MAX_PARTICLES: usize = 4_000_000;
 /// The highest CFL number at which a scene is accepted.
 pub const MAX_CFL: f64 = 0.5;
 
+/// The largest [`Scene::viscous_loss`] at which a scene is accepted.
+pub const MAX_VISCOUS_LOSS: f64 = 0.5;
+
 impl Time {
     /// Control period, seconds.
     pub fn control_period_s(&self) -> f64 {
@@ -69,6 +72,13 @@ impl Scene {
     /// Volume of one particle at rest, cell^3 / particles_per_cell, m^3.
     pub fn particle_volume_m3(&self) -> f64 {
         self.domain.cell_m.powi(3) / f64::from(self.powder.particles_per_cell)
+    }
+
+    /// Part of the strain rate's momentum that viscosity takes in one substep, `8 eta dt / (rho cell^2)`,
+    /// dimensionless; at most [`MAX_VISCOUS_LOSS`].
+    pub fn viscous_loss(&self) -> f64 {
+        8.0 * self.powder.viscosity_pa_s * self.time.dt_sub_s()
+            / (self.powder.density_kg_m3 * self.domain.cell_m.powi(2))
     }
 
     /// Mass of one particle, kilogram.

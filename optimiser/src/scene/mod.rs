@@ -22,7 +22,7 @@ mod validate;
 use serde::{Deserialize, Serialize};
 
 pub use canonical::{DIGEST_VERSION, Digest};
-pub use derived::{BLOCK_CELLS, MAX_CELLS, MAX_CFL, MAX_PARTICLES};
+pub use derived::{BLOCK_CELLS, MAX_CELLS, MAX_CFL, MAX_PARTICLES, MAX_VISCOUS_LOSS};
 pub use embedded::{DEFAULT_SCENE, EMBEDDED_SCENES, embedded_scene};
 pub use error::SceneError;
 pub use read::MAX_SCENE_BYTES;
@@ -90,8 +90,12 @@ pub struct Powder {
     pub density_kg_m3: f64,
     /// Angle of internal friction, degrees; 0 to 60, typically 35.
     pub friction_angle_deg: f64,
-    /// Cohesion (isotropic tensile strength), pascal; 0 (dry sand) to 1e5, for cohesive powder about 50.
+    /// Mohr-Coulomb cohesion, pascal; 0 (dry sand) to 1e5, for cohesive powder about 50. Needs a friction angle.
     pub cohesion_pa: f64,
+    /// Shear viscosity of the flowing powder, Pa s; 0 to 100, typically 0.08. Besides being physical it keeps
+    /// single grains on the surface from amplifying the smallest disturbance, without which gradients of long
+    /// motions are noise.
+    pub viscosity_pa_s: f64,
 }
 
 /// Control period, substeps and horizon.

@@ -277,8 +277,7 @@ impl<T: Real> SignedDistance<T> for Ring<T> {
     fn distance<S: Scalar<T>>(&self, y: [S; 3]) -> (S, [S; 3]) {
         let rho = norm2::<T, S>(y[0], y[1]);
         let flat = [rho - S::constant(self.radius), y[2] - S::constant(self.height), S::constant(T::ZERO)];
-        let (distance, profile) =
-            slab(flat, [T::ZERO; 3], [self.half_radial, self.half_axial, T::of(1e9)]);
+        let (distance, profile) = slab(flat, [T::ZERO; 3], [self.half_radial, self.half_axial, T::of(1e9)]);
         let across = profile[0] * rho.recip();
         (distance, [y[0] * across, y[1] * across, profile[1]])
     }

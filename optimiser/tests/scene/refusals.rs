@@ -30,7 +30,7 @@ const STRUCTURE: &[Case] = &[
     (
         "youngs_modulus_pa = 1.0e4",
         "youngs_modulus = 1.0e4",
-        ": powder.youngs_modulus at line 17: unknown field `youngs_modulus`, expected one of `fill_min_m`, `fill_max_m`, `particles_per_cell`, `seed`, `youngs_modulus_pa`, `poissons_ratio`, `density_kg_m3`, `friction_angle_deg`, `cohesion_pa`",
+        ": powder.youngs_modulus at line 17: unknown field `youngs_modulus`, expected one of `fill_min_m`, `fill_max_m`, `particles_per_cell`, `seed`, `youngs_modulus_pa`, `poissons_ratio`, `density_kg_m3`, `friction_angle_deg`, `cohesion_pa`, `viscosity_pa_s`",
     ),
     (
         "cohesion_pa = 0.0\n",
@@ -241,6 +241,16 @@ const SINGLE_FIELDS: &[Case] = &[
         "cohesion_pa = 0.0",
         "cohesion_pa = -1.0",
         ": powder.cohesion_pa is -1, but it must be from 0 to 100000",
+    ),
+    (
+        "viscosity_pa_s = 0.08",
+        "viscosity_pa_s = -0.1",
+        ": powder.viscosity_pa_s is -0.1, but it must be from 0 to 100",
+    ),
+    (
+        "viscosity_pa_s = 0.08",
+        "viscosity_pa_s = 10.0",
+        ": powder.viscosity_pa_s is 10, but 8 * viscosity * dt_sub / (density * cell^2) is then 2.5 and must be at most 0.5; at most 2 would be right",
     ),
     (
         "control_period_us = 10000",

@@ -43,7 +43,8 @@ fn powder(checker: &Checker<'_>, powder: &Powder) -> Checked {
     checker.number("powder.poissons_ratio", powder.poissons_ratio, Range::closed(0.0, 0.49))?;
     checker.number("powder.density_kg_m3", powder.density_kg_m3, Range::closed(10.0, 25_000.0))?;
     checker.number("powder.friction_angle_deg", powder.friction_angle_deg, Range::closed(0.0, 60.0))?;
-    checker.number("powder.cohesion_pa", powder.cohesion_pa, Range::closed(0.0, 1e5))
+    checker.number("powder.cohesion_pa", powder.cohesion_pa, Range::closed(0.0, 1e5))?;
+    checker.number("powder.viscosity_pa_s", powder.viscosity_pa_s, Range::closed(0.0, 100.0))
 }
 
 fn time(checker: &Checker<'_>, time: &Time) -> Checked {

@@ -4,7 +4,7 @@ use super::checker::{Checked, Checker};
 use crate::scene::figures::{about, at_most, list, plain};
 use crate::scene::solid::{Hull, TOUCH_M, Vec3};
 use crate::scene::tool_body::PlacedTool;
-use crate::scene::{BLOCK_CELLS, MAX_CELLS, MAX_CFL, MAX_PARTICLES, Scene};
+use crate::scene::{BLOCK_CELLS, MAX_CELLS, MAX_CFL, MAX_PARTICLES, MAX_VISCOUS_LOSS, Scene};
 
 /// World directions with the name of their coordinate and their sign.
 pub(super) const SIDES: [(Vec3, usize); 6] = [
@@ -84,6 +84,35 @@ pub(super) fn check_cfl(checker: &Checker<'_>, scene: &Scene) -> Checked {
             at_most(modulus_pa * (MAX_CFL / cfl).powi(2))
         ),
     ))
+}
+
+/// What the powder's numbers have to do with each other.
+pub(super) fn check_powder_law(checker: &Checker<'_>, scene: &Scene) -> Checked {
+    let powder = &scene.powder;
+    let loss = scene.viscous_loss();
+    if loss > MAX_VISCOUS_LOSS {
+        return Err(checker.invalid(
+            "powder.viscosity_pa_s",
+            plain(powder.viscosity_pa_s),
+            format!(
+                "8 * viscosity * dt_sub / (density * cell^2) is then {} and must be at most {MAX_VISCOUS_LOSS}; \
+                 at most {} would be right",
+                about(loss, 3),
+                at_most(powder.viscosity_pa_s * MAX_VISCOUS_LOSS / loss)
+            ),
+        ));
+    }
+    if powder.cohesion_pa > 0.0 && powder.friction_angle_deg < 1.0 {
+        return Err(checker.invalid(
+            "powder.cohesion_pa",
+            plain(powder.cohesion_pa),
+            format!(
+                "cohesion needs a friction angle of at least 1 and powder.friction_angle_deg is {}",
+                plain(powder.friction_angle_deg)
+            ),
+        ));
+    }
+    Ok(())
 }
 
 /// Containers: how many, their names, inside the domain, clear of each other.

@@ -19,6 +19,7 @@ impl Scene {
         fields::check(&checker, self)?;
         layout::check_size(&checker, self)?;
         layout::check_cfl(&checker, self)?;
+        layout::check_powder_law(&checker, self)?;
         layout::check_containers(&checker, self)?;
         layout::check_objective(&checker, self)?;
         layout::check_powder(&checker, self)?;
