@@ -8,6 +8,11 @@
 //! instructions, with the widest instruction set found at run time. No multiply-add is contracted, so the
 //! bits are the same on every machine.
 
+#![expect(
+    clippy::needless_range_loop,
+    reason = "loops over lanes, axes and tensor indices read as the formulas do, and vectorise as they stand"
+)]
+
 pub(crate) mod contact;
 pub(crate) mod g2p;
 pub(crate) mod grid_update;

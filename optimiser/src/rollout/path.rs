@@ -175,8 +175,8 @@ mod tests {
                     let column = [0, 1, 2].map(|i| m.rotation[i][j]);
                     let weight = [0, 1, 2].map(|i| wave(s + 3 * i + j, 0.7));
                     let turned = crate::small::cross(column, weight);
-                    for i in 0..3 {
-                        bar.rotation[i] += turned[i];
+                    for (sum, t) in bar.rotation.iter_mut().zip(turned) {
+                        *sum += t;
                     }
                 }
                 bar

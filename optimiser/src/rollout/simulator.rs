@@ -241,7 +241,7 @@ impl<T: Real> Rollout<'_, T> {
     fn forward(&mut self, mut state: State<T>, path: &Path) -> Result<State<T>, RolloutError> {
         let total = path.len() as u64;
         for substep in 0..path.len() {
-            if substep % self.scene.time.substeps as usize == 0 {
+            if substep.is_multiple_of(self.scene.time.substeps as usize) {
                 self.report(substep as u64, total)?;
             }
             self.step(&mut state, substep, &path.motion(substep))?;
@@ -332,7 +332,7 @@ impl<T: Real> Rollout<'_, T> {
     ) -> Result<(), RolloutError> {
         let n = self.scene.time.substeps as usize;
         let tool_finite = tool.position.iter().chain(&tool.rotation).all(|x| x.is_finite());
-        if tool_finite && step % n != 0 {
+        if tool_finite && !step.is_multiple_of(n) {
             return Ok(());
         }
         for (g, l, particle) in state.particles.living() {
