@@ -1,12 +1,18 @@
 //! `optimise gradcheck`: the adjoint's gradient against finite differences.
 
 use super::{
-    CliError, Context, Resources,
-    options::{DEFAULT_PRECISION, DEFAULT_SEED, PrecisionArg},
+    CliError, Context, Progress, Resources,
+    options::{DEFAULT_SEED, PrecisionArg, precision_name},
 };
+use crate::real::Real;
+use crate::rollout::gradcheck::{CHECKED_THETA, HALF_STEPS, Smoothed, Window, check_window, smoothed};
+use crate::rollout::{RolloutError, SimulatorSettings, simulator};
 use crate::scene::{DEFAULT_SCENE, Scene};
+use crate::skill::SkillMap;
 use clap::Args;
-use powderline_shared::plan::Precision;
+use powderline_shared::plan::{Precision, SKILL_PARAMETERS};
+use serde::Serialize;
+use std::fmt::Write;
 
 /// Arguments of `optimise gradcheck`.
 #[derive(Clone, Debug, Args)]
@@ -14,13 +20,16 @@ pub(super) struct GradcheckArgs {
     /// Scene: an embedded name or a TOML file [default: bench]
     #[arg(value_name = "SCENE")]
     pub scene: Option<String>,
-    /// Control steps to simulate, from the start of the motion [default: the whole motion]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
-    pub steps: Option<u32>,
-    /// Seed of the packing and of the skill [default: 1]
+    /// Control steps in a window of the motion; the longer horizons go on from there to the scene's own
+    #[arg(long, value_name = "N", default_value_t = 100, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    pub steps: u32,
+    /// Only the windows, not the longer horizons
+    #[arg(long)]
+    pub short: bool,
+    /// Seed of the packing [default: 1]
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
-    /// Precision of the simulation [default: f32]
+    /// Precision of the simulation [default: f64]
     #[arg(long)]
     pub precision: Option<PrecisionArg>,
     /// Threads and memory.
@@ -31,14 +40,129 @@ pub(super) struct GradcheckArgs {
     pub json: bool,
 }
 
+#[derive(Serialize)]
+struct Report {
+    scene: String,
+    precision: &'static str,
+    theta: [f64; 5],
+    windows: Vec<Window>,
+    growth: Vec<Window>,
+    smoothed: Option<Smoothed>,
+}
+
 /// Runs the command.
 ///
 /// # Errors
 /// One sentence.
 pub(super) fn execute(arguments: &GradcheckArgs, context: &mut Context<'_>) -> Result<(), CliError> {
     let scene = Scene::load(arguments.scene.as_deref().unwrap_or(DEFAULT_SCENE))?;
-    let precision = arguments.precision.map_or(DEFAULT_PRECISION, Precision::from);
+    let report = check(arguments, &scene, context)?;
+    if arguments.json {
+        return context.json(&report);
+    }
+    write!(context.out, "{}", text(&report))?;
+    Ok(())
+}
+
+/// Ends of the longer horizons: doubling from the first window to the scene's own horizon.
+fn horizons(short: u32, own: u32) -> Vec<u32> {
+    let doubling = std::iter::successors(Some(short), |n| n.checked_mul(2)).skip(1);
+    doubling.take_while(|n| *n < own).chain((own > short).then_some(own)).collect()
+}
+
+fn check(arguments: &GradcheckArgs, scene: &Scene, context: &mut Context<'_>) -> Result<Report, CliError> {
+    let precision = arguments.precision.map_or(Precision::F64, Precision::from);
     let settings = arguments.resources.settings(arguments.seed.unwrap_or(DEFAULT_SEED), precision);
-    let _simulator = (context.factory)(&scene, &settings)?;
-    Err(CliError::Failed("this version of the program cannot check gradients yet".into()))
+    match precision {
+        Precision::F32 => check_in::<f32>(arguments, scene, &settings, context),
+        Precision::F64 => check_in::<f64>(arguments, scene, &settings, context),
+    }
+}
+
+fn check_in<T: Real>(
+    arguments: &GradcheckArgs,
+    scene: &Scene,
+    settings: &SimulatorSettings,
+    context: &mut Context<'_>,
+) -> Result<Report, CliError> {
+    let interrupt = context.interrupt.clone();
+    let mut progress = Progress::new(context.err, context.live);
+    let mut simulator = simulator::<T>(scene, settings)?;
+    let map = SkillMap::new(scene);
+    let own = scene.time.horizon_steps;
+    let mut window = |start: u32, end: u32| -> Result<Window, RolloutError> {
+        progress.begin(&format!("differences, control steps {start} to {end}"), 0, &[]);
+        let mut tick = |done, total| {
+            progress.tick(done, total);
+            !interrupt.is_requested()
+        };
+        check_window(&mut simulator, &map, start, end, &mut tick)
+    };
+    // After the motion's end no parameter is at work.
+    let motion_s = map.segments(&CHECKED_THETA).last().map_or(0.0, |segment| segment.end_s);
+    let motion = (motion_s / scene.time.control_period_s()).ceil() as u32;
+    let starts = (0..own.min(motion)).step_by(arguments.steps as usize);
+    let windows = starts.map(|s| window(s, own.min(s + arguments.steps))).collect::<Result<_, _>>()?;
+    let longer = if arguments.short { Vec::new() } else { horizons(arguments.steps, own) };
+    let growth = longer.into_iter().map(|end| window(0, end)).collect::<Result<_, _>>()?;
+    let mut tick = |_, _| !interrupt.is_requested();
+    let smoothed = if arguments.short { None } else { Some(smoothed(&mut simulator, &mut tick)?) };
+    progress.clear();
+    Ok(Report {
+        scene: scene.name.clone(),
+        precision: precision_name(settings.precision),
+        theta: CHECKED_THETA,
+        windows,
+        growth,
+        smoothed,
+    })
+}
+
+fn text(report: &Report) -> String {
+    let mut out = String::new();
+    let _ = writeln!(out, "{}, {}, theta {:?}", report.scene, report.precision, report.theta);
+    for w in &report.windows {
+        write_window(&mut out, w);
+    }
+    let _ = writeln!(out, "\nLargest relative error at the best half-step:\n");
+    for w in report.windows.iter().chain(&report.growth) {
+        let _ = writeln!(out, "control steps {:>4} to {:>4}   {:.1e}", w.start, w.end, w.error);
+    }
+    if let Some(s) = &report.smoothed {
+        let _ = writeln!(
+            out,
+            "\nAgainst differences over +-{} in theta, whole horizon: cosine {:.3}\n",
+            s.half_step, s.cosine
+        );
+        for (k, (name, _)) in SKILL_PARAMETERS.iter().enumerate() {
+            let _ = writeln!(
+                out,
+                "{name:24}  adjoint {:>12.4} m   differences {:>12.4} m",
+                s.adjoint[k], s.differences[k]
+            );
+        }
+    }
+    out
+}
+
+fn write_window(out: &mut String, w: &Window) {
+    let _ = writeln!(out, "\nControl steps {} to {}, loss {:.6} m.", w.start, w.end, w.loss);
+    let _ = writeln!(out, "Relative error of central differences against the adjoint, by half-step:\n");
+    let _ = write!(out, "{:24}{:>16}", "", "adjoint, m");
+    for h in HALF_STEPS {
+        let _ = write!(out, "{h:>9.0e}");
+    }
+    out.push('\n');
+    for ((name, _), c) in SKILL_PARAMETERS.iter().zip(&w.components) {
+        let _ = write!(out, "{name:24}");
+        if c.error.is_none() {
+            let _ = writeln!(out, "{:>16}", "not at work");
+            continue;
+        }
+        let _ = write!(out, "{:>16.8}", c.adjoint);
+        for (_, d) in &c.differences {
+            let _ = write!(out, "{:>9.0e}", (d - c.adjoint).abs() / c.adjoint.abs().max(f64::MIN_POSITIVE));
+        }
+        out.push('\n');
+    }
 }

@@ -24,15 +24,15 @@ use crate::small::{Mat3, Sym3, Vec3, compose, full, mul, three, tr_mul_vec, tran
 
 /// Constants of the return map.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Material<T> {
+pub(crate) struct Material<T> {
     /// First Lame parameter, Pa.
-    pub lambda: T,
+    pub(crate) lambda: T,
     /// Shear modulus, Pa.
-    pub mu: T,
+    pub(crate) mu: T,
     /// Cone slope `c`.
-    pub slope: T,
+    pub(crate) slope: T,
     /// Trace of the Hencky strain at the cone's tip.
-    pub tip: T,
+    pub(crate) tip: T,
 }
 
 impl<T: Real> Material<T> {
@@ -40,7 +40,7 @@ impl<T: Real> Material<T> {
     ///
     /// The cone is the one through the triaxial compression corners of Mohr-Coulomb,
     /// `alpha = sqrt(2/3) 2 sin(phi)/(3 - sin(phi))`; its tip carries the tension `cohesion cot(phi)`.
-    pub fn new(youngs_modulus: f64, poissons_ratio: f64, friction_angle: f64, cohesion: f64) -> Self {
+    pub(crate) fn new(youngs_modulus: f64, poissons_ratio: f64, friction_angle: f64, cohesion: f64) -> Self {
         let lambda =
             youngs_modulus * poissons_ratio / ((1.0 + poissons_ratio) * (1.0 - 2.0 * poissons_ratio));
         let mu = youngs_modulus / (2.0 * (1.0 + poissons_ratio));

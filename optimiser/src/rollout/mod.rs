@@ -1,5 +1,6 @@
 //! What the optimiser asks of a simulator.
 
+pub mod gradcheck;
 pub(crate) mod outcome;
 pub(crate) mod path;
 pub(crate) mod schedule;
@@ -7,6 +8,8 @@ mod simulator;
 
 pub use simulator::Simulator;
 
+use crate::real::Real;
+use crate::scene::Scene;
 use crate::skill::{SkillError, Theta};
 use powderline_shared::{displacement::Displacement, plan::Precision};
 use thiserror::Error;
@@ -114,30 +117,25 @@ pub struct SimulatorSettings {
 /// # Errors
 /// [`RolloutError::Threads`] if the threads cannot be started.
 pub fn boxed_simulator(
-    scene: &crate::scene::Scene,
+    scene: &Scene,
     settings: &SimulatorSettings,
 ) -> Result<Box<dyn Evaluate>, RolloutError> {
-    let SimulatorSettings { seed, precision, threads, memory_bytes } = *settings;
-    let threads = threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
-    Ok(match precision {
-        Precision::F32 => Box::new(simulator::<f32>(scene, seed, threads, memory_bytes)?),
-        Precision::F64 => Box::new(simulator::<f64>(scene, seed, threads, memory_bytes)?),
+    Ok(match settings.precision {
+        Precision::F32 => Box::new(simulator::<f32>(scene, settings)?),
+        Precision::F64 => Box::new(simulator::<f64>(scene, settings)?),
     })
 }
 
-/// A simulator of a validated scene with the initial packing of a seed.
+/// The same in a precision known when compiling; `settings.precision` is not looked at.
 ///
 /// # Errors
 /// [`RolloutError::Threads`] if the threads cannot be started.
-pub fn simulator<T: crate::real::Real>(
-    scene: &crate::scene::Scene,
-    seed: u64,
-    threads: usize,
-    memory_bytes: u64,
-) -> Result<Simulator<T>, RolloutError> {
+pub fn simulator<T: Real>(scene: &Scene, settings: &SimulatorSettings) -> Result<Simulator<T>, RolloutError> {
+    let threads =
+        settings.threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
     let pool = rayon::ThreadPoolBuilder::new()
         .num_threads(threads)
         .build()
         .map_err(|_| RolloutError::Threads { threads })?;
-    Ok(Simulator::new(scene, scene.particle_positions_m(seed), pool, memory_bytes))
+    Ok(Simulator::new(scene, scene.particle_positions_m(settings.seed), pool, settings.memory_bytes))
 }

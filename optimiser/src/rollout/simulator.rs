@@ -18,6 +18,12 @@ use crate::skill::{Control, SkillMap, Theta};
 /// Work of one adjoint substep in units of a forward one, for the progress bar.
 const ADJOINT_WORK: u64 = 3;
 
+/// Powder and tool at one moment of a rollout.
+pub(crate) struct Moment<T> {
+    state: State<T>,
+    tool: Pose,
+}
+
 /// Simulator of one scene in one precision.
 pub struct Simulator<T: Real> {
     scene: Scene,
@@ -54,8 +60,42 @@ impl<T: Real> Simulator<T> {
         }
     }
 
-    fn path(&self, controls: Vec<Displacement>) -> Path {
-        Path::new(self.anchor, controls, self.scene.time.substeps, self.scene.time.control_period_s())
+    fn path(&self, anchor: Pose, controls: Vec<Displacement>) -> Path {
+        Path::new(anchor, controls, self.scene.time.substeps, self.scene.time.control_period_s())
+    }
+
+    /// The settled powder under the tool's start pose.
+    pub(crate) fn beginning(&mut self, progress: Progress<'_>) -> Result<Moment<T>, RolloutError> {
+        let tool = self.anchor;
+        Ok(Moment { state: self.in_pool(|r| r.settled(), progress)?, tool })
+    }
+
+    /// The moment after the given controls.
+    pub(crate) fn after(
+        &mut self,
+        from: &Moment<T>,
+        controls: &[Displacement],
+        progress: Progress<'_>,
+    ) -> Result<Moment<T>, RolloutError> {
+        let path = self.path(from.tool, controls.to_vec());
+        let state = self.in_pool(|r| r.forward(from.state.clone(), &path), progress)?;
+        Ok(Moment { state, tool: path.end().unwrap_or(from.tool) })
+    }
+
+    /// What has been achieved at a moment.
+    pub(crate) fn judge(&self, moment: &Moment<T>) -> Evaluation {
+        evaluation(&self.scene, &moment.state.particles.positions_by_id(), &moment.tool).0
+    }
+
+    /// Evaluation after the given controls, and the loss's cotangents of the controls.
+    pub(crate) fn control_gradient(
+        &mut self,
+        from: &Moment<T>,
+        controls: &[Displacement],
+        progress: Progress<'_>,
+    ) -> Result<(Evaluation, Vec<Control>), RolloutError> {
+        let path = self.path(from.tool, controls.to_vec());
+        self.in_pool(|r| r.gradient(from.state.clone(), &path), progress)
     }
 
     /// Runs in the simulator's own threads.
@@ -77,24 +117,17 @@ impl<T: Real> Simulator<T> {
         self.pool.install(|| job(&mut rollout))
     }
 
-    /// Positions (m) at the end of the motion, in the order of the packing.
+    /// Positions (m) after the given controls, in the order of the packing.
+    ///
+    /// # Errors
+    /// See [`RolloutError`].
     pub fn final_positions(
         &mut self,
-        controls: Vec<Displacement>,
+        controls: &[Displacement],
         progress: Progress<'_>,
     ) -> Result<Vec<[f64; 3]>, RolloutError> {
-        let path = self.path(controls);
-        self.in_pool(|r| Ok(r.forward(&path)?.particles.positions_by_id()), progress)
-    }
-
-    /// Loss and cotangents of the given controls.
-    pub fn control_gradient(
-        &mut self,
-        controls: Vec<Displacement>,
-        progress: Progress<'_>,
-    ) -> Result<(Evaluation, Vec<Control>), RolloutError> {
-        let path = self.path(controls);
-        self.in_pool(|r| r.gradient(&path), progress)
+        let start = self.beginning(progress)?;
+        Ok(self.after(&start, controls, progress)?.state.particles.positions_by_id())
     }
 }
 
@@ -110,8 +143,9 @@ impl<T: Real> Evaluate for Simulator<T> {
             return self.simulate(&controls, progress);
         }
         let linear = self.skill.linearise(theta)?;
-        let (mut evaluation, bars) =
-            self.control_gradient(linear.controls.iter().map(displacement).collect(), progress)?;
+        let controls: Vec<_> = linear.controls.iter().map(displacement).collect();
+        let start = self.beginning(progress)?;
+        let (mut evaluation, bars) = self.control_gradient(&start, &controls, progress)?;
         evaluation.gradient = Some(linear.pull_back(&bars));
         Ok(evaluation)
     }
@@ -121,11 +155,9 @@ impl<T: Real> Evaluate for Simulator<T> {
         controls: &[Displacement],
         progress: Progress<'_>,
     ) -> Result<Evaluation, RolloutError> {
-        let path = self.path(controls.to_vec());
-        let (scene, anchor) = (self.scene.clone(), self.anchor);
-        let positions =
-            self.in_pool(|r| Ok::<_, RolloutError>(r.forward(&path)?.particles.positions_by_id()), progress)?;
-        Ok(evaluation(&scene, &positions, &path.end().unwrap_or(anchor)).0)
+        let start = self.beginning(progress)?;
+        let end = self.after(&start, controls, progress)?;
+        Ok(self.judge(&end))
     }
 }
 
@@ -206,10 +238,8 @@ impl<T: Real> Rollout<'_, T> {
         }
     }
 
-    fn forward(&mut self, path: &Path) -> Result<State<T>, RolloutError> {
+    fn forward(&mut self, mut state: State<T>, path: &Path) -> Result<State<T>, RolloutError> {
         let total = path.len() as u64;
-        self.report(0, total)?;
-        let mut state = self.settled()?;
         for substep in 0..path.len() {
             if substep % self.scene.time.substeps as usize == 0 {
                 self.report(substep as u64, total)?;
@@ -220,17 +250,16 @@ impl<T: Real> Rollout<'_, T> {
         Ok(state)
     }
 
-    fn gradient(&mut self, path: &Path) -> Result<(Evaluation, Vec<Control>), RolloutError> {
-        let settled = self.settled()?;
-        let slots = self.slots(&settled);
+    fn gradient(&mut self, start: State<T>, path: &Path) -> Result<(Evaluation, Vec<Control>), RolloutError> {
+        let slots = self.slots(&start);
         let actions = schedule(path.len(), slots);
         let total = advances(&actions) + ADJOINT_WORK * path.len() as u64;
         let mut done = 0;
         let mut bars = vec![MotionBar::default(); path.len()];
         let mut end: Option<(Evaluation, Vec<Group<T>>)> = None;
         let mut at = 0;
-        let mut working = settled.clone();
-        let mut kept = vec![(0, settled)];
+        let mut working = start.clone();
+        let mut kept = vec![(0, start)];
         let mut spare: Vec<State<T>> = Vec::new();
         for action in actions {
             match action {
@@ -318,7 +347,7 @@ impl<T: Real> Rollout<'_, T> {
     /// Kept states that the memory budget allows.
     fn slots(&self, state: &State<T>) -> usize {
         /// Executable, stacks, allocator.
-        const PROCESS_BYTES: u64 = 24 << 20;
+        const PROCESS_BYTES: u64 = 40 << 20;
         let per_state = state.bytes() as u64;
         // The working state, the settled one, the one at the end, the cotangents, payloads and spare groups.
         let fixed = PROCESS_BYTES + 7 * per_state + self.workspace.bytes() as u64;

@@ -1,0 +1,149 @@
+//! The adjoint's gradient against differences of the loss.
+//!
+//! Three questions, in this order. Is the adjoint the derivative of the rollout? Central differences answer it
+//! over short windows of the motion: with shrinking step their error falls until rounding takes over; the plateau
+//! between is the proof. How does the agreement fare with a longer horizon? And is the derivative the slope that
+//! an optimiser wants? Differences over a step of 0.1, smooth where the loss is rugged, answer that.
+//!
+//! A window starts from the state that the skill has reached there, and ends with the loss at its own end; the
+//! parameters move the controls within it. The windows together hold the whole skill, so that every parameter is
+//! at work in one of them.
+
+use serde::Serialize;
+
+use crate::real::Real;
+use crate::rollout::path::displacement;
+use crate::rollout::simulator::Moment;
+use crate::rollout::{Evaluate, Progress, RolloutError, Simulator};
+use crate::skill::{Control, SkillMap, Theta};
+use powderline_shared::displacement::Displacement;
+
+/// The skill at which gradients are checked: a middling scoop that reaches the target.
+pub const CHECKED_THETA: Theta = [0.3, 0.0, 0.0, 0.0, 0.3];
+
+/// Half-steps of the central differences.
+pub const HALF_STEPS: [f64; 7] = [1e-3, 1e-4, 1e-5, 3e-6, 1e-6, 3e-7, 1e-7];
+
+/// Half-step of the smoothed differences.
+const SMOOTH_HALF_STEP: f64 = 0.1;
+
+/// One component of the gradient.
+#[derive(Clone, Debug, Serialize)]
+pub struct Component {
+    /// Derivative by the adjoint, m.
+    pub adjoint: f64,
+    /// `(half-step, central difference)`.
+    pub differences: Vec<(f64, f64)>,
+    /// Smallest `|difference - adjoint|`, relative to the larger of the component itself and a thousandth of the
+    /// gradient's length: a component that is nearly zero has no digits of its own. None if the parameter does not
+    /// move the tool in the window.
+    pub error: Option<f64>,
+}
+
+/// All five components over a stretch of the motion.
+#[derive(Clone, Debug, Serialize)]
+pub struct Window {
+    /// First control step.
+    pub start: u32,
+    /// Control step after the last.
+    pub end: u32,
+    /// Loss at the end, m.
+    pub loss: f64,
+    /// Depth, scoop angle, lift, transport, pour angle.
+    pub components: Vec<Component>,
+    /// Largest error of the components.
+    pub error: f64,
+}
+
+/// The gradient against the slope over a step that an optimiser might take.
+#[derive(Clone, Debug, Serialize)]
+pub struct Smoothed {
+    /// Half-step in theta.
+    pub half_step: f64,
+    /// Gradient by the adjoint, m.
+    pub adjoint: Theta,
+    /// Central differences over the half-step, m.
+    pub differences: Theta,
+    /// Cosine of the angle between both.
+    pub cosine: f64,
+}
+
+fn displacements(controls: &[Control]) -> Vec<Displacement> {
+    controls.iter().map(displacement).collect()
+}
+
+/// Checks the control steps from `start` to `end`.
+///
+/// # Errors
+/// See [`RolloutError`].
+pub fn check_window<T: Real>(
+    simulator: &mut Simulator<T>,
+    map: &SkillMap,
+    start: u32,
+    end: u32,
+    progress: Progress<'_>,
+) -> Result<Window, RolloutError> {
+    let stretch = start as usize..end as usize;
+    let linear = map.linearise(&CHECKED_THETA)?;
+    let beginning = simulator.beginning(progress)?;
+    let from = simulator.after(&beginning, &displacements(&linear.controls[..stretch.start]), progress)?;
+    let controls = displacements(&linear.controls[stretch.clone()]);
+    let (at, bars) = simulator.control_gradient(&from, &controls, progress)?;
+    let mut all_bars = vec![[0.0; 6]; stretch.start];
+    all_bars.extend(bars);
+    let gradient = linear.pull_back(&all_bars);
+
+    let length = gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
+    let mut components = Vec::new();
+    for (k, adjoint) in gradient.into_iter().enumerate() {
+        let at_work = linear.jacobian[stretch.clone()].iter().flatten().any(|row| row[k] != 0.0);
+        let mut differences = Vec::new();
+        for half_step in HALF_STEPS.into_iter().filter(|_| at_work) {
+            let mut loss_at = |h: f64| window_loss(simulator, map, &from, (k, h), stretch.clone(), progress);
+            let slope = (loss_at(half_step)? - loss_at(-half_step)?) / (2.0 * half_step);
+            differences.push((half_step, slope));
+        }
+        let scale = adjoint.abs().max(1e-3 * length).max(f64::MIN_POSITIVE);
+        let best = differences.iter().map(|(_, d)| (d - adjoint).abs() / scale).fold(f64::INFINITY, f64::min);
+        components.push(Component { adjoint, differences, error: at_work.then_some(best) });
+    }
+    let error = components.iter().filter_map(|c| c.error).fold(0.0, f64::max);
+    Ok(Window { start, end, loss: at.loss, components, error })
+}
+
+/// Loss at the end of the stretch with parameter `k` moved by `h`.
+fn window_loss<T: Real>(
+    simulator: &mut Simulator<T>,
+    map: &SkillMap,
+    from: &Moment<T>,
+    (k, h): (usize, f64),
+    stretch: std::ops::Range<usize>,
+    progress: Progress<'_>,
+) -> Result<f64, RolloutError> {
+    let mut theta = CHECKED_THETA;
+    theta[k] += h;
+    let controls = displacements(&map.controls(&theta)?[stretch]);
+    let end = simulator.after(from, &controls, progress)?;
+    Ok(simulator.judge(&end).loss)
+}
+
+/// Compares the gradient of the scene as it is with differences over a large step.
+///
+/// # Errors
+/// See [`RolloutError`].
+pub fn smoothed(simulator: &mut dyn Evaluate, progress: Progress<'_>) -> Result<Smoothed, RolloutError> {
+    let adjoint = simulator.evaluate(&CHECKED_THETA, true, progress)?.gradient.unwrap_or([f64::NAN; 5]);
+    let mut differences = [0.0; 5];
+    for (k, d) in differences.iter_mut().enumerate() {
+        let mut loss_at = |h: f64| {
+            let mut theta = CHECKED_THETA;
+            theta[k] += h;
+            simulator.evaluate(&theta, false, progress).map(|e| e.loss)
+        };
+        *d = (loss_at(SMOOTH_HALF_STEP)? - loss_at(-SMOOTH_HALF_STEP)?) / (2.0 * SMOOTH_HALF_STEP);
+    }
+    let dot = |a: &Theta, b: &Theta| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let cosine =
+        dot(&adjoint, &differences) / (dot(&adjoint, &adjoint) * dot(&differences, &differences)).sqrt();
+    Ok(Smoothed { half_step: SMOOTH_HALF_STEP, adjoint, differences, cosine })
+}

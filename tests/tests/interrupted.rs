@@ -1,0 +1,92 @@
+//! Runs that are stopped, and go on later with the same bits.
+
+use std::io::{BufRead, BufReader, Read};
+use std::path::Path;
+use std::process::{Child, ChildStderr, Command};
+use std::thread::sleep;
+use std::time::Duration;
+
+use crate::programs::{OPTIMISE, Place, assert_same_bits, bytes, command, metrics, run, wait};
+
+const EPOCHS: u32 = 3;
+
+/// Starts a run of the tiny scene; the process, and the rest of its standard error from the line on that starts
+/// with `line`.
+fn started_until(line: &str, scene: &str, folder: &str) -> (Child, BufReader<ChildStderr>) {
+    let arguments = [scene, "--epochs", &EPOCHS.to_string(), "--out", folder];
+    let mut child = command(OPTIMISE, &arguments).spawn().unwrap();
+    let mut err = BufReader::new(child.stderr.take().unwrap());
+    let mut text = String::new();
+    while !text.lines().last().unwrap_or_default().starts_with(line) {
+        assert_ne!(err.read_line(&mut text).unwrap(), 0, "no `{line}` in: {text}");
+    }
+    (child, err)
+}
+
+/// A good part of an epoch's duration, so that a signal comes in its middle.
+fn into_the_epoch() {
+    sleep(Duration::from_millis(150));
+}
+
+#[cfg(unix)]
+#[test]
+fn a_run_stopped_in_the_middle_of_an_epoch_goes_on_to_the_same_bits() {
+    let place = Place::new();
+    let whole = place.tiny_run("whole", EPOCHS);
+    for (signal, line, saved) in
+        [("INT", "tiny: seed", 0), ("INT", "epoch   1/3", 2), ("TERM", "epoch   0/3", 1)]
+    {
+        let folder = place.path(&format!("stopped-{signal}-{saved}"));
+        let (mut child, mut err) = started_until(line, &place.tiny(), &folder);
+        into_the_epoch();
+        let sent = Command::new("kill").args([&format!("-{signal}"), &child.id().to_string()]).status();
+        assert!(sent.unwrap().success());
+        let mut said = String::new();
+        err.read_to_string(&mut said).unwrap();
+        assert_eq!(child.wait().unwrap().code(), Some(130), "{said}");
+        let last = said.lines().last().unwrap();
+        assert!(
+            last.contains("stopped on request") && last.ends_with(&format!("--resume {folder}")),
+            "{said}"
+        );
+        // No epoch came to its end after the signal.
+        let evaluated = Path::new(&folder).join("metrics.jsonl").exists().then(|| metrics(&folder).len());
+        assert_eq!(evaluated.unwrap_or(0), saved, "{said}");
+        assert!(!Path::new(&folder).join("skill.plan").exists());
+        run(OPTIMISE, &["--resume", &folder]).succeeded();
+        assert_same_bits(&folder, &whole);
+    }
+}
+
+#[test]
+fn a_run_that_was_killed_goes_on_to_the_same_bits() {
+    let place = Place::new();
+    let whole = place.tiny_run("whole", EPOCHS);
+    let folder = place.path("killed");
+    let (mut child, _err) = started_until("epoch   0/3", &place.tiny(), &folder);
+    into_the_epoch();
+    child.kill().unwrap();
+    child.wait().unwrap();
+    run(OPTIMISE, &["--resume", &folder]).succeeded();
+    assert_same_bits(&folder, &whole);
+}
+
+#[test]
+fn a_second_run_into_one_folder_is_refused_and_the_first_not_disturbed() {
+    let place = Place::new();
+    let (scene, folder) = (place.tiny(), place.path("run"));
+    let (mut first, mut err) = started_until("tiny: seed", &scene, &folder);
+    let second = run(OPTIMISE, &[&scene, "--epochs", "1", "--out", &folder]);
+    let resumed = run(OPTIMISE, &["--resume", &folder]);
+    assert!(first.try_wait().unwrap().is_none(), "the first run is too short for this test");
+    for other in [second, resumed] {
+        other.refused(1, "another run is writing into");
+    }
+    let mut said = String::new();
+    err.read_to_string(&mut said).unwrap();
+    wait(first).succeeded();
+    assert_eq!(metrics(&folder).len(), 4);
+    let plan = bytes(&folder, "skill.plan");
+    run(OPTIMISE, &[&scene, "--out", &folder]).refused(2, "which is not overwritten");
+    assert_eq!(bytes(&folder, "skill.plan"), plan);
+}

@@ -1,0 +1,65 @@
+//! From a scene to a motion that the simulated arm performs.
+
+use serde_json::Value;
+
+use crate::programs::{EXECUTE, OPTIMISE, Place, assert_same_bits, metrics, run};
+
+#[test]
+fn a_skill_is_optimised_played_and_reproduced_with_the_same_bits_for_any_number_of_threads() {
+    let place = Place::new();
+    let [folder, alone] = ["two-threads", "one-thread"].map(|name| place.path(name));
+    let epochs = ["run", "bench-small", "--epochs", "2"];
+    let said = run(OPTIMISE, &[&epochs[..], &["--threads", "2", "--out", &folder]].concat()).succeeded();
+    run(OPTIMISE, &[&epochs[..], &["--threads", "1", "--out", &alone]].concat()).succeeded();
+    assert_same_bits(&folder, &alone);
+
+    // What it says to type next is a plan that can be played.
+    let next = said.lines().last().unwrap().trim();
+    let plan = next.strip_prefix("cargo run --release --bin execute -- ").unwrap();
+    assert_eq!(plan, format!("{folder}/skill.plan"));
+    let played = run(EXECUTE, &[plan, "--json"]).json();
+    assert_eq!((&played["completed"], &played["within_half_lsb"]), (&true.into(), &true.into()));
+    let errors = played["error_lsb"].as_array().unwrap();
+    assert_eq!(errors.len(), 6);
+    assert!(errors.iter().all(|error| error.as_f64().unwrap().abs() <= 0.5), "{errors:?}");
+
+    let again = run(OPTIMISE, &["simulate", "--plan", plan, "--threads", "1", "--json"]).json();
+    assert_eq!(again["plan"]["reproduced"], true);
+    let inspected = run(OPTIMISE, &["inspect", plan, "--json"]).json();
+    for (name, others) in [
+        ("loss", [&again["plan"]["loss"], &inspected["predicted_loss"], &played["plan"]["predicted_loss"]]),
+        (
+            "indicator",
+            [
+                &again["plan"]["indicator"],
+                &inspected["predicted_indicator"],
+                &played["plan"]["predicted_indicator"],
+            ],
+        ),
+    ] {
+        assert!(others.iter().all(|other| **other == again[name]), "{name}: {} and {others:?}", again[name]);
+    }
+    assert_eq!(played["plan"]["content_hash"], inspected["content_hash"]);
+
+    // Powder moved, and the gradient knows of all that the curriculum lets it.
+    let lines: Vec<Value> =
+        metrics(&folder).iter().map(|l| serde_json::from_str(&format!("{l}}}")).unwrap()).collect();
+    let epochs: Vec<_> = lines.iter().map(|line| line["epoch"].as_u64().unwrap()).collect();
+    assert_eq!(epochs, [0, 1, 2]);
+    let gradient = lines[0]["gradient"].as_array().unwrap();
+    assert!(
+        gradient[..3].iter().all(|g| g.as_f64().is_some_and(|g| g.is_finite() && g != 0.0)),
+        "{gradient:?}"
+    );
+    assert_ne!(lines[1]["theta"], lines[0]["theta"]);
+    assert_ne!(lines[1]["loss"], lines[0]["loss"]);
+}
+
+#[test]
+fn a_finished_run_is_taken_further_to_the_bits_of_a_longer_one() {
+    let place = Place::new();
+    let long = place.tiny_run("long", 2);
+    let folder = place.tiny_run("short", 1);
+    run(OPTIMISE, &["--resume", &folder, "--epochs", "2"]).succeeded();
+    assert_same_bits(&folder, &long);
+}

@@ -1,0 +1,105 @@
+//! Memory, and what to do without disk.
+
+#![cfg(target_os = "linux")]
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+use std::thread::sleep;
+use std::time::Duration;
+
+use crate::programs::{Done, EXECUTE, OPTIMISE, Place, assert_same_bits, command, metrics, run, wait};
+
+/// Kibibytes of the process's largest resident set so far; none once it has ended.
+fn peak_kib(process: u32) -> Option<u64> {
+    let status = fs::read_to_string(format!("/proc/{process}/status")).ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    line.trim().strip_suffix(" kB")?.parse().ok()
+}
+
+#[test]
+fn a_memory_budget_holds_as_the_operating_system_counts_and_changes_no_bit() {
+    const BUDGET_KIB: u64 = 40 << 10;
+    let place = Place::new();
+    let [free, bound] = ["free", "bound"].map(|name| place.path(name));
+    let run_with = |memory: &str, folder: &str| {
+        let arguments = ["run", "bench-small", "--epochs", "1", "--memory", memory, "--out", folder];
+        let mut child = command(OPTIMISE, &arguments).spawn().unwrap();
+        let mut peak = 0;
+        // The peak only grows, so the last reading before the end is the peak but for the last moment.
+        while child.try_wait().unwrap().is_none() {
+            peak = peak_kib(child.id()).unwrap_or(peak);
+            sleep(Duration::from_millis(5));
+        }
+        wait(child).succeeded();
+        peak
+    };
+    let (all, some) = (run_with("1GiB", &free), run_with("40MiB", &bound));
+    println!("peak resident set: {all} KiB of 1 GiB, {some} KiB of {BUDGET_KIB} KiB");
+    assert!(all > 4 * BUDGET_KIB, "the budget is no restriction: {all} KiB without it");
+    assert!((1..=BUDGET_KIB).contains(&some), "{some} KiB, but {BUDGET_KIB} KiB were allowed");
+    assert_same_bits(&free, &bound);
+}
+
+/// Runs `optimise` where no file can grow beyond `blocks` of 512 bytes.
+fn on_a_full_disk(blocks: u32, arguments: &[&str]) -> Done {
+    let script = format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$0\" \"$@\"");
+    let arguments = [&["-c", &script, OPTIMISE], arguments].concat();
+    run("/bin/sh", &arguments)
+}
+
+#[test]
+fn a_disk_that_fills_up_during_a_run_costs_nothing_that_was_saved() {
+    let place = Place::new();
+    let whole = place.tiny_run("whole", 2);
+    let folder = place.path("run");
+    // Room for the scene and the state, not for the curves of the first epoch.
+    let done = on_a_full_disk(10, &[&place.tiny(), "--epochs", "2", "--out", &folder]);
+    done.ended(1, "curves.svg cannot be written");
+    assert!(done.err.contains("the epochs before are saved, go on with"), "{}", done.err);
+    assert_eq!(metrics(&folder), metrics(&whole)[..1]);
+    run(OPTIMISE, &["--resume", &folder]).succeeded();
+    assert_same_bits(&folder, &whole);
+    let leftovers = fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().file_name());
+    let leftovers: Vec<_> = leftovers.filter(|name| name.to_string_lossy().ends_with(".new")).collect();
+    assert!(leftovers.is_empty(), "{leftovers:?}");
+}
+
+#[test]
+fn a_disk_that_is_full_from_the_start_leaves_the_way_free() {
+    let place = Place::new();
+    let folder = place.path("run");
+    on_a_full_disk(1, &[&place.tiny(), "--out", &folder]).refused(1, "scene.toml cannot be written");
+    run(OPTIMISE, &[&place.tiny(), "--epochs", "0", "--out", &folder]).succeeded();
+}
+
+#[test]
+fn a_place_that_cannot_be_written_is_refused_before_anything_is_simulated() {
+    let place = Place::new();
+    // Permissions would not keep an administrator out; this folder keeps out everyone.
+    run(OPTIMISE, &[&place.tiny(), "--out", "/proc/powderline"])
+        .refused(1, "the folder /proc/powderline cannot be created");
+    let done = Command::new(OPTIMISE).arg(place.tiny()).current_dir("/proc").output().unwrap();
+    assert_eq!(done.status.code(), Some(1));
+    assert!(
+        String::from_utf8(done.stderr).unwrap().starts_with("the folder runs/tiny-seed1 cannot be created")
+    );
+    assert!(!Path::new("/proc/runs").exists());
+}
+
+#[test]
+fn results_that_cannot_be_written_are_a_failure() {
+    let place = Place::new();
+    let plan = format!("{}/skill.plan", place.tiny_run("run", 0));
+    for (program, arguments, code) in [
+        (OPTIMISE, &["check", "bench-small", "--json"][..], 1),
+        (OPTIMISE, &["inspect", &plan], 1),
+        (EXECUTE, &[&plan, "--json"], 5),
+    ] {
+        let full = fs::OpenOptions::new().write(true).open("/dev/full").unwrap();
+        let output = command(program, arguments).stdout(full).output().unwrap();
+        assert_eq!(output.status.code(), Some(code));
+        let err = String::from_utf8(output.stderr).unwrap();
+        assert!(err.lines().count() == 1 && err.contains("cannot be written"), "{err}");
+    }
+}
