@@ -23,12 +23,22 @@ pub struct Progress<'a> {
     drawn: Option<Instant>,
     /// Evaluations to come after the present one, and what one has taken on average, seconds.
     later: Option<(u32, f64)>,
+    /// Shares of the task at the beginning and at the end of its present part.
+    span: [f64; 2],
 }
 
 impl<'a> Progress<'a> {
     /// Progress shown on `out`.
     pub fn new(out: &'a mut (dyn Write + Send), live: bool) -> Self {
-        Self { out, live, task: String::new(), started: Instant::now(), drawn: None, later: None }
+        Self {
+            out,
+            live,
+            task: String::new(),
+            started: Instant::now(),
+            drawn: None,
+            later: None,
+            span: [0.0, 1.0],
+        }
     }
 
     /// Begins a task; `later` evaluations follow it, each of the duration of those in `history`.
@@ -38,7 +48,14 @@ impl<'a> Progress<'a> {
         self.started = Instant::now();
         self.drawn = None;
         self.later = (!history.is_empty()).then_some((later, mean_s));
+        self.span = [0.0, 1.0];
         self.tick(0, 1);
+    }
+
+    /// Begins a part of the task: what is done and in total is the part's from now on, and takes the whole task from
+    /// the first to the second of these shares.
+    pub fn span(&mut self, shares: [f64; 2]) {
+        self.span = shares;
     }
 
     /// Seconds since the task began.
@@ -46,13 +63,15 @@ impl<'a> Progress<'a> {
         self.started.elapsed().as_secs_f64()
     }
 
-    /// Called now and then with work units done and in total.
+    /// Called now and then with work units done and in total, of the task or its present part.
     pub fn tick(&mut self, done: u64, total: u64) {
         if !self.live || self.drawn.is_some_and(|drawn| drawn.elapsed() < REDRAW) {
             return;
         }
         self.drawn = Some(Instant::now());
-        let share = (done as f64 / total.max(1) as f64).clamp(0.0, 1.0);
+        let [start, end] = self.span;
+        let part = (done as f64 / total.max(1) as f64).clamp(0.0, 1.0);
+        let share = start + (end - start) * part;
         let filled = (share * BAR_CELLS as f64) as usize;
         let left =
             self.left_s(share).map(|left| format!(", about {} left", duration(left))).unwrap_or_default();
@@ -124,8 +143,8 @@ mod tests {
             transported: 1854,
             spilled: 3,
             theta: [0.0; 5],
-            gradient: None,
             seconds: 2.0,
+            ..EpochRecord::default()
         }
     }
 
@@ -155,5 +174,17 @@ mod tests {
             text.contains("\r\x1b[2Kepoch 1/30 [....................]   0 %, about 1 min left"),
             "{text:?}"
         );
+    }
+
+    #[test]
+    fn parts_share_one_bar() {
+        let mut out = Vec::new();
+        let mut progress = Progress::new(&mut out, true);
+        progress.begin("epoch 1/30", 29, &[record(0)]);
+        progress.span([0.5, 0.7]);
+        progress.drawn = None;
+        progress.tick(1, 2);
+        let text = String::from_utf8(out).unwrap();
+        assert!(text.contains("[############........]  60 %"), "{text:?}");
     }
 }

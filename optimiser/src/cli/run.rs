@@ -5,7 +5,7 @@ use super::{
     options::{DEFAULT_PRECISION, DEFAULT_SEED, PrecisionArg, precision_name},
 };
 use crate::{
-    optim::{RmsProp, Search, SearchError, initial_theta},
+    optim::{Method, Probe, Request, Search, SearchError, initial_theta},
     report::{
         curves::Curves,
         folder::{CURVES, METRICS, PLAN, RunFolder, SCENE, STATE},
@@ -16,7 +16,7 @@ use crate::{
     },
     rollout::{Evaluate, Evaluation, RolloutError},
     scene::{DEFAULT_SCENE, Scene},
-    skill::SkillMap,
+    skill::{SkillMap, Theta},
 };
 use clap::Args;
 use powderline_shared::plan::Precision;
@@ -52,12 +52,15 @@ pub(super) struct RunArgs {
 /// Most epochs of a run.
 const MAX_EPOCHS: u32 = 100_000;
 
+/// Time of a gradient, in evaluations without one; for the progress bar.
+const GRADIENT_COST: f64 = 5.4;
+
 /// A run whose folder is open and locked.
 struct Run {
     folder: RunFolder,
     scene: Scene,
     map: SkillMap,
-    rule: RmsProp,
+    method: Method,
     state: RunState,
 }
 
@@ -106,7 +109,7 @@ impl Run {
         folder.replace(SCENE, scene.to_toml().as_bytes())?;
         // A scene without a state would be in the way of a second attempt, and nothing to resume from either.
         folder.replace(STATE, &state.to_bytes()).inspect_err(|_| folder.discard(SCENE))?;
-        Ok(Self { folder, rule: RmsProp::from(&scene.optimiser), scene, map, state })
+        Ok(Self { folder, method: Method::from(&scene.optimiser), scene, map, state })
     }
 
     fn resume(arguments: &RunArgs, path: &Path) -> Result<Self, CliError> {
@@ -126,7 +129,7 @@ impl Run {
         let lines: String = state.search.history().iter().map(json_line).collect();
         folder.replace(METRICS, lines.as_bytes())?;
         folder.replace(STATE, &state.to_bytes())?;
-        Ok(Self { folder, rule: RmsProp::from(&scene.optimiser), scene, map, state })
+        Ok(Self { folder, method: Method::from(&scene.optimiser), scene, map, state })
     }
 
     /// Evaluates the epochs that are left, then writes the plan.
@@ -155,23 +158,43 @@ impl Run {
         interrupt: &Interrupt,
     ) -> Result<(), CliError> {
         let epochs = self.state.search.epochs();
-        while let Some(request) = self.state.search.next() {
-            stop_if_requested(interrupt)?;
+        while let Some(request) = self.state.search.next(&self.method) {
             let task = format!("epoch {}/{epochs}", request.epoch);
             progress.begin(&task, epochs - request.epoch, self.state.search.history());
-            let mut tick = |done, total| {
-                progress.tick(done, total);
-                !interrupt.is_requested()
-            };
-            let evaluation = simulator.evaluate(&request.theta, request.want_gradient, &mut tick)?;
-            self.save_epoch(&evaluation, progress)?;
+            let mut work = Work { simulator: &mut *simulator, progress, interrupt };
+            let (evaluation, losses) = self.evaluate_epoch(&request, &mut work)?;
+            self.save_epoch(&evaluation, &losses, progress)?;
         }
         Ok(())
     }
 
-    fn save_epoch(&mut self, evaluation: &Evaluation, progress: &mut Progress<'_>) -> Result<(), CliError> {
+    /// The skill's evaluation, and the losses of the probes that it makes necessary.
+    fn evaluate_epoch(
+        &self,
+        request: &Request,
+        work: &mut Work<'_, '_>,
+    ) -> Result<(Evaluation, Vec<f64>), CliError> {
+        let cost = if request.want_gradient { GRADIENT_COST } else { 1.0 };
+        let share = |done: f64, probes: usize| done / (cost + probes as f64);
+        let theta = &request.theta;
+        let evaluation = work.evaluate(theta, request.want_gradient, [0.0, share(cost, request.probes)])?;
+        let probes = self.state.search.probes(&self.method, evaluation.gradient.as_ref());
+        let loss = |(index, probe): (usize, &Probe)| {
+            let span = [index, index + 1].map(|done| share(cost + done as f64, probes.len()));
+            work.evaluate(&probe.theta, false, span).map(|evaluation| evaluation.loss)
+        };
+        let losses = probes.iter().enumerate().map(loss).collect::<Result<_, _>>()?;
+        Ok((evaluation, losses))
+    }
+
+    fn save_epoch(
+        &mut self,
+        evaluation: &Evaluation,
+        losses: &[f64],
+        progress: &mut Progress<'_>,
+    ) -> Result<(), CliError> {
         let seconds = (progress.seconds() * 1e3).round() / 1e3;
-        let record = *self.state.search.record(&self.rule, evaluation, seconds)?;
+        let record = *self.state.search.record(&self.method, evaluation, losses, seconds)?;
         let search = &self.state.search;
         progress.epoch(&record, search.epochs(), search.history());
         self.folder.append(METRICS, json_line(&record).as_bytes())?;
@@ -185,7 +208,7 @@ impl Run {
             title: &format!("{}, seed {}", self.scene.name, self.state.seed),
             history: search.history(),
             epochs: search.epochs(),
-            curriculum_epochs: self.rule.curriculum_epochs,
+            curriculum_epochs: self.method.rule.curriculum_epochs,
             best: search.best(),
         };
         let svg = curves.to_svg().map_err(|error| CliError::Failed(error.to_string()))?;
@@ -239,6 +262,32 @@ impl Run {
         writeln!(context.out, "Next, play the plan on the simulated arm:\n")?;
         writeln!(context.out, "    cargo run --release --bin execute -- {}", path.display())?;
         Ok(())
+    }
+}
+
+/// What evaluates, and those who watch it.
+struct Work<'a, 'p> {
+    simulator: &'a mut dyn Evaluate,
+    progress: &'a mut Progress<'p>,
+    interrupt: &'a Interrupt,
+}
+
+impl Work<'_, '_> {
+    /// One evaluation, which takes the bar through `span`.
+    fn evaluate(
+        &mut self,
+        theta: &Theta,
+        want_gradient: bool,
+        span: [f64; 2],
+    ) -> Result<Evaluation, CliError> {
+        let Self { simulator, progress, interrupt } = self;
+        stop_if_requested(interrupt)?;
+        progress.span(span);
+        let mut tick = |done, total| {
+            progress.tick(done, total);
+            !interrupt.is_requested()
+        };
+        Ok(simulator.evaluate(theta, want_gradient, &mut tick)?)
     }
 }
 

@@ -1,13 +1,18 @@
 //! The search for good skill parameters: curriculum RMSprop, as a state that is passed in and handed back.
 //!
-//! Nothing here simulates, reads a clock or touches a file. [`Search::next`] says what to evaluate,
-//! [`Search::record`] takes the answer; a search that was saved and loaded again goes on with the same bits.
+//! Nothing here simulates, reads a clock or touches a file. [`Search::next`] says what to evaluate, [`Search::probes`]
+//! what else the answer makes necessary, [`Search::record`] takes the answers; a search that was saved and loaded again goes on with the same bits.
 
+mod estimate;
 mod rmsprop;
 mod search;
 
+pub use estimate::{
+    Estimate, Estimator, EstimatorState, Findings, Place, Probe, REMEASURE_EPOCHS, TRUSTED_WEIGHT,
+    USELESS_WEIGHT,
+};
 pub use rmsprop::{GradientError, RmsProp, RmsPropState};
-pub use search::{EpochRecord, Request, Search, SearchError};
+pub use search::{EpochRecord, Method, Request, Search, SearchError};
 
 use crate::skill::Theta;
 use rand_chacha::{

@@ -221,8 +221,8 @@ mod tests {
             transported: 10,
             spilled: 1,
             theta: std::array::from_fn(|k| (0.1 * f64::from(epoch) + k as f64).sin()),
-            gradient: None,
             seconds: 1.0,
+            ..EpochRecord::default()
         }
     }
 

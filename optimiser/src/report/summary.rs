@@ -91,8 +91,8 @@ mod tests {
             transported: 50,
             spilled: 2,
             theta: [0.0; 5],
-            gradient: None,
             seconds: 1.0,
+            ..EpochRecord::default()
         }
     }
 

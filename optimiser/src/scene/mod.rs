@@ -354,4 +354,19 @@ pub struct Optimiser {
     pub beta: f64,
     /// RMSprop's guard against division by zero, in units of the gradient; above 0, up to 1, typically 1e-8.
     pub epsilon: f64,
+    /// What the updates go by.
+    pub gradient: Gradient,
+    /// Half-step of the central differences that `mixed` compares the adjoint with, in units of theta; above 0, up to
+    /// 0.5, typically 0.1: far enough for single grains to average out.
+    pub difference_half_step: f64,
+}
+
+/// What stands for the gradient of the loss.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Gradient {
+    /// The adjoint of the simulation.
+    Adjoint,
+    /// The adjoint and central differences, weighted in every component by their measured variances.
+    Mixed,
 }

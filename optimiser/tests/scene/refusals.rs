@@ -118,6 +118,16 @@ const STRUCTURE: &[Case] = &[
         ": skill.timing at line 70: unknown variant `exact`, expected `rounded` or `continuous`",
     ),
     (
+        r#"gradient = "mixed""#,
+        r#"gradient = "differences""#,
+        ": optimiser.gradient at line 97: unknown variant `differences`, expected `adjoint` or `mixed`",
+    ),
+    (
+        "difference_half_step = 0.1",
+        "",
+        ": optimiser at line 91: missing field `difference_half_step`",
+    ),
+    (
         "amount = { particles = 850 }",
         "amount = { particles = 850, mass_kg = 1.0 }",
         ": objective.amount at line 87: expected a table with exactly one key",
@@ -381,6 +391,16 @@ const SINGLE_FIELDS: &[Case] = &[
         "epsilon = 1.0e-8",
         "epsilon = -1.0e-8",
         ": optimiser.epsilon is -1e-8, but it must be above 0 and at most 1",
+    ),
+    (
+        "difference_half_step = 0.1",
+        "difference_half_step = 0.0",
+        ": optimiser.difference_half_step is 0, but it must be above 0 and at most 0.5",
+    ),
+    (
+        "difference_half_step = 0.1",
+        "difference_half_step = 0.6",
+        ": optimiser.difference_half_step is 0.6, but it must be above 0 and at most 0.5",
     ),
 ];
 

@@ -1,0 +1,581 @@
+//! What stands for the gradient: the adjoint alone, or the adjoint mixed with central differences of the loss.
+//!
+//! The adjoint is exact but heavy-tailed: a grain balanced on the rim amplifies perturbations a thousandfold, and its
+//! derivative is a correct answer to the wrong question. The slope over a distance at which such grains average out
+//! is what the optimiser wants. [`Gradient::Mixed`] weighs the two by their measured variances, component by
+//! component (Suh, Simchowitz, Zhang, Tedrake 2022, "Do differentiable simulators give better policy gradients?"):
+//!
+//! | symbol  | meaning                                                                                      |
+//! |---------|----------------------------------------------------------------------------------------------|
+//! | g1      | first order: the adjoint                                                                     |
+//! | g0      | zeroth order: (L(theta + h e) - L(theta - h e)) / distance, both ends clamped to [-1, 1]     |
+//! | sigma   | shot noise of the loss: median of abs(L(+) - 2 L(0) + L(-)) / (0.6745 sqrt 6)                |
+//! | s0^2    | variance of g0: 2 sigma^2 / distance^2                                                       |
+//! | s1^2    | error of g1: mean of (g1 - g0)^2 over the measured epochs, this one included, - s0^2, >= 0   |
+//! | alpha   | weight of g1: s0^2 / (s0^2 + s1^2)                                                           |
+//! | g       | alpha g1 + (1 - alpha) g0                                                                    |
+//!
+//! An outlier of g1 enters s1 before it is weighed, so that it weighs itself down. Sigma comes from evaluations that
+//! are made anyway, those of the last epochs and of all components. Curvature counts as noise there, which the
+//! median keeps in bounds and which is harmless where it does not: it makes s0 at most the change of the slope over
+//! 0.43 h, and a g1 as close to g0 as that is as good as any. Ends that were clamped tell nothing about sigma, and
+//! neither do rollouts that were the same to the last bit; with no measurement at all, sigma is 0 and g is g0.
+//!
+//! Work is saved where two measurements in a row allow it, for at most [`REMEASURE_EPOCHS`] from the last one:
+//!
+//! - A component with alpha above [`TRUSTED_WEIGHT`] needs no differences, g is g1; unless g1 surprises, that is
+//!   differs from the component's last g by more than abs(g) + 5 s0. Then it is measured at once, because a single
+//!   outlier in RMSprop's running mean would stop the component for dozens of epochs.
+//! - If alpha is below [`USELESS_WEIGHT`] in all components that take part, no adjoint is computed, g is g0.
+
+use crate::{
+    scene::{self, Gradient},
+    skill::Theta,
+};
+use serde::{Deserialize, Serialize};
+
+/// The adjoint alone suffices where its weight was above this.
+pub const TRUSTED_WEIGHT: f64 = 0.5;
+
+/// The adjoint is not worth its computing where its weight was below this.
+pub const USELESS_WEIGHT: f64 = 0.1;
+
+/// Epochs from one measurement of the weight to the next, at most.
+pub const REMEASURE_EPOCHS: u32 = 5;
+
+/// Measurements in a row that must agree before work is saved.
+const AGREEING: u32 = 2;
+
+/// How far beyond the component's last gradient a trusted adjoint may lie, in standard deviations of g0.
+const SURPRISE: f64 = 5.0;
+
+/// Second differences that the shot noise is taken from: those of three epochs of five components, or five of three.
+const RESIDUALS: usize = 15;
+
+/// Median of the absolute value of a normal variable, in standard deviations.
+const MEDIAN_OF_NORMAL: f64 = 0.6745;
+
+/// How the gradient is estimated.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Estimator {
+    /// From what.
+    pub gradient: Gradient,
+    /// Half-step of the central differences, in units of theta.
+    pub half_step: f64,
+}
+
+/// All that the estimate of one epoch hands to the next.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct EstimatorState {
+    /// The latest second differences of the loss, absolute, metres, oldest first.
+    residuals: Vec<f64>,
+    components: [Trust; 5],
+}
+
+/// What is known about the adjoint in one component.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+struct Trust {
+    /// Epochs in which adjoint and differences were both computed.
+    measurements: u32,
+    /// The last of them.
+    measured_at: u32,
+    /// Mean over them of (g1 - g0)^2.
+    mean_square: f64,
+    /// How many of them in a row, to the last, had a weight above [`TRUSTED_WEIGHT`].
+    trusted: u32,
+    /// How many of them in a row, to the last, had a weight below [`USELESS_WEIGHT`].
+    useless: u32,
+    /// The gradient that was used last.
+    gradient: f64,
+}
+
+/// Where the gradient is wanted.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Place {
+    /// Epoch.
+    pub epoch: u32,
+    /// Skill parameters.
+    pub theta: Theta,
+    /// How many of them, from the first, the update changes.
+    pub active: usize,
+}
+
+/// A point near theta whose loss is needed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Probe {
+    /// The component that differs.
+    pub component: usize,
+    /// The point; only one component differs from the place's.
+    pub theta: Theta,
+}
+
+/// What was found at a place.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Findings<'a> {
+    /// Loss at theta, metres.
+    pub loss: f64,
+    /// The adjoint, if it was wanted.
+    pub adjoint: Option<Theta>,
+    /// The loss at each of the probes, metres.
+    pub probes: &'a [f64],
+}
+
+/// The gradient, and where it comes from.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Estimate {
+    /// What the optimiser uses. In components that do not take part: the adjoint's value, 0 if there is none.
+    pub gradient: Theta,
+    /// The adjoint, where it was computed.
+    pub adjoint: [Option<f64>; 5],
+    /// The central differences, where they were computed.
+    pub differences: [Option<f64>; 5],
+    /// Weight of the adjoint in `gradient`, where the component takes part.
+    pub first_order_weight: [Option<f64>; 5],
+}
+
+/// A central difference.
+#[derive(Clone, Copy)]
+struct Difference {
+    slope: f64,
+    distance: f64,
+    /// Absolute second difference, if it tells something about the shot noise.
+    residual: Option<f64>,
+}
+
+impl From<&scene::Optimiser> for Estimator {
+    fn from(settings: &scene::Optimiser) -> Self {
+        Self { gradient: settings.gradient, half_step: settings.difference_half_step }
+    }
+}
+
+impl Estimator {
+    /// Whether the adjoint has to be computed.
+    pub fn wants_adjoint(&self, state: &EstimatorState, place: &Place) -> bool {
+        let useless = |trust: &Trust| trust.useless >= AGREEING && trust.is_fresh(place.epoch);
+        self.gradient == Gradient::Adjoint || !state.components[..place.active].iter().all(useless)
+    }
+
+    /// The points whose losses have to be computed, once it is known what the adjoint is (`None` if it is not
+    /// wanted, or not known yet: what it may surprise with is then left out).
+    pub fn probes(&self, state: &EstimatorState, place: &Place, adjoint: Option<&Theta>) -> Vec<Probe> {
+        if self.gradient == Gradient::Adjoint {
+            return Vec::new();
+        }
+        (0..place.active)
+            .filter(|&k| !self.adjoint_suffices(state, place, k, adjoint.map(|adjoint| adjoint[k])))
+            .flat_map(|component| self.ends(place, component).map(|end| (component, end)))
+            // At a bound one of the ends is theta itself.
+            .filter(|&(component, end)| end.to_bits() != place.theta[component].to_bits())
+            .map(|(component, end)| {
+                let mut theta = place.theta;
+                theta[component] = end;
+                Probe { component, theta }
+            })
+            .collect()
+    }
+
+    /// Whether a component needs no differences; `g1` is its adjoint, if that is known.
+    fn adjoint_suffices(
+        &self,
+        state: &EstimatorState,
+        place: &Place,
+        component: usize,
+        g1: Option<f64>,
+    ) -> bool {
+        let trust = &state.components[component];
+        let [low, high] = self.ends(place, component);
+        let allowed = trust.gradient.abs() + SURPRISE * libm::sqrt(state.variance(high - low));
+        trust.trusted >= AGREEING
+            && trust.is_fresh(place.epoch)
+            && g1.is_none_or(|g1| (g1 - trust.gradient).abs() <= allowed)
+    }
+
+    /// Lower and upper end of the difference.
+    fn ends(&self, place: &Place, component: usize) -> [f64; 2] {
+        [-self.half_step, self.half_step].map(|step| (place.theta[component] + step).clamp(-1.0, 1.0))
+    }
+
+    /// What comes of the findings: the gradient, and the state for the next epoch. Components that have neither an
+    /// adjoint nor probes come out as 0.
+    pub fn combine(
+        &self,
+        state: &EstimatorState,
+        place: &Place,
+        found: &Findings<'_>,
+    ) -> (Estimate, EstimatorState) {
+        let probes = self.probes(state, place, found.adjoint.as_ref());
+        let differences: [Option<Difference>; 5] =
+            std::array::from_fn(|k| self.difference(place, k, &probes, found));
+        let mut next = state.clone();
+        next.keep(differences.iter().flatten().filter_map(|difference| difference.residual));
+        let mut estimate = Estimate {
+            gradient: found.adjoint.unwrap_or_default(),
+            adjoint: found.adjoint.map_or([None; 5], |adjoint| adjoint.map(Some)),
+            differences: differences.map(|difference| difference.map(|difference| difference.slope)),
+            first_order_weight: [None; 5],
+        };
+        for (k, difference) in differences.iter().enumerate().take(place.active) {
+            let (gradient, weight) = next.weigh(place.epoch, k, estimate.adjoint[k], difference.as_ref());
+            estimate.gradient[k] = gradient;
+            estimate.first_order_weight[k] = Some(weight);
+            next.components[k].gradient = gradient;
+        }
+        (estimate, next)
+    }
+
+    /// A component's difference, if there are probes for it.
+    fn difference(
+        &self,
+        place: &Place,
+        component: usize,
+        probes: &[Probe],
+        found: &Findings<'_>,
+    ) -> Option<Difference> {
+        let [low, high] = self.ends(place, component);
+        let mut losses = [found.loss; 2];
+        let mut probed = false;
+        for (probe, &loss) in
+            probes.iter().zip(found.probes).filter(|(probe, _)| probe.component == component)
+        {
+            losses[usize::from(probe.theta[component] > place.theta[component])] = loss;
+            probed = true;
+        }
+        let distance = high - low;
+        let second = (losses[1] - 2.0 * found.loss + losses[0]).abs();
+        let whole = place.theta[component].abs() + self.half_step <= 1.0;
+        probed.then(|| Difference {
+            slope: (losses[1] - losses[0]) / distance,
+            distance,
+            residual: (whole && second > 0.0).then_some(second),
+        })
+    }
+}
+
+impl EstimatorState {
+    /// Keeps second differences, the latest of them.
+    fn keep(&mut self, residuals: impl Iterator<Item = f64>) {
+        self.residuals.extend(residuals);
+        let surplus = self.residuals.len().saturating_sub(RESIDUALS);
+        self.residuals.drain(..surplus);
+    }
+
+    /// Variance of a difference of two losses, divided by their distance in theta.
+    fn variance(&self, distance: f64) -> f64 {
+        // A second difference has six times the variance of a loss, a first difference twice.
+        let deviation = median(&self.residuals) / MEDIAN_OF_NORMAL / distance;
+        deviation * deviation / 3.0
+    }
+
+    /// The gradient in a component, and the adjoint's weight in it.
+    fn weigh(
+        &mut self,
+        epoch: u32,
+        component: usize,
+        adjoint: Option<f64>,
+        difference: Option<&Difference>,
+    ) -> (f64, f64) {
+        match (adjoint, difference) {
+            (Some(g1), Some(difference)) => {
+                let (g0, variance) = (difference.slope, self.variance(difference.distance));
+                let weight = self.components[component].measure(epoch, g1 - g0, variance);
+                (weight * g1 + (1.0 - weight) * g0, weight)
+            }
+            (Some(g1), None) => (g1, 1.0),
+            (None, difference) => (difference.map_or(0.0, |difference| difference.slope), 0.0),
+        }
+    }
+}
+
+impl Trust {
+    fn is_fresh(&self, epoch: u32) -> bool {
+        epoch.saturating_sub(self.measured_at) < REMEASURE_EPOCHS
+    }
+
+    /// Takes how far adjoint and difference are apart, and the difference's variance; gives the adjoint's weight.
+    fn measure(&mut self, epoch: u32, apart: f64, variance: f64) -> f64 {
+        self.measurements += 1;
+        self.measured_at = epoch;
+        self.mean_square += (apart * apart - self.mean_square) / f64::from(self.measurements);
+        // s0^2 + s1^2 with s1^2 = max(mean - s0^2, 0).
+        let sum = self.mean_square.max(variance);
+        let weight = if sum > 0.0 { variance / sum } else { 1.0 };
+        self.trusted = if weight > TRUSTED_WEIGHT { self.trusted + 1 } else { 0 };
+        self.useless = if weight < USELESS_WEIGHT { self.useless + 1 } else { 0 };
+        weight
+    }
+}
+
+/// The median; 0 of nothing.
+fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    match sorted.len() {
+        0 => 0.0,
+        length => 0.5 * (sorted[(length - 1) / 2] + sorted[length / 2]),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::optim::{RmsProp, RmsPropState};
+    use rand_chacha::{
+        ChaCha8Rng,
+        rand_core::{Rng, SeedableRng},
+    };
+
+    const MIXED: Estimator = Estimator { gradient: Gradient::Mixed, half_step: 0.1 };
+    const ADJOINT: Estimator = Estimator { gradient: Gradient::Adjoint, half_step: 0.1 };
+    const MINIMUM: Theta = [0.3, -0.2, 0.5, -0.4, 0.1];
+
+    /// A quadratic with shot noise of 1 m, as the simulated bench has it.
+    struct Bench {
+        rng: ChaCha8Rng,
+        /// Scale of the adjoint's error in each component; its distribution is Cauchy's, without mean or variance.
+        tail: Theta,
+        forward: usize,
+        adjoint: usize,
+    }
+
+    impl Bench {
+        fn new(seed: u64, tail: Theta) -> Self {
+            Self { rng: ChaCha8Rng::seed_from_u64(seed), tail, forward: 0, adjoint: 0 }
+        }
+
+        /// In (0, 1).
+        fn uniform(&mut self) -> f64 {
+            ((self.rng.next_u64() >> 12) as f64 + 0.5) * f64::EPSILON
+        }
+
+        fn loss(&mut self, theta: &Theta) -> f64 {
+            self.forward += 1;
+            let noise: f64 = (0..12).map(|_| self.uniform()).sum::<f64>() - 6.0;
+            1200.0 + noise + theta.iter().zip(MINIMUM).map(|(x, m)| 50.0 * (x - m) * (x - m)).sum::<f64>()
+        }
+
+        fn adjoint(&mut self, theta: &Theta) -> Theta {
+            self.adjoint += 1;
+            std::array::from_fn(|k| {
+                let cauchy = libm::tan(std::f64::consts::PI * (self.uniform() - 0.5));
+                100.0 * (theta[k] - MINIMUM[k]) + self.tail[k] * cauchy
+            })
+        }
+
+        fn estimate(
+            &mut self,
+            estimator: &Estimator,
+            state: &EstimatorState,
+            place: &Place,
+        ) -> (Estimate, EstimatorState) {
+            let loss = self.loss(&place.theta);
+            let adjoint = estimator.wants_adjoint(state, place).then(|| self.adjoint(&place.theta));
+            let probes = estimator.probes(state, place, adjoint.as_ref());
+            let losses: Vec<_> = probes.iter().map(|probe| self.loss(&probe.theta)).collect();
+            estimator.combine(state, place, &Findings { loss, adjoint, probes: &losses })
+        }
+
+        /// Estimates at one place, epoch after epoch.
+        fn estimates(&mut self, theta: Theta, active: usize, epochs: u32) -> Vec<Estimate> {
+            let mut state = EstimatorState::default();
+            (0..epochs)
+                .map(|epoch| {
+                    let (estimate, next) = self.estimate(&MIXED, &state, &Place { epoch, theta, active });
+                    state = next;
+                    estimate
+                })
+                .collect()
+        }
+
+        /// Distance from the minimum after a search.
+        fn search(&mut self, estimator: &Estimator, epochs: u32) -> f64 {
+            let rule = RmsProp { beta: 0.9, learning_rate: 0.05, epsilon: 1e-8, curriculum_epochs: 0 };
+            let mut state = EstimatorState::default();
+            let mut search = RmsPropState::new([-0.6, 0.7, -0.5, 0.5, -0.8]);
+            for epoch in 0..epochs {
+                let (estimate, next) =
+                    self.estimate(estimator, &state, &Place { epoch, theta: search.theta, active: 5 });
+                state = next;
+                search = rule.update(&search, &estimate.gradient).unwrap();
+            }
+            search.theta.iter().zip(MINIMUM).map(|(x, m)| (x - m).abs()).fold(0.0, f64::max)
+        }
+    }
+
+    fn place(epoch: u32, theta: Theta, active: usize) -> Place {
+        Place { epoch, theta, active }
+    }
+
+    /// How often a component's differences were computed.
+    fn measured(estimates: &[Estimate], component: usize) -> Vec<bool> {
+        estimates.iter().map(|estimate| estimate.differences[component].is_some()).collect()
+    }
+
+    #[test]
+    fn mixed_search_arrives_where_the_adjoint_alone_does_not() {
+        for seed in 0..10 {
+            let tail = [300.0, 300.0, 300.0, 0.5, 0.5];
+            let mixed = Bench::new(seed, tail).search(&MIXED, 60);
+            let adjoint = Bench::new(seed, tail).search(&ADJOINT, 60);
+            assert!(mixed < 0.15 && adjoint > 0.4, "seed {seed}: {mixed} and {adjoint}");
+        }
+    }
+
+    #[test]
+    fn clean_adjoint_takes_over() {
+        let (mut saved, mut weight) = (0, 0.0);
+        for seed in 0..10 {
+            let mut bench = Bench::new(seed, [0.0; 5]);
+            let estimates = bench.estimates([-0.5; 5], 5, 40);
+            let weights = estimates.last().unwrap().first_order_weight.map(Option::unwrap);
+            weight += weights.iter().sum::<f64>() / 50.0;
+            saved += 11 * 40 - bench.forward;
+        }
+        assert!(weight > 0.8, "{weight}");
+        assert!(saved > 10 * 40 * 5, "half of the differences should be saved: {saved}");
+    }
+
+    #[test]
+    fn heavy_tailed_adjoint_is_ignored() {
+        for seed in 0..10 {
+            let mut bench = Bench::new(seed, [300.0; 5]);
+            let estimates = bench.estimates([-0.5; 5], 5, 40);
+            for estimate in &estimates[3..] {
+                let weights = estimate.first_order_weight.map(Option::unwrap);
+                assert!(weights.iter().all(|&weight| weight < 0.1), "seed {seed}: {weights:?}");
+                for (k, (g, m)) in estimate.gradient.iter().zip(MINIMUM).enumerate() {
+                    let slope = 100.0 * (-0.5 - m);
+                    assert!((g - slope).abs() < 60.0, "seed {seed}, component {k}: {g} for {slope}");
+                }
+            }
+            assert!(bench.adjoint <= 14, "most adjoints should be saved: {}", bench.adjoint);
+        }
+    }
+
+    /// A state in which everything is known about three components.
+    fn known(apart: f64) -> EstimatorState {
+        let mut state = EstimatorState { residuals: vec![2.0; 3], ..EstimatorState::default() };
+        let variance = state.variance(0.2);
+        for trust in &mut state.components[..3] {
+            for epoch in 8..10 {
+                trust.measure(epoch, apart, variance);
+            }
+            trust.gradient = 10.0;
+        }
+        state
+    }
+
+    #[test]
+    fn trusted_components_are_measured_again_in_time_or_when_they_surprise() {
+        let state = known(1.0);
+        let adjoint = [12.0; 5];
+        for epoch in 10..14 {
+            let place = place(epoch, [0.0; 5], 3);
+            assert!(MIXED.wants_adjoint(&state, &place));
+            assert!(MIXED.probes(&state, &place, Some(&adjoint)).is_empty());
+        }
+        assert_eq!(MIXED.probes(&state, &place(14, [0.0; 5], 3), Some(&adjoint)).len(), 6);
+        let surprising = [12.0, -17344.0, 12.0, 0.0, 0.0];
+        let probes = MIXED.probes(&state, &place(10, [0.0; 5], 3), Some(&surprising));
+        assert_eq!(probes.iter().map(|probe| probe.component).collect::<Vec<_>>(), [1, 1]);
+    }
+
+    #[test]
+    fn surprise_weighs_itself_down() {
+        let state = known(1.0);
+        let at = place(10, [0.0; 5], 3);
+        let adjoint = Some([12.0, -17344.0, 12.0, 0.0, 0.0]);
+        let (estimate, next) =
+            MIXED.combine(&state, &at, &Findings { loss: 100.0, adjoint, probes: &[99.0, 101.0] });
+        assert!((estimate.gradient[1] - 10.0).abs() < 0.1, "{:?}", estimate.gradient);
+        assert_eq!((next.components[1].trusted, next.components[0].trusted), (0, 2));
+    }
+
+    #[test]
+    fn useless_adjoint_is_skipped_and_computed_again_in_time() {
+        let state = known(1000.0);
+        for (epoch, active, wanted) in [(10, 3, false), (13, 3, false), (14, 3, true), (10, 5, true)] {
+            let place = place(epoch, [0.0; 5], active);
+            assert_eq!(MIXED.wants_adjoint(&state, &place), wanted, "epoch {epoch}, {active} components");
+            assert_eq!(MIXED.probes(&state, &place, None).len(), 2 * active);
+        }
+        let found = Findings { loss: 100.0, adjoint: None, probes: &[99.0, 101.0, 99.0, 103.0, 101.0, 99.0] };
+        let (estimate, next) = MIXED.combine(&state, &place(10, [0.0; 5], 3), &found);
+        let expected = [10.0, 20.0, -10.0, 0.0, 0.0];
+        assert!(estimate.gradient.iter().zip(expected).all(|(g, e)| (g - e).abs() < 1e-9), "{estimate:?}");
+        assert_eq!(estimate.adjoint, [None; 5]);
+        assert_eq!(estimate.first_order_weight, [Some(0.0), Some(0.0), Some(0.0), None, None]);
+        // Nothing was measured.
+        assert_eq!(next.components.map(|trust| trust.measured_at), [9, 9, 9, 0, 0]);
+    }
+
+    #[test]
+    fn inactive_components_are_not_measured() {
+        let mut bench = Bench::new(1, [0.0; 5]);
+        let estimates = bench.estimates([0.0; 5], 3, 10);
+        assert!(measured(&estimates, 0)[..2] == [true; 2] && measured(&estimates, 3) == [false; 10]);
+        for estimate in estimates {
+            assert_eq!(estimate.first_order_weight[3..], [None; 2]);
+            assert_eq!(Some(estimate.gradient[4].to_bits()), estimate.adjoint[4].map(f64::to_bits));
+        }
+    }
+
+    #[test]
+    fn ends_are_clamped_and_the_distance_is_the_actual_one() {
+        let theta = [1.0, -0.95, 0.0, 0.0, 0.0];
+        let at = place(0, theta, 3);
+        let state = EstimatorState::default();
+        let probes = MIXED.probes(&state, &at, None);
+        let ends: Vec<_> =
+            probes.iter().map(|probe| (probe.component, probe.theta[probe.component])).collect();
+        assert_eq!(ends, [(0, 0.9), (1, -1.0), (1, -0.95 + 0.1), (2, -0.1), (2, 0.1)]);
+        let loss = |theta: &Theta| 3.0 * theta[0] - 2.0 * theta[1] + theta[2] * theta[2];
+        let losses: Vec<_> = probes.iter().map(|probe| loss(&probe.theta)).collect();
+        let found = Findings { loss: loss(&theta), adjoint: Some([5.0; 5]), probes: &losses };
+        let (estimate, next) = MIXED.combine(&state, &at, &found);
+        let slopes = [3.0, -2.0, 0.0];
+        assert!(
+            estimate.differences.iter().flatten().zip(slopes).all(|(d, s)| (d - s).abs() < 1e-9),
+            "{:?}",
+            estimate.differences
+        );
+        // Clamped ends say nothing about the noise.
+        assert_eq!(next.residuals.len(), 1);
+    }
+
+    #[test]
+    fn without_any_noise_measured_the_differences_decide() {
+        let at = place(0, [0.0; 5], 3);
+        let found = Findings {
+            loss: 1.0,
+            adjoint: Some([7.0, 0.0, 0.0, 1.0, 1.0]),
+            probes: &[0.5, 1.5, 1.0, 1.0, 1.0, 1.0],
+        };
+        let (estimate, _) = MIXED.combine(&EstimatorState::default(), &at, &found);
+        assert_eq!(estimate.first_order_weight[..3], [Some(0.0), Some(1.0), Some(1.0)]);
+        assert!((estimate.gradient[0] - 5.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn shot_noise_is_found_in_spite_of_curvature() {
+        let mut bench = Bench::new(3, [300.0; 5]);
+        let mut state = EstimatorState::default();
+        for epoch in 0..20 {
+            state = bench.estimate(&MIXED, &state, &place(epoch, [0.2; 5], 5)).1;
+        }
+        let deviation = libm::sqrt(state.variance(0.2));
+        assert!((4.0..14.0).contains(&deviation), "{deviation} where 7.07 is right");
+        assert_eq!(state.residuals.len(), RESIDUALS);
+    }
+
+    #[test]
+    fn adjoint_alone_is_passed_on() {
+        let mut bench = Bench::new(1, [300.0; 5]);
+        let (estimate, _) = bench.estimate(&ADJOINT, &EstimatorState::default(), &place(0, [0.0; 5], 3));
+        assert_eq!(
+            estimate.adjoint.map(Option::unwrap).map(f64::to_bits),
+            estimate.gradient.map(f64::to_bits)
+        );
+        assert_eq!(estimate.differences, [None; 5]);
+        assert_eq!((bench.forward, bench.adjoint), (1, 1));
+    }
+}
