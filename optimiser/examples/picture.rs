@@ -9,9 +9,10 @@
 use std::fmt::Write as _;
 
 use nalgebra::Vector3;
-use powderline_optimiser::rollout::simulator;
+use powderline_optimiser::rollout::{SimulatorSettings, simulator};
 use powderline_optimiser::scene::{ContainerShape, Scene, ToolShape};
 use powderline_optimiser::skill::{SegmentKind, SkillMap, Theta};
+use powderline_shared::plan::Precision;
 use powderline_shared::pose::Pose;
 
 /// A deep scoop that pours well before the end.
@@ -42,7 +43,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let scene = Scene::load("bench")?;
     let map = SkillMap::new(&scene);
     let controls = map.quantised(&THETA)?.controls;
-    let mut simulator = simulator::<f32>(&scene, scene.powder.seed, 2, 1 << 30)?;
+    let settings = SimulatorSettings {
+        seed: scene.powder.seed,
+        precision: Precision::F32,
+        threads: None,
+        memory_bytes: 1 << 30,
+    };
+    let mut simulator = simulator::<f32>(&scene, &settings)?;
     let mut svg = String::new();
     open(&mut svg)?;
     for (place, (name, kind, share)) in MOMENTS.into_iter().enumerate() {
@@ -52,7 +59,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let steps = (time_s / scene.time.control_period_s()).round() as usize;
         let begun = &controls[..steps.min(controls.len())];
         let tool = begun.iter().fold(*map.start_pose(), |pose, control| pose.displaced(control));
-        let positions = simulator.final_positions(begun.to_vec(), &mut |_, _| true)?;
+        let positions = simulator.final_positions(begun, &mut |_, _| true)?;
         let view = View { left_m: place as f64 * (VIEW_X_M[1] - VIEW_X_M[0] + GAP_M) - VIEW_X_M[0] };
         view.draw(&mut svg, &scene, &tool, &positions)?;
         let [x, y] = view.at(VIEW_X_M[0] + 0.004, VIEW_Z_M[1] - 0.012);
