@@ -114,7 +114,7 @@ mod tests {
             "851 particles",
             "1 more than the 850",
             "20.0 mm",
-            "160.0 deg",
+            "150.0 deg",
         ] {
             assert!(text.contains(part), "{part} in {text}");
         }

@@ -347,7 +347,7 @@ impl<T: Real> Rollout<'_, T> {
     /// Kept states that the memory budget allows.
     fn slots(&self, state: &State<T>) -> usize {
         /// Executable, stacks, allocator.
-        const PROCESS_BYTES: u64 = 24 << 20;
+        const PROCESS_BYTES: u64 = 40 << 20;
         let per_state = state.bytes() as u64;
         // The working state, the settled one, the one at the end, the cotangents, payloads and spare groups.
         let fixed = PROCESS_BYTES + 7 * per_state + self.workspace.bytes() as u64;

@@ -84,9 +84,9 @@ fn a_round_wall_is_met_where_its_radius_says() {
         scene.container[0].shape = ContainerShape::Cylinder { inner_radius_m, inner_height_m: 0.030 };
         refused_field(&scene)
     };
-    // The bowl's 20 mm and the 8 mm that its middle starts and ends from the container's need 28 mm.
-    assert_eq!(refused_with_radius(0.0282), None);
-    assert_eq!(refused_with_radius(0.0278).as_deref(), Some("tool.start_position_m"));
+    // The bowl's 20 mm and the 10.5 mm that its middle starts behind the container's need 30.5 mm.
+    assert_eq!(refused_with_radius(0.0307), None);
+    assert_eq!(refused_with_radius(0.0303).as_deref(), Some("tool.start_position_m"));
 }
 
 #[test]

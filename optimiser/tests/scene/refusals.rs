@@ -60,12 +60,12 @@ const STRUCTURE: &[Case] = &[
     (
         "substeps = 20",
         "substeps = -20",
-        ": time.substeps at line 25: invalid value: integer `-20`, expected a whole number from 0 to 4294967295",
+        ": time.substeps at line 26: invalid value: integer `-20`, expected a whole number from 0 to 4294967295",
     ),
     (
         "substeps = 20",
         "substeps = 20.5",
-        ": time.substeps at line 25: invalid type: floating point `20.5`, expected a whole number from 0 to 4294967295",
+        ": time.substeps at line 26: invalid type: floating point `20.5`, expected a whole number from 0 to 4294967295",
     ),
     (
         "seed = 1",
@@ -95,52 +95,52 @@ const STRUCTURE: &[Case] = &[
     (
         r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
         r#"shape = { kind = "sphere" }"#,
-        ": container[0].shape.kind at line 35: unknown variant `sphere`, expected `box` or `cylinder`",
+        ": container[0].shape.kind at line 36: unknown variant `sphere`, expected `box` or `cylinder`",
     ),
     (
         r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
         r#"shape = { kind = "box" }"#,
-        ": container[0].shape at line 35: missing field `inner_size_m`",
+        ": container[0].shape at line 36: missing field `inner_size_m`",
     ),
     (
         r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
         r#"shape = "box""#,
-        r#": container[0].shape at line 35: invalid type: string "box", expected a table with a `kind`"#,
+        r#": container[0].shape at line 36: invalid type: string "box", expected a table with a `kind`"#,
     ),
     (
         r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
         r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030], lid = true }"#,
-        ": container[0].shape at line 35: unknown field `lid`, expected `inner_size_m`",
+        ": container[0].shape at line 36: unknown field `lid`, expected `inner_size_m`",
     ),
     (
         r#"timing = "continuous""#,
         r#"timing = "exact""#,
-        ": skill.timing at line 69: unknown variant `exact`, expected `rounded` or `continuous`",
+        ": skill.timing at line 70: unknown variant `exact`, expected `rounded` or `continuous`",
     ),
     (
         "amount = { particles = 850 }",
         "amount = { particles = 850, mass_kg = 1.0 }",
-        ": objective.amount at line 86: expected a table with exactly one key",
+        ": objective.amount at line 87: expected a table with exactly one key",
     ),
     (
         "amount = { particles = 850 }",
         "amount = { grains = 850 }",
-        ": objective.amount at line 86: unknown variant `grains`, expected `particles` or `mass_kg`",
+        ": objective.amount at line 87: unknown variant `grains`, expected `particles` or `mass_kg`",
     ),
     (
         "[tool]",
         "[[tool]]",
-        ": tool at line 45: invalid type: a list, expected a single table",
+        ": tool at line 46: invalid type: a list, expected a single table",
     ),
     (
         "[optimiser]",
         "[optimizer]",
-        ": optimizer at line 90: unknown field `optimizer`, expected one of `name`, `domain`, `powder`, `time`, `container`, `tool`, `skill`, `limits`, `objective`, `optimiser`",
+        ": optimizer at line 91: unknown field `optimizer`, expected one of `name`, `domain`, `powder`, `time`, `container`, `tool`, `skill`, `limits`, `objective`, `optimiser`",
     ),
     (
         "[optimiser]",
         "[optimiser",
-        " is not valid TOML at line 90, column 11: unclosed table, expected `]`",
+        " is not valid TOML at line 91, column 11: unclosed table, expected `]`",
     ),
     (
         "[domain]",
