@@ -42,7 +42,7 @@ impl<T: Real> Group<T> {
         self.x.iter().chain(&self.v).chain(&self.c).chain(&self.strain).chain(&self.q)
     }
 
-    fn rows_mut(&mut self) -> impl Iterator<Item = &mut Lanes<T>> {
+    pub(crate) fn rows_mut(&mut self) -> impl Iterator<Item = &mut Lanes<T>> {
         self.x.iter_mut().chain(&mut self.v).chain(&mut self.c).chain(&mut self.strain).chain(&mut self.q)
     }
 
