@@ -26,7 +26,7 @@ const MOMENTS: [(&str, SegmentKind, f64); 4] = [
     ("scoop", SegmentKind::Scoop, 0.5),
     ("lift", SegmentKind::Lift, 1.0),
     ("transport", SegmentKind::Transport, 0.6),
-    ("pour", SegmentKind::Pour, 0.6),
+    ("pour", SegmentKind::Pour, 0.72),
 ];
 
 /// Drawing units in a metre.
