@@ -7,7 +7,8 @@ use clap::Args;
 use serde::Serialize;
 
 use super::CliError;
-use crate::memory::{MemoryEstimate, Precision, Schedule, ScheduleEstimate, memory_estimate};
+use crate::memory::{Need, memory_needs};
+use powderline_shared::plan::Precision;
 use crate::scene::figures::about;
 use crate::scene::{DEFAULT_SCENE, MAX_CFL, Scene};
 use crate::skill::SkillMap;
@@ -120,7 +121,7 @@ impl CheckReport {
             longest_skill_s: scene.longest_skill_s(),
             memory: [(Precision::F32, "f32"), (Precision::F64, "f64")]
                 .into_iter()
-                .flat_map(|(precision, name)| memory_rows(name, memory_estimate(scene, precision)))
+                .flat_map(|(precision, name)| memory_needs(scene, precision).map(|need| MemoryRow::new(name, need)))
                 .collect(),
             remarks: remarks(scene),
         }
@@ -134,17 +135,11 @@ fn remarks(scene: &Scene) -> Vec<String> {
     scene.remarks().into_iter().chain(refusal).collect()
 }
 
-fn memory_rows(precision: &'static str, estimate: MemoryEstimate) -> impl Iterator<Item = MemoryRow> {
-    estimate.schedules.into_iter().map(move |row| memory_row(precision, row))
-}
-
-fn memory_row(precision: &'static str, row: ScheduleEstimate) -> MemoryRow {
-    let (schedule, stride, checkpoints) = match row.schedule {
-        Schedule::EveryStep => ("every_step", None, None),
-        Schedule::Strided { stride } => ("strided", Some(stride), None),
-        Schedule::Binomial { checkpoints } => ("binomial", None, Some(checkpoints)),
-    };
-    MemoryRow { precision, schedule, stride, checkpoints, bytes: row.bytes, forward_runs: row.forward_runs }
+impl MemoryRow {
+    fn new(precision: &'static str, need: Need) -> Self {
+        let Need { passes, kept_states, bytes } = need;
+        Self { precision, kept_states, bytes, forward_runs: passes + 1 }
+    }
 }
 
 impl fmt::Display for CheckReport {

@@ -3,6 +3,7 @@
 use powderline_shared::displacement::Displacement;
 use powderline_shared::pose::Pose;
 
+use crate::memory::{PROCESS_BYTES, STANDING_STATES};
 use crate::mpm::Model;
 use crate::mpm::contact::MotionBar;
 use crate::mpm::layout::Lost;
@@ -346,11 +347,8 @@ impl<T: Real> Rollout<'_, T> {
 
     /// Kept states that the memory budget allows.
     fn slots(&self, state: &State<T>) -> usize {
-        /// Executable, stacks, allocator.
-        const PROCESS_BYTES: u64 = 40 << 20;
         let per_state = state.bytes() as u64;
-        // The working state, the settled one, the one at the end, the cotangents, payloads and spare groups.
-        let fixed = PROCESS_BYTES + 7 * per_state + self.workspace.bytes() as u64;
+        let fixed = PROCESS_BYTES + STANDING_STATES * per_state + self.workspace.bytes() as u64;
         // A tenth in reserve: states grow a little as the powder spreads over more blocks.
         let free = self.memory_bytes.saturating_sub(fixed) / 10 * 9;
         ((free / per_state.max(1)) as usize).max(2)
