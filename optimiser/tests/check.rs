@@ -28,7 +28,7 @@ fn json_is_one_object_and_nothing_else() {
     assert_eq!(report["particles"], 2772);
     assert_eq!(report["cells"], serde_json::json!([44, 16, 32]));
     assert_eq!(report["horizon_steps"], 330);
-    assert_eq!(report["memory"].as_array().unwrap().len(), 6);
+    assert_eq!(report["memory"].as_array().unwrap().len(), 8);
     assert_eq!(report["digest"].as_str().unwrap().len(), 64);
     assert_eq!(text(&output.stdout).lines().count(), 1);
 }

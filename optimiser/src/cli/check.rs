@@ -8,10 +8,10 @@ use serde::Serialize;
 
 use super::CliError;
 use crate::memory::{Need, memory_needs};
-use powderline_shared::plan::Precision;
 use crate::scene::figures::about;
 use crate::scene::{DEFAULT_SCENE, MAX_CFL, Scene};
 use crate::skill::SkillMap;
+use powderline_shared::plan::Precision;
 
 /// Arguments of `optimise check`.
 #[derive(Debug, Args)]
@@ -65,22 +65,16 @@ pub struct CheckReport {
     pub remarks: Vec<String>,
 }
 
-/// Memory need of one precision and checkpoint schedule.
+/// Memory need of one precision and number of kept states.
 #[derive(Clone, Debug, Serialize)]
 pub struct MemoryRow {
     /// `f32` or `f64`.
     pub precision: &'static str,
-    /// `every_step`, `strided` or `binomial`.
-    pub schedule: &'static str,
-    /// Control steps between lasting checkpoints, of `strided`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub stride: Option<u32>,
-    /// Checkpoints kept at a time, of `binomial`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub checkpoints: Option<u32>,
+    /// States kept at a time.
+    pub kept_states: u64,
     /// Peak memory, bytes.
     pub bytes: u64,
-    /// How often each control step is computed forward, at most.
+    /// How often each substep is computed forward, at most.
     pub forward_runs: u32,
 }
 
@@ -121,7 +115,9 @@ impl CheckReport {
             longest_skill_s: scene.longest_skill_s(),
             memory: [(Precision::F32, "f32"), (Precision::F64, "f64")]
                 .into_iter()
-                .flat_map(|(precision, name)| memory_needs(scene, precision).map(|need| MemoryRow::new(name, need)))
+                .flat_map(|(precision, name)| {
+                    memory_needs(scene, precision).map(|need| MemoryRow::new(name, need))
+                })
                 .collect(),
             remarks: remarks(scene),
         }
@@ -178,7 +174,7 @@ impl fmt::Display for CheckReport {
             about(self.settle_s, 6)
         )?;
         writeln!(f, "longest skill  {} s", about(self.longest_skill_s, 3))?;
-        writeln!(f, "memory for a rollout with its gradient, by what is kept:")?;
+        writeln!(f, "memory for a rollout with its gradient (`--memory`), by the states kept:")?;
         self.memory.iter().try_for_each(|row| writeln!(f, "  {row}"))?;
         self.remarks.iter().try_for_each(|remark| writeln!(f, "Note: {remark}."))
     }
@@ -186,13 +182,9 @@ impl fmt::Display for CheckReport {
 
 impl fmt::Display for MemoryRow {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let kept = match (self.stride, self.checkpoints) {
-            (Some(stride), _) => format!("every {stride} control steps"),
-            (_, Some(checkpoints)) => format!("{checkpoints} control steps (binomial)"),
-            _ => "every control step".to_owned(),
-        };
         let mebibytes = self.bytes as f64 / f64::from(1 << 20);
         let runs = self.forward_runs;
-        write!(f, "{}  {kept:<28} {mebibytes:>9.1} MiB, {runs} forward runs", self.precision)
+        let kept = self.kept_states;
+        write!(f, "{}  {mebibytes:>9.0} MiB  {kept:>9} states kept, {runs} forward runs", self.precision)
     }
 }
