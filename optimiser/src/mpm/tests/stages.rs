@@ -1,64 +1,12 @@
-//! The derivative of every stage against the stage itself, and the physics that must hold exactly.
+//! Material and contact, each alone.
 
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::{Rng, SeedableRng};
-
+use super::{Dice, assert_slope_two, taylor_slope};
 use crate::mpm::contact::{Law, Motion, contact, contact_adjoint};
 use crate::mpm::material::{
     Material, eigen, return_map, return_map_adjoint, trial_strain, trial_strain_adjoint,
 };
 use crate::shape::{Bowl, Capsule, HalfSpace, Ring, Shape, SignedDistance, Slab, with_solid};
 use crate::small::{Mat3, Sym3, compose, full};
-
-/// Uniform numbers in [-1, 1].
-pub(crate) struct Dice(ChaCha8Rng);
-
-impl Dice {
-    pub(crate) fn new(seed: u64) -> Self {
-        Self(ChaCha8Rng::seed_from_u64(seed))
-    }
-    pub(crate) fn roll(&mut self) -> f64 {
-        (self.0.next_u64() >> 11) as f64 / (1u64 << 52) as f64 - 1.0
-    }
-    pub(crate) fn many<const N: usize>(&mut self, scale: f64) -> [f64; N] {
-        std::array::from_fn(|_| scale * self.roll())
-    }
-}
-
-/// Slope of the Taylor remainder `|f(x + h d) - f(x) - h g.d|` in a log-log plot: 2 if `g` is the gradient.
-///
-/// The remainder is the largest over several directions at each `h`, so that a direction in which the second
-/// derivative happens to vanish does not spoil the slope.
-pub(crate) fn taylor_slope(
-    dimensions: usize,
-    seed: u64,
-    scale: f64,
-    f: &dyn Fn(&[f64]) -> f64,
-    x: &[f64],
-    gradient: &[f64],
-) -> f64 {
-    let mut dice = Dice::new(seed);
-    let directions: Vec<Vec<f64>> = (0..4).map(|_| (0..dimensions).map(|_| dice.roll()).collect()).collect();
-    let at = f(x);
-    let remainder = |h: f64| {
-        let along = |d: &Vec<f64>| {
-            let moved: Vec<f64> = x.iter().zip(d).map(|(x, d)| x + h * d).collect();
-            let slope: f64 = gradient.iter().zip(d).map(|(g, d)| g * d).sum();
-            (f(&moved) - at - h * slope).abs()
-        };
-        directions.iter().map(along).fold(0.0, f64::max)
-    };
-    let (big, small) = (scale, scale / 16.0);
-    // Linear to rounding: as good as a slope of two.
-    if remainder(big) < 1e-14 {
-        return 2.0;
-    }
-    (remainder(big) / remainder(small)).log2() / 4.0
-}
-
-fn assert_slope_two(name: &str, slope: f64) {
-    assert!((slope - 2.0).abs() < 0.1, "{name}: Taylor slope {slope}");
-}
 
 /// Cotangents of a symmetric matrix are entries of the full one: off-diagonal entries count twice.
 fn stored(bar: Sym3<f64>) -> [f64; 6] {

@@ -1,0 +1,104 @@
+//! Mass, linear and angular momentum in free flight.
+//!
+//! Angular momentum of a particle is `x cross m v` and that of its affine velocity, `m dx^2/4` times the axial
+//! vector of `C` (Jiang et al. 2017, "An angular momentum conserving affine-particle-in-cell method").
+
+use crate::mpm::Model;
+use crate::mpm::particles::{Particles, mat_of, vec_of};
+use crate::mpm::substep::State;
+use crate::mpm::tests::{Dice, advance, empty_bench, far_away, lattice, on_grid, row, to_tiles};
+use crate::real::Real;
+use crate::small::cross;
+
+const SUBSTEPS: usize = 20;
+
+/// A stirred cloud in the middle of an empty box without gravity. Viscosity is on.
+fn cloud<T: Real>() -> (Model<T>, State<T>) {
+    let mut dice = Dice::new(61);
+    let mut scene = empty_bench([0.064; 3]);
+    scene.domain.gravity_m_s2 = [0.0; 3];
+    let model = Model::<T>::new(&scene);
+    assert!(model.viscous_loss > T::ZERO);
+    let points = lattice([0.022, 0.023, 0.021], [0.042, 0.043, 0.039], 0.002, &mut dice);
+    let mut state = State::new(&model, &Particles::at_rest(&points)).unwrap();
+    let places: Vec<_> = state.particles.living().collect();
+    for (g, l, _) in places {
+        for k in 3..21 {
+            let number = match k {
+                3..6 => [0.2, -0.1, 0.05][k - 3] + 0.2 * dice.roll(),
+                6..15 => 8.0 * dice.roll(),
+                // Mostly compressed, so that there is stress.
+                15..18 => -0.02 + 0.02 * dice.roll(),
+                _ => 0.01 * dice.roll(),
+            };
+            row(&mut state.particles.groups[g], k)[l] = T::of(number);
+        }
+    }
+    (model, state)
+}
+
+/// Linear and angular momentum, and the sums of the absolute values of their terms.
+fn momenta<T: Real>(model: &Model<T>, state: &State<T>) -> ([f64; 6], [f64; 6]) {
+    let (m, dx) = (model.mass.to_f64(), model.grid.dx);
+    let (mut sum, mut size) = ([0.0; 6], [0.0; 6]);
+    for (g, l, _) in state.particles.living() {
+        let group = &state.particles.groups[g];
+        let (x, v) = (vec_of(&group.x, l).map(T::to_f64), vec_of(&group.v, l).map(T::to_f64));
+        let c = mat_of(&group.c, l).map(|row| row.map(T::to_f64));
+        let orbital = cross(x, v);
+        let spin = [c[2][1] - c[1][2], c[0][2] - c[2][0], c[1][0] - c[0][1]].map(|w| 0.25 * dx * dx * w);
+        for i in 0..3 {
+            sum[i] += m * v[i];
+            sum[3 + i] += m * (orbital[i] + spin[i]);
+            size[i] += m * v[i].abs();
+            size[3 + i] += m * (orbital[i].abs() + spin[i].abs());
+        }
+    }
+    (sum, size)
+}
+
+fn relative_drift<T: Real>() -> f64 {
+    let (model, mut state) = cloud::<T>();
+    let (before, size) = momenta(&model, &state);
+    advance(&model, &far_away(), &mut state, SUBSTEPS);
+    let (after, _) = momenta(&model, &state);
+    (0..6).map(|i| (after[i] - before[i]).abs() / size[i]).fold(0.0, f64::max)
+}
+
+fn relative_mass_error<T: Real>() -> f64 {
+    let (model, state) = cloud::<T>();
+    let (tiles, ..) = to_tiles(&model, &state);
+    let (nodes, _) = on_grid(&model, &far_away(), &state, &tiles);
+    let on_grid: f64 = nodes.iter().flatten().map(|n| n[3].to_f64()).sum();
+    let in_particles = model.mass.to_f64() * state.particles.living().count() as f64;
+    (on_grid / in_particles - 1.0).abs()
+}
+
+#[test]
+fn free_flight_keeps_mass_and_momenta_to_rounding() {
+    let (mass, drift) = (relative_mass_error::<f64>(), relative_drift::<f64>());
+    println!("f64: mass {mass:.1e}, momenta over {SUBSTEPS} substeps {drift:.1e}");
+    assert!(mass < 1e-14 && drift < 1e-14, "{mass} {drift}");
+    let (mass, drift) = (relative_mass_error::<f32>(), relative_drift::<f32>());
+    println!("f32: mass {mass:.1e}, momenta over {SUBSTEPS} substeps {drift:.1e}");
+    assert!(mass < 1e-6 && drift < 2e-6, "{mass} {drift}");
+}
+
+/// What the tests above would miss if stress, spin and viscosity were all absent: the motion changes, and viscosity
+/// takes energy.
+#[test]
+fn viscosity_slows_the_strain_rate_and_nothing_else() {
+    let energy = |model: &Model<f64>, mut state: State<f64>| {
+        advance(model, &far_away(), &mut state, SUBSTEPS);
+        let of = |(g, l, _): (usize, usize, u32)| -> f64 {
+            vec_of(&state.particles.groups[g].v, l).iter().map(|v| v * v).sum()
+        };
+        state.particles.living().map(of).sum::<f64>()
+    };
+    let (mut model, state) = cloud::<f64>();
+    let viscous = energy(&model, state.clone());
+    model.viscous_loss = 0.0;
+    let inviscid = energy(&model, state);
+    println!("kinetic energy with viscosity over without: {:.4}", viscous / inviscid);
+    assert!(viscous < inviscid);
+}

@@ -1,0 +1,224 @@
+//! The derivative of every stage against the stage itself, and the physics that must hold.
+
+mod conservation;
+mod stages;
+mod substep;
+
+use nalgebra::{Matrix3, Rotation3, Vector3};
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::{Rng, SeedableRng};
+
+use crate::mpm::Model;
+use crate::mpm::contact::Motion;
+use crate::mpm::g2p::TileToParticles;
+use crate::mpm::grid_update::UpdateNodes;
+use crate::mpm::layout::{BLOCK_NODES, Nodes, empty_tile};
+use crate::mpm::p2g::{ParticlesToTile, Payload};
+use crate::mpm::particles::{Group, Lanes};
+use crate::mpm::stencil::Tile;
+use crate::mpm::substep::{State, Workspace};
+use crate::real::Real;
+use crate::scene::Scene;
+
+/// Uniform numbers in [-1, 1].
+pub(crate) struct Dice(ChaCha8Rng);
+
+impl Dice {
+    pub(crate) fn new(seed: u64) -> Self {
+        Self(ChaCha8Rng::seed_from_u64(seed))
+    }
+    pub(crate) fn roll(&mut self) -> f64 {
+        (self.0.next_u64() >> 11) as f64 / (1u64 << 52) as f64 - 1.0
+    }
+    pub(crate) fn many<const N: usize>(&mut self, scale: f64) -> [f64; N] {
+        std::array::from_fn(|_| scale * self.roll())
+    }
+}
+
+/// Slope of the Taylor remainder `|f(x + h d) - f(x) - h g.d|` in a log-log plot: 2 if `g` is the gradient.
+///
+/// The remainder is the largest over several directions at each `h`, so that a direction in which the second
+/// derivative happens to vanish does not spoil the slope.
+pub(crate) fn taylor_slope(
+    dimensions: usize,
+    seed: u64,
+    scale: f64,
+    f: &dyn Fn(&[f64]) -> f64,
+    x: &[f64],
+    gradient: &[f64],
+) -> f64 {
+    let directions = directions(dimensions, seed);
+    let at = f(x);
+    let remainder = |h: f64| {
+        let along = |d: &Vec<f64>| {
+            let moved: Vec<f64> = x.iter().zip(d).map(|(x, d)| x + h * d).collect();
+            let slope: f64 = gradient.iter().zip(d).map(|(g, d)| g * d).sum();
+            (f(&moved) - at - h * slope).abs()
+        };
+        directions.iter().map(along).fold(0.0, f64::max)
+    };
+    let (big, small) = (scale, scale / 16.0);
+    // Linear to rounding: as good as a slope of two.
+    if remainder(big) < 1e-14 {
+        return 2.0;
+    }
+    (remainder(big) / remainder(small)).log2() / 4.0
+}
+
+/// Four random directions.
+fn directions(dimensions: usize, seed: u64) -> Vec<Vec<f64>> {
+    let mut dice = Dice::new(seed);
+    (0..4).map(|_| (0..dimensions).map(|_| dice.roll()).collect()).collect()
+}
+
+/// The same slope of the symmetric second differences `|f(x + h d) - 2 f(x) + f(x - h d)|`, which knows nothing
+/// of any gradient: 2 where `f` is smooth, less if a kink lies within reach.
+fn second_difference_slope(
+    dimensions: usize,
+    seed: u64,
+    scale: f64,
+    f: &dyn Fn(&[f64]) -> f64,
+    x: &[f64],
+) -> f64 {
+    let directions = directions(dimensions, seed);
+    let at = f(x);
+    let step = |d: &Vec<f64>, h: f64| -> Vec<f64> { x.iter().zip(d).map(|(x, d)| x + h * d).collect() };
+    let along = |d: &Vec<f64>, h: f64| (f(&step(d, h)) - 2.0 * at + f(&step(d, -h))).abs();
+    let difference = |h: f64| directions.iter().map(|d| along(d, h)).fold(0.0, f64::max);
+    (difference(scale) / difference(scale / 16.0)).log2() / 4.0
+}
+
+/// Taylor slope two of `gradient`, at a place that is first shown to be away from kinks.
+fn assert_gradient(name: &str, scale: f64, f: &dyn Fn(&[f64]) -> f64, x: &[f64], gradient: &[f64]) {
+    assert_eq!(x.len(), gradient.len(), "{name}");
+    let smooth = second_difference_slope(x.len(), 3, scale, f, x);
+    let slope = taylor_slope(x.len(), 3, scale, f, x, gradient);
+    println!("{name}: Taylor slope {slope:.4}, slope of the second differences {smooth:.4}");
+    assert!((smooth - 2.0).abs() < 0.1, "{name}: a kink is near: {smooth}");
+    assert_slope_two(name, slope);
+}
+
+fn assert_slope_two(name: &str, slope: f64) {
+    assert!((slope - 2.0).abs() < 0.1, "{name}: Taylor slope {slope}");
+}
+
+/// The floor and walls of a box of the given size, and the tool of the small bench.
+fn empty_bench(size_m: [f64; 3]) -> Scene {
+    let mut scene = Scene::load("bench-small").unwrap();
+    scene.domain.size_m = size_m;
+    scene.container.clear();
+    scene
+}
+
+/// An upright tool at rest.
+fn standing<T: Real>(position: [f64; 3]) -> Motion<T> {
+    let (zero, one) = (T::ZERO, T::ONE);
+    Motion {
+        rotation: [[one, zero, zero], [zero, one, zero], [zero, zero, one]],
+        position: position.map(T::of),
+        velocity: [zero; 3],
+        angular_velocity: [zero; 3],
+    }
+}
+
+/// A tool out of everybody's reach.
+fn far_away<T: Real>() -> Motion<T> {
+    standing([10.0; 3])
+}
+
+/// The tool after a small change of position, of orientation (from the left), of velocity and of angular velocity.
+fn moved(tool: &Motion<f64>, d: &[f64]) -> Motion<f64> {
+    let turn = Rotation3::from_scaled_axis(Vector3::new(d[3], d[4], d[5])).into_inner();
+    let rotation = turn * Matrix3::from_fn(|i, j| tool.rotation[i][j]);
+    Motion {
+        rotation: std::array::from_fn(|i| std::array::from_fn(|j| rotation[(i, j)])),
+        position: std::array::from_fn(|i| tool.position[i] + d[i]),
+        velocity: std::array::from_fn(|i| tool.velocity[i] + d[6 + i]),
+        angular_velocity: std::array::from_fn(|i| tool.angular_velocity[i] + d[9 + i]),
+    }
+}
+
+/// Points of a jittered lattice in a box.
+fn lattice(min: [f64; 3], max: [f64; 3], spacing: f64, dice: &mut Dice) -> Vec<[f64; 3]> {
+    let count = [0, 1, 2].map(|a| ((max[a] - min[a]) / spacing + 1e-6) as usize);
+    let mut out = Vec::new();
+    for n in 0..count[0] * count[1] * count[2] {
+        let cell = [n % count[0], n / count[0] % count[1], n / count[0] / count[1]];
+        out.push([0, 1, 2].map(|a| min[a] + spacing * (cell[a] as f64 + 0.5 + 0.45 * dice.roll())));
+    }
+    out
+}
+
+/// Row `k` of the 22 of a group, in the order of [`Group::rows`].
+fn row<T>(group: &mut Group<T>, k: usize) -> &mut Lanes<T> {
+    match k {
+        0..3 => &mut group.x[k],
+        3..6 => &mut group.v[k - 3],
+        6..15 => &mut group.c[k - 6],
+        15..21 => &mut group.strain[k - 15],
+        _ => &mut group.q[0],
+    }
+}
+
+/// Tiles, what each group sent, and the particles with their new strains.
+type ToTiles<T> = (Vec<Tile<T>>, Vec<Payload<T>>, Vec<Group<T>>);
+
+/// Material and scatter of all blocks: tiles, what the adjoint needs, and the particles with their new strains.
+fn to_tiles<T: Real>(model: &Model<T>, state: &State<T>) -> ToTiles<T> {
+    let groups = &state.particles.groups;
+    let mut tiles = vec![empty_tile(); state.layout.blocks.len()];
+    let mut payloads = vec![Payload::ZERO; groups.len()];
+    let mut output = vec![Group::ZERO; groups.len()];
+    for (block, tile) in state.layout.blocks.iter().zip(&mut tiles) {
+        let range = block.first_group..block.first_group + block.groups();
+        model.arch.dispatch(ParticlesToTile {
+            model,
+            block,
+            input: &groups[range.clone()],
+            output: &mut output[range.clone()],
+            tile,
+            payloads: Some(&mut payloads[range]),
+        });
+    }
+    (tiles, payloads, output)
+}
+
+/// Grid update of all node blocks: momentum and mass before, velocity after.
+fn on_grid<T: Real>(
+    model: &Model<T>,
+    tool: &Motion<T>,
+    state: &State<T>,
+    tiles: &[Tile<T>],
+) -> (Vec<Nodes<T>>, Vec<Nodes<T>>) {
+    let zero = vec![[[T::ZERO; 4]; BLOCK_NODES]; state.layout.nodes.len()];
+    let (mut momentum, mut velocity) = (zero.clone(), zero);
+    for ((node, momentum), velocity) in state.layout.nodes.iter().zip(&mut momentum).zip(&mut velocity) {
+        model.arch.dispatch(UpdateNodes { model, tool, node, tiles, momentum, velocity });
+    }
+    (momentum, velocity)
+}
+
+/// Gather, contact at particles and advection of all blocks; strain and volume correction are left alone.
+fn to_particles<T: Real>(
+    model: &Model<T>,
+    tool: &Motion<T>,
+    state: &State<T>,
+    velocity: &[Nodes<T>],
+) -> Vec<Group<T>> {
+    let groups = &state.particles.groups;
+    let mut output = groups.clone();
+    for block in &state.layout.blocks {
+        let range = block.first_group..block.first_group + block.groups();
+        let (input, output) = (&groups[range.clone()], &mut output[range]);
+        model.arch.dispatch(TileToParticles { model, tool, block, velocity, input, output });
+    }
+    output
+}
+
+/// Advances by a number of substeps under an unchanging tool.
+fn advance<T: Real>(model: &Model<T>, tool: &Motion<T>, state: &mut State<T>, substeps: usize) {
+    let mut workspace = Workspace::new();
+    for _ in 0..substeps {
+        workspace.advance(model, tool, state).unwrap();
+    }
+}

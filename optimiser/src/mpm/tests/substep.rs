@@ -1,0 +1,536 @@
+//! Transfers, grid update, one whole substep, and the sorting between substeps, against finite differences.
+//!
+//! All numbers are scaled to order one, so that a random direction moves each of them by its own measure.
+
+use crate::mpm::Model;
+use crate::mpm::contact::{Motion, MotionBar};
+use crate::mpm::g2p::TileToParticlesAdjoint;
+use crate::mpm::grid_update::UpdateNodesAdjoint;
+use crate::mpm::layout::{BLOCK_NODES, Nodes, empty_tile, load_tile, sort, sum_tiles, unsort};
+use crate::mpm::material::Material;
+use crate::mpm::p2g::{ParticlesToTileAdjoint, affine};
+use crate::mpm::particles::{Group, Particles};
+use crate::mpm::stencil::{
+    Affine, Stencil, TILE_EDGE, Tile, gather, gather_with_gradient, scatter, weight_slopes, weights,
+};
+use crate::mpm::substep::{State, Workspace, unsort_bar};
+use crate::mpm::tests::{
+    Dice, assert_gradient, empty_bench, far_away, lattice, moved, on_grid, row, standing, to_particles,
+    to_tiles,
+};
+use crate::shape::SignedDistance;
+use crate::small::{Mat3, Vec3, mul_vec, sub, tr_mul_vec};
+
+/// Typical cell size (m), speed (m/s), affine velocity (1/s), strain.
+const CELL: f64 = 0.004;
+const SPEED: f64 = 0.1;
+const RATE: f64 = 5.0;
+const STRAIN: f64 = 0.01;
+/// Typical size of each of a particle's 22 numbers.
+const SIZES: [f64; 22] = {
+    let mut sizes = [STRAIN; 22];
+    let mut k = 0;
+    while k < 15 {
+        sizes[k] = if k < 3 { CELL } else { if k < 6 { SPEED } else { RATE } };
+        k += 1;
+    }
+    sizes
+};
+/// Typical size of each of the twelve numbers of the tool's motion: m, rad, m/s, rad/s.
+const TOOL_SIZES: [f64; 12] = [CELL, CELL, CELL, 0.1, 0.1, 0.1, SPEED, SPEED, SPEED, 2.0, 2.0, 2.0];
+
+fn scaled(x: &[f64], sizes: &[f64]) -> Vec<f64> {
+    x.iter().zip(sizes.iter().cycle()).map(|(x, s)| x * s).collect()
+}
+
+/// 22 numbers of every particle, in memory order, each in units of its typical size.
+fn numbers(particles: &Particles<f64>) -> Vec<f64> {
+    let of = |(g, l, _): (usize, usize, u32)| {
+        let group: &Group<f64> = &particles.groups[g];
+        group.rows().zip(SIZES).map(|(row, size)| row[l] / size).collect::<Vec<_>>()
+    };
+    particles.living().flat_map(of).collect()
+}
+
+fn with_numbers(state: &State<f64>, x: &[f64]) -> State<f64> {
+    let mut state = state.clone();
+    let places: Vec<_> = state.particles.living().collect();
+    for ((g, l, _), x) in places.into_iter().zip(x.chunks(22)) {
+        for k in 0..22 {
+            row(&mut state.particles.groups[g], k)[l] = x[k] * SIZES[k];
+        }
+    }
+    state
+}
+
+/// Derivative by [`numbers`] from cotangents; those of a strain count the off-diagonal entries once.
+fn gradient_of(particles: &Particles<f64>, bar: &[Group<f64>]) -> Vec<f64> {
+    let twice = |k: usize| if (18..21).contains(&k) { 2.0 } else { 1.0 };
+    let of = |(g, l, _): (usize, usize, u32)| {
+        let rows = bar[g].rows().enumerate();
+        rows.map(|(k, row)| row[l] * SIZES[k] * twice(k)).collect::<Vec<_>>()
+    };
+    particles.living().flat_map(of).collect()
+}
+
+fn tool_gradient(bar: &MotionBar) -> Vec<f64> {
+    let all = [bar.position, bar.rotation, bar.velocity, bar.angular_velocity].concat();
+    scaled(&all, &TOOL_SIZES)
+}
+
+/// A made-up measurement of all particles: 22 weights for each identity.
+struct Measure(Vec<[f64; 22]>);
+
+impl Measure {
+    fn random(particles: usize, rows: std::ops::Range<usize>, dice: &mut Dice) -> Self {
+        let weight = |k: usize, roll: f64| if rows.contains(&k) { roll / SIZES[k] } else { 0.0 };
+        Self((0..particles).map(|_| std::array::from_fn(|k| weight(k, dice.roll()))).collect())
+    }
+
+    fn of(&self, ids: &Particles<f64>, groups: &[Group<f64>]) -> f64 {
+        let one = |(g, l, id): (usize, usize, u32)| -> f64 {
+            groups[g].rows().zip(self.0[id as usize]).map(|(row, w)| w * row[l]).sum()
+        };
+        ids.living().map(one).sum()
+    }
+
+    fn cotangent(&self, ids: &Particles<f64>) -> Vec<Group<f64>> {
+        let mut bar = vec![Group::ZERO; ids.groups.len()];
+        for (g, l, id) in ids.living() {
+            for k in 0..22 {
+                let twice = if (18..21).contains(&k) { 0.5 } else { 1.0 };
+                row(&mut bar[g], k)[l] = twice * self.0[id as usize][k];
+            }
+        }
+        bar
+    }
+}
+
+/// Strains well inside one branch of the return map each (elastic, cone, tip), and velocities at random.
+fn stir(state: &mut State<f64>, dice: &mut Dice) {
+    const BRANCHES: [[f64; 6]; 3] = [
+        [-0.031, -0.028, -0.034, 0.0021, -0.0013, 0.0008],
+        [-0.031, 0.012, -0.024, 0.021, -0.013, 0.008],
+        [0.031, 0.012, 0.024, 0.021, -0.013, 0.008],
+    ];
+    let places: Vec<_> = state.particles.living().collect();
+    for (g, l, id) in places {
+        let strain = BRANCHES[id as usize % 3];
+        for k in 3..22 {
+            let (middle, size) = match k {
+                3..15 => (0.0, SIZES[k]),
+                15..21 => (strain[k - 15], 0.001),
+                _ => (0.004, 0.001),
+            };
+            row(&mut state.particles.groups[g], k)[l] = middle + size * dice.roll();
+        }
+    }
+}
+
+/// A bowl that pushes down and forward into stirred powder on the floor, tilted, turning.
+fn scooping() -> (Model<f64>, State<f64>, Motion<f64>) {
+    let mut dice = Dice::new(71);
+    let scene = empty_bench([0.064; 3]);
+    let model = Model::<f64>::new(&scene);
+    let tool = Motion {
+        velocity: [0.12, 0.03, -0.1],
+        angular_velocity: [0.3, -2.0, 0.4],
+        ..moved(
+            &standing([0.029, 0.033, 0.022]),
+            &[0.0, 0.0, 0.0, 0.1, 0.7, -0.2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        )
+    };
+    // Powder around the bowl and in it, a little of it in the surface.
+    let clear = |x: &[f64; 3]| {
+        let y = tr_mul_vec(&tool.rotation, sub(*x, tool.position));
+        let crate::shape::Shape::Bowl(bowl) = model.obstacles.tool[0].shape else { panic!("a bowl") };
+        bowl.distance::<f64>(y).0 > -0.0005
+    };
+    let points = lattice([0.017, 0.021, 0.001], [0.045, 0.045, 0.019], 0.0023, &mut dice);
+    let points: Vec<_> = points.into_iter().filter(clear).collect();
+    let mut state = State::new(&model, &Particles::at_rest(&points)).unwrap();
+    stir(&mut state, &mut dice);
+    (model, state, tool)
+}
+
+/// A stencil somewhere in a tile, from the cell coordinate in it.
+fn stencil(x: Vec3<f64>) -> (Stencil<f64>, [[f64; 3]; 3], Vec3<f64>) {
+    let base = x.map(|x| (x - 0.5).floor());
+    let start = base.iter().fold(0, |start, b| start * TILE_EDGE + *b as usize);
+    let f = sub(x, base);
+    (Stencil { start, w: f.map(weights) }, f.map(weight_slopes), f)
+}
+
+fn random_tile(dice: &mut Dice) -> Tile<f64> {
+    let mut tile = empty_tile();
+    tile.iter_mut().for_each(|node| *node = dice.many(1.0));
+    tile
+}
+
+fn inner(a: &Tile<f64>, b: &Tile<f64>) -> f64 {
+    a.as_flattened().iter().zip(b.as_flattened()).map(|(a, b)| a * b).sum()
+}
+
+#[test]
+fn scatter_and_gather_are_adjoints_of_each_other() {
+    let mut dice = Dice::new(51);
+    for _ in 0..200 {
+        let x: [f64; 3] = dice.many(2.4);
+        let (s, slopes, _) = stencil(x.map(|x| x + 4.0));
+        let a = Affine { p: dice.many(1.0), steps: [dice.many(1.0), dice.many(1.0), dice.many(1.0)] };
+        let g = random_tile(&mut dice);
+        let mut sent = empty_tile();
+        scatter(&mut sent, &s, &a);
+        let m = gather(&g, &s);
+        let (with, _) = gather_with_gradient(&g, &s, &slopes, &a);
+        let dot = |x: [f64; 4], y: [f64; 4]| -> f64 { x.iter().zip(y).map(|(x, y)| x * y).sum() };
+        let received = dot(a.p, m.sum) + (0..3).map(|i| dot(a.steps[i], m.first[i])).sum::<f64>();
+        assert!((inner(&g, &sent) - received).abs() < 4e-15, "{} {received}", inner(&g, &sent));
+        for (one, other) in [
+            (m.sum, with.sum),
+            (m.first[0], with.first[0]),
+            (m.first[1], with.first[1]),
+            (m.first[2], with.first[2]),
+        ] {
+            assert!(one.iter().zip(other).all(|(a, b)| (a - b).abs() < 1e-15));
+        }
+    }
+}
+
+/// A particle writes to a tile that others have written to and reads back; both ways see its position.
+#[test]
+fn round_trip_of_a_particle_has_taylor_slope_two_in_its_position() {
+    let mut dice = Dice::new(52);
+    let others = random_tile(&mut dice);
+    let (v, matrix): (Vec3<f64>, Mat3<f64>) =
+        (dice.many(1.0), [dice.many(1.0), dice.many(1.0), dice.many(1.0)]);
+    let weight = Affine { p: dice.many(1.0), steps: [dice.many(1.0), dice.many(1.0), dice.many(1.0)] };
+    let read = |tile: &Tile<f64>, s: &Stencil<f64>| {
+        let m = gather(tile, s);
+        let rows = [
+            (weight.p, m.sum),
+            (weight.steps[0], m.first[0]),
+            (weight.steps[1], m.first[1]),
+            (weight.steps[2], m.first[2]),
+        ];
+        rows.iter().flat_map(|(w, m)| w.iter().zip(m)).map(|(w, m)| w * m).sum::<f64>()
+    };
+    for x in [[2.8, 3.3, 4.1], [3.6, 2.7, 5.2], [4.4, 4.0, 3.1]] {
+        let f = |x: &[f64]| {
+            let (s, _, f) = stencil([x[0], x[1], x[2]]);
+            let mut tile = others;
+            scatter(&mut tile, &s, &affine(v, &matrix, f, 0.7));
+            read(&tile, &s)
+        };
+        let (s, slopes, at) = stencil(x);
+        let sent = affine(v, &matrix, at, 0.7);
+        let mut tile = others;
+        scatter(&mut tile, &s, &sent);
+        let (_, reading) = gather_with_gradient(&tile, &s, &slopes, &weight);
+        let mut tile_bar = empty_tile();
+        scatter(&mut tile_bar, &s, &weight);
+        let (moments, writing) = gather_with_gradient(&tile_bar, &s, &slopes, &sent);
+        let through_f = tr_mul_vec(&matrix, [moments.sum[0], moments.sum[1], moments.sum[2]]);
+        let gradient = [0, 1, 2].map(|i| reading[i] + writing[i] - through_f[i]);
+        assert_gradient("round trip", 1e-2, &f, &x, &gradient);
+    }
+}
+
+fn random_nodes(blocks: usize, unit: [f64; 4], dice: &mut Dice) -> Vec<Nodes<f64>> {
+    let mut nodes = vec![[[0.0; 4]; BLOCK_NODES]; blocks];
+    nodes.iter_mut().flatten().for_each(|n| *n = unit.map(|u| u * dice.roll()));
+    nodes
+}
+
+fn inner_nodes(a: &[Nodes<f64>], b: &[Nodes<f64>]) -> f64 {
+    a.as_flattened().as_flattened().iter().zip(b.as_flattened().as_flattened()).map(|(a, b)| a * b).sum()
+}
+
+#[test]
+fn particle_to_grid_has_taylor_slope_two() {
+    let (model, state, _) = scooping();
+    let mut dice = Dice::new(53);
+    let momentum = 1.0 / (model.mass * SPEED);
+    let nodes_bar =
+        random_nodes(state.layout.nodes.len(), [momentum, momentum, momentum, 1.0 / model.mass], &mut dice);
+    let measure = Measure::random(state.particles.living().count(), 15..22, &mut dice);
+    let f = |x: &[f64]| {
+        let state = with_numbers(&state, x);
+        let (tiles, _, output) = to_tiles(&model, &state);
+        let nodes: Vec<_> = state.layout.nodes.iter().map(|n| sum_tiles(n, &tiles)).collect();
+        inner_nodes(&nodes_bar, &nodes) + measure.of(&state.particles, &output)
+    };
+    let (_, payloads, _) = to_tiles(&model, &state);
+    let mut bar = measure.cotangent(&state.particles);
+    for block in &state.layout.blocks {
+        let range = block.first_group..block.first_group + block.groups();
+        model.arch.dispatch(ParticlesToTileAdjoint {
+            model: &model,
+            block,
+            input: &state.particles.groups[range.clone()],
+            payloads: &payloads[range.clone()],
+            nodes_bar: &nodes_bar,
+            bar: &mut bar[range],
+        });
+    }
+    let gradient = gradient_of(&state.particles, &bar);
+    assert_gradient("particle to grid", 1e-3, &f, &numbers(&state.particles), &gradient);
+}
+
+/// The tiles' numbers as variables: momentum over typical momentum, mass over a particle's mass.
+fn tile_units(model: &Model<f64>) -> [f64; 4] {
+    let momentum = model.mass * SPEED;
+    [momentum, momentum, momentum, model.mass]
+}
+
+#[test]
+fn grid_update_has_taylor_slope_two_in_momentum_mass_and_the_tools_motion() {
+    let (model, state, tool) = scooping();
+    let mut dice = Dice::new(54);
+    let units = tile_units(&model);
+    // Every node of every tile holds mass; what no tile reaches is no node of the grid.
+    let tiles: Vec<f64> = (0..state.layout.blocks.len() * 512)
+        .flat_map(|_| {
+            let m = 2.0 + dice.roll();
+            let v: [f64; 3] = dice.many(m);
+            [v[0], v[1], v[2], m]
+        })
+        .collect();
+    let mut weights =
+        random_nodes(state.layout.nodes.len(), [1.0 / SPEED, 1.0 / SPEED, 1.0 / SPEED, 0.0], &mut dice);
+    let reached = tiles_at_nodes(&state);
+    for (w, r) in weights.iter_mut().flatten().zip(reached.iter().flatten()) {
+        *w = w.map(|w| if *r > 0.0 { w } else { 0.0 });
+    }
+    let as_tiles = |x: &[f64]| -> Vec<Tile<f64>> {
+        let entry = |c: &[f64]| [c[0] * units[0], c[1] * units[1], c[2] * units[2], c[3] * units[3]];
+        x.chunks(4 * 512).map(|t| std::array::from_fn(|n| entry(&t[4 * n..4 * n + 4]))).collect()
+    };
+    let count = tiles.len();
+    let f = |x: &[f64]| {
+        let tool = moved(&tool, &scaled(&x[count..], &TOOL_SIZES));
+        let (_, velocity) = on_grid(&model, &tool, &state, &as_tiles(&x[..count]));
+        inner_nodes(&weights, &velocity)
+    };
+    let (momentum, _) = on_grid(&model, &tool, &state, &as_tiles(&tiles));
+    let bar_tiles = shared_out(&state, &weights, &reached);
+    let (bars, tool_bar) = grid_adjoint(&model, &tool, &state, &bar_tiles, &momentum);
+    let mut gradient = Vec::new();
+    for block in &state.layout.blocks {
+        let mut tile = empty_tile();
+        load_tile(block, &bars, &mut tile);
+        gradient.extend(scaled(tile.as_flattened(), &units));
+    }
+    gradient.extend(tool_gradient(&tool_bar));
+    let x: Vec<f64> = tiles.iter().copied().chain([0.0; 12]).collect();
+    assert_gradient("grid update", 1e-4, &f, &x, &gradient);
+}
+
+/// How many tiles reach each node.
+fn tiles_at_nodes(state: &State<f64>) -> Vec<[f64; BLOCK_NODES]> {
+    let mut ones = vec![empty_tile(); state.layout.blocks.len()];
+    ones.as_flattened_mut().iter_mut().for_each(|n| *n = [1.0; 4]);
+    state.layout.nodes.iter().map(|n| sum_tiles(n, &ones).map(|n| n[0])).collect()
+}
+
+/// Tiles that add up to the given values at the nodes: each takes its share.
+fn shared_out(state: &State<f64>, values: &[Nodes<f64>], reached: &[[f64; BLOCK_NODES]]) -> Vec<Tile<f64>> {
+    let share = |(v, r): (&Nodes<f64>, &[f64; BLOCK_NODES])| -> Nodes<f64> {
+        std::array::from_fn(|n| v[n].map(|v| v / r[n].max(1.0)))
+    };
+    let shares: Vec<_> = values.iter().zip(reached).map(share).collect();
+    let mut tiles = vec![empty_tile(); state.layout.blocks.len()];
+    for (block, tile) in state.layout.blocks.iter().zip(&mut tiles) {
+        load_tile(block, &shares, tile);
+    }
+    tiles
+}
+
+fn grid_adjoint(
+    model: &Model<f64>,
+    tool: &Motion<f64>,
+    state: &State<f64>,
+    velocity_bar_tiles: &[Tile<f64>],
+    momentum: &[Nodes<f64>],
+) -> (Vec<Nodes<f64>>, MotionBar) {
+    let mut bars = vec![[[0.0; 4]; BLOCK_NODES]; momentum.len()];
+    let mut total = MotionBar::default();
+    for ((node, momentum), momentum_bar) in state.layout.nodes.iter().zip(momentum).zip(&mut bars) {
+        total.add(&model.arch.dispatch(UpdateNodesAdjoint {
+            model,
+            tool,
+            node,
+            velocity_bar_tiles,
+            momentum,
+            momentum_bar,
+        }));
+    }
+    (bars, total)
+}
+
+#[test]
+fn grid_to_particle_has_taylor_slope_two_in_positions_velocities_and_the_tools_motion() {
+    let (model, state, tool) = scooping();
+    let mut dice = Dice::new(55);
+    let velocity = random_nodes(state.layout.nodes.len(), [SPEED, SPEED, SPEED, 0.0], &mut dice);
+    let measure = Measure::random(state.particles.living().count(), 0..15, &mut dice);
+    let particles = 22 * state.particles.living().count();
+    let nodes = velocity.as_flattened().as_flattened();
+    let f = |x: &[f64]| {
+        let state = with_numbers(&state, &x[..particles]);
+        let (at_nodes, tool_numbers) = x[particles..].split_at(nodes.len());
+        let of = |n: &[f64]| std::array::from_fn(|k| std::array::from_fn(|c| SPEED * n[4 * k + c]));
+        let velocity: Vec<Nodes<f64>> = at_nodes.chunks(4 * BLOCK_NODES).map(of).collect();
+        let tool = moved(&tool, &scaled(tool_numbers, &TOOL_SIZES));
+        measure.of(&state.particles, &to_particles(&model, &tool, &state, &velocity))
+    };
+    let mut bar = measure.cotangent(&state.particles);
+    let mut tiles = vec![empty_tile(); state.layout.blocks.len()];
+    let mut tool_bar = MotionBar::default();
+    for (block, tile_bar) in state.layout.blocks.iter().zip(&mut tiles) {
+        let range = block.first_group..block.first_group + block.groups();
+        let input = &state.particles.groups[range.clone()];
+        tool_bar.add(&model.arch.dispatch(TileToParticlesAdjoint {
+            model: &model,
+            tool: &tool,
+            block,
+            velocity: &velocity,
+            input,
+            bar: &mut bar[range],
+            tile_bar,
+        }));
+    }
+    // Only the positions' cotangents are results of this stage.
+    for g in &mut bar {
+        *g = Group { x: g.x, ..Group::ZERO };
+    }
+    let mut gradient = gradient_of(&state.particles, &bar);
+    for node in &state.layout.nodes {
+        // The fourth number at a node is no velocity.
+        gradient.extend(
+            sum_tiles(node, &tiles).iter().flat_map(|b| [b[0] * SPEED, b[1] * SPEED, b[2] * SPEED, 0.0]),
+        );
+    }
+    gradient.extend(tool_gradient(&tool_bar));
+    let mut x = numbers(&state.particles);
+    x.extend(nodes.iter().map(|v| v / SPEED));
+    x.extend([0.0; 12]);
+    assert_gradient("grid to particle", 1e-4, &f, &x, &gradient);
+}
+
+#[test]
+fn a_whole_substep_has_taylor_slope_two_in_the_state_and_the_tools_motion() {
+    let (model, state, tool) = scooping();
+    let mut dice = Dice::new(56);
+    let count = state.particles.living().count();
+    let measure = Measure::random(count, 0..22, &mut dice);
+    let f = |x: &[f64]| {
+        let mut state = with_numbers(&state, &x[..22 * count]);
+        let tool = moved(&tool, &scaled(&x[22 * count..], &TOOL_SIZES));
+        Workspace::new().advance(&model, &tool, &mut state).unwrap();
+        measure.of(&state.particles, &state.particles.groups)
+    };
+    let mut after = state.clone();
+    let mut workspace = Workspace::new();
+    workspace.advance(&model, &tool, &mut after).unwrap();
+    let mut bar = unsort_bar(&after, measure.cotangent(&after.particles));
+    let tool_bar = workspace.retreat(&model, &tool, &state, &mut bar);
+    let mut gradient = gradient_of(&state.particles, &bar);
+    gradient.extend(tool_gradient(&tool_bar));
+    let mut x = numbers(&state.particles);
+    x.extend([0.0; 12]);
+    assert_gradient("whole substep", 1e-4, &f, &x, &gradient);
+
+    // The tool alone: among thousands of particles its share would hide.
+    let (particles, motion) = x.split_at(22 * count);
+    let tool_only = |d: &[f64]| f(&[particles, d].concat());
+    assert_gradient("whole substep, tool", 1e-4, &tool_only, motion, &gradient[22 * count..]);
+}
+
+/// A cohesive, hence elastic, cloud that flies and spins through the blocks.
+fn flying_cloud() -> (Model<f64>, State<f64>) {
+    let mut dice = Dice::new(81);
+    let mut model = Model::<f64>::new(&empty_bench([0.080; 3]));
+    model.material = Material::new(1e4, 0.2, 0.6, 4e3);
+    let points = lattice([0.014, 0.016, 0.018], [0.026, 0.028, 0.030], 0.003, &mut dice);
+    let mut state = State::new(&model, &Particles::at_rest(&points)).unwrap();
+    let middle = [0.020, 0.022, 0.024];
+    let places: Vec<_> = state.particles.living().collect();
+    for (g, l, _) in places {
+        let group = &mut state.particles.groups[g];
+        let arm = sub([group.x[0][l], group.x[1][l], group.x[2][l]], middle);
+        let spin = mul_vec(&[[0.0, -12.0, 3.0], [12.0, 0.0, -5.0], [-3.0, 5.0, 0.0]], arm);
+        for k in 0..21 {
+            let number = match k {
+                3..6 => [1.1, 0.9, 0.7][k - 3] + spin[k - 3] + 0.02 * dice.roll(),
+                6..15 => dice.roll(),
+                15..21 => 0.01 * dice.roll(),
+                _ => continue,
+            };
+            row(group, k)[l] = number;
+        }
+    }
+    (model, state)
+}
+
+#[test]
+fn cotangents_survive_sorting() {
+    const SUBSTEPS: usize = 60;
+    let (model, first) = flying_cloud();
+    let tool = far_away();
+    let count = first.particles.living().count();
+    let mut dice = Dice::new(57);
+    let measure = Measure::random(count, 0..22, &mut dice);
+    let mut workspace = Workspace::new();
+
+    let end = |x: &[f64]| {
+        let mut state = with_numbers(&first, x);
+        let mut workspace = Workspace::new();
+        for _ in 0..SUBSTEPS {
+            workspace.advance(&model, &tool, &mut state).unwrap();
+        }
+        measure.of(&state.particles, &state.particles.groups)
+    };
+    // Forward, first with a sort of our own before every second substep, then with those that happen by themselves.
+    let mut states = Vec::new();
+    let mut state = first.clone();
+    let (mut own, mut needed) = (0, 0);
+    for substep in 0..SUBSTEPS {
+        let groups = state.particles.groups.len();
+        let order = if substep < 20 && substep % 2 == 1 {
+            let (_, _, order) = sort(&model.grid, &state.particles).unwrap();
+            own += usize::from(order.iter().enumerate().any(|(to, from)| to as u32 != *from));
+            state = State::new(&model, &state.particles).unwrap();
+            order
+        } else {
+            (0..groups * crate::mpm::particles::LANES).map(|i| i as u32).collect()
+        };
+        states.push((state.clone(), order, groups));
+        workspace.advance(&model, &tool, &mut state).unwrap();
+        needed += usize::from(state.sorted_from.is_some());
+    }
+    let mut after = state;
+    let mut bar = measure.cotangent(&after.particles);
+    for (state, order, groups) in states.into_iter().rev() {
+        bar = unsort_bar(&after, bar);
+        workspace.retreat(&model, &tool, &state, &mut bar);
+        if state.sorted_from.is_none() {
+            bar = unsort(&bar, &order, groups);
+        }
+        after = state;
+    }
+    let gradient = gradient_of(&first.particles, &bar);
+    let x = numbers(&first.particles);
+    let mut worst: f64 = 0.0;
+    for direction in super::directions(x.len(), 5) {
+        let at = |h: f64| end(&x.iter().zip(&direction).map(|(x, d)| x + h * d).collect::<Vec<_>>());
+        let slope = gradient.iter().zip(&direction).map(|(g, d)| g * d).sum::<f64>();
+        let difference = (at(1e-5) - at(-1e-5)) / 2e-5;
+        worst = worst.max((difference - slope).abs() / slope.abs().max(1.0));
+    }
+    println!(
+        "sorting: {own} sorts of our own that moved particles, {needed} needed, worst relative error {worst:.1e}"
+    );
+    assert!(own > 5 && needed > 0);
+    assert!(worst < 1e-7, "{worst}");
+}
