@@ -5,17 +5,18 @@
 //! | `s`, `n` | `s`, `n` | signed distance and outward normal of the body at the point |
 //! | `v_b` | `vb` | velocity of the body at the point |
 //! | `beta` | `beta` | blend: 1 inside, falling to 0 at the band's end |
-//! | `gamma` | `gamma` | part of a separating velocity that is left inside a wall: 1 at its surface, 0 at its middle |
+//! | `r` | `release` | part of a separating velocity that is left: 1, or 0 at nodes in a wall with two sides |
 //! | `mu_f` | `friction` | Coulomb coefficient |
 //!
-//! `v_r = v - v_b`, `v_n = v_r.n`, `v_t = v_r - v_n n`. The normal part becomes `a = gamma max(v_n, push)`,
+//! `v_r = v - v_b`, `v_n = v_r.n`, `v_t = v_r - v_n n`. The normal part becomes `a = r max(v_n, push)`,
 //! friction takes `mu_f |a - v_n|` from the tangential part, and the result is blended with the free velocity.
 //!
-//! Two choices differ from the usual `min(exp(-k s), 1)`. The blend is a cubic with compact support: it has a
-//! derivative everywhere, also at the surface, and it is exactly 0 beyond the band, so that leaving out
-//! bodies that are farther away changes no bit. And `gamma` makes the law symmetric at the middle of a thin wall,
-//! where the nearest face, and with it `n`, flips: without it the force on a node would jump when the
-//! middle of a moving wall passes the node, and powder pressed on one face would drive the other.
+//! Two choices differ from the usual `min(exp(-k s), 1)` on velocities that approach. The blend is a cubic with
+//! compact support: it has a derivative everywhere, also at the surface, and it is exactly 0 beyond the band, so
+//! that leaving out bodies that are farther away changes no bit. And a node in a thin wall moves with the wall along
+//! its normal (`r = 0`), whatever the powder wants there: a node sees powder on both sides and cannot tell which of
+//! them pushes, so that a node near the far face would take powder pressed on the near one for powder that leaves,
+//! and hand its pressure on. What this costs is that powder lets go of a wall more slowly than it should.
 
 use crate::real::Real;
 use crate::shape::{Dual, SignedDistance};
@@ -36,12 +37,22 @@ pub(crate) struct Law<T> {
     pub(crate) friction: T,
     /// Where the blend has fallen to zero, m beyond the surface.
     pub(crate) band: T,
-    /// Depth at which the law is symmetric, m.
-    pub(crate) half_thickness: T,
+    /// How far the surface is moved outwards, m.
+    pub(crate) growth: T,
+    /// Part of a separating velocity that is left.
+    pub(crate) release: T,
     /// Speed of the outward push per metre of depth, 1/s; zero at grid nodes.
     pub(crate) push_rate: T,
     /// Upper bound of that push, m/s.
     pub(crate) push_limit: T,
+}
+
+impl<T: Real> Law<T> {
+    /// Distance from the body beyond which nothing changes, m.
+    #[inline(always)]
+    pub(crate) fn reach(&self) -> T {
+        self.growth + self.band
+    }
 }
 
 /// Tangential speeds below this feel a friction that fades to zero, m/s: rest has no direction.
@@ -88,7 +99,7 @@ pub(crate) fn contact<T: Real, D: SignedDistance<T>>(
     let (s, normal) = shape.distance(tr_mul_vec(&body.rotation, arm));
     let n = mul_vec(&body.rotation, normal);
     let vb = add(body.velocity, cross(body.angular_velocity, arm));
-    let f = resolve(law, s, n, sub(v, vb));
+    let f = resolve(law, s - law.growth, n, sub(v, vb));
     add(v, scale(f.beta, sub(add(vb, f.relative), v)))
 }
 
@@ -96,8 +107,6 @@ pub(crate) fn contact<T: Real, D: SignedDistance<T>>(
 struct Resolved<T> {
     beta: T,
     beta_slope: T,
-    gamma: T,
-    gamma_slope: T,
     push: T,
     push_slope: T,
     vn: T,
@@ -114,21 +123,17 @@ struct Resolved<T> {
 fn resolve<T: Real>(law: &Law<T>, s: T, n: Vec3<T>, vr: Vec3<T>) -> Resolved<T> {
     let inverse_band = T::ONE / law.band;
     let (fall, fall_slope) = smooth_step(s * inverse_band);
-    let inverse_half = T::ONE / law.half_thickness;
-    let (gamma, gamma_slope) = smooth_step(T::ONE + s * inverse_half);
     let raw_push = -(s * law.push_rate);
     let push = raw_push.at_least(T::ZERO).at_most(law.push_limit);
     let pushing = raw_push > T::ZERO && raw_push < law.push_limit;
     let vn = dot(vr, n);
     let vt = sub(vr, scale(vn, n));
     let speed = (dot(vt, vt) + T::of(REST_SPEED * REST_SPEED)).sqrt();
-    let a = gamma * vn.at_least(push);
+    let a = law.release * vn.at_least(push);
     let keep = (T::ONE - law.friction * (a - vn).abs() / speed).at_least(T::ZERO);
     Resolved {
         beta: T::ONE - fall,
         beta_slope: -(fall_slope * inverse_band),
-        gamma,
-        gamma_slope: gamma_slope * inverse_half,
         push,
         push_slope: (-law.push_rate).only_if(pushing),
         vn,
@@ -164,7 +169,7 @@ pub(crate) fn contact_adjoint<T: Real, D: SignedDistance<T>>(
     let (s, normal) = shape.distance(y);
     let n = mul_vec(&body.rotation, normal);
     let vb = add(body.velocity, cross(body.angular_velocity, arm));
-    let f = resolve(law, s, n, sub(v, vb));
+    let f = resolve(law, s - law.growth, n, sub(v, vb));
 
     // v_out = v + beta (v_b + a n + keep v_t - v)
     let result_bar = scale(f.beta, bar);
@@ -183,11 +188,10 @@ pub(crate) fn contact_adjoint<T: Real, D: SignedDistance<T>>(
     a_bar += removed_bar;
     let mut vn_bar = -removed_bar;
 
-    // a = gamma max(v_n, push)
+    // a = release max(v_n, push)
     let free = f.vn >= f.push;
-    vn_bar += (f.gamma * a_bar).only_if(free);
-    let push_bar = (f.gamma * a_bar).only_if(!free);
-    let gamma_bar = f.vn.at_least(f.push) * a_bar;
+    vn_bar += (law.release * a_bar).only_if(free);
+    let push_bar = (law.release * a_bar).only_if(!free);
 
     // v_t = v_r - v_n n, v_n = v_r . n
     let mut vr_bar = vt_bar;
@@ -198,7 +202,7 @@ pub(crate) fn contact_adjoint<T: Real, D: SignedDistance<T>>(
 
     let v_bar = add(scale(T::ONE - f.beta, bar), vr_bar);
     let vb_bar = sub(result_bar, vr_bar);
-    let s_bar = f.beta_slope * beta_bar + f.gamma_slope * gamma_bar + f.push_slope * push_bar;
+    let s_bar = f.beta_slope * beta_bar + f.push_slope * push_bar;
 
     // s and n in the body's frame; Hessian of the distance times n_bar by dual numbers.
     let local_n_bar = tr_mul_vec(&body.rotation, n_bar);

@@ -134,7 +134,7 @@ fn reaches<T: Real, D: SignedDistance<T>>(
     let mut near = [T::ZERO; LANES];
     for l in 0..LANES {
         let y = tr_mul_vec(&motion.rotation, sub(vec_of(x, l), motion.position));
-        near[l] = T::ONE.only_if(solid.distance::<T>(y).0 < law.band);
+        near[l] = T::ONE.only_if(solid.distance::<T>(y).0 < law.reach());
     }
     near.iter().any(|n| *n > T::ZERO)
 }

@@ -55,8 +55,9 @@ impl<T: Real> Obstacles<T> {
                 .map(|index| {
                     let centre = block_centre(grid, grid.coord(index));
                     let reach = T::of(half_diagonal(cells, grid.dx));
-                    let touches =
-                        |f: &Fixed<T>| distance(&f.piece, &f.motion, centre) <= reach + f.piece.node_law.band;
+                    let touches = |f: &Fixed<T>| {
+                        distance(&f.piece, &f.motion, centre) <= reach + f.piece.node_law.reach()
+                    };
                     (0u16..).zip(&fixed).filter(|(_, f)| touches(f)).map(|(i, _)| i).collect()
                 })
                 .collect()
@@ -102,7 +103,7 @@ impl<T: Real> Obstacles<T> {
         let moving = self
             .tool
             .iter()
-            .filter(|p| distance(p, tool, centre) <= reach + p.node_law.band)
+            .filter(|p| distance(p, tool, centre) <= reach + p.node_law.reach())
             .map(|piece| Touching { piece, motion: tool, moving: true });
         fixed.chain(moving).collect()
     }
@@ -135,6 +136,7 @@ const PARTICLE_BAND: f64 = 0.4;
 struct Builder {
     band: f64,
     dt: f64,
+    dx: f64,
 }
 
 impl Builder {
@@ -143,20 +145,24 @@ impl Builder {
         Self {
             band: scene.domain.contact_band_cells * scene.domain.cell_m,
             dt: period / f64::from(scene.time.substeps),
+            dx: scene.domain.cell_m,
         }
     }
 
     fn piece<T: Real>(&self, shape: Shape<T>, friction: f64) -> Piece<T> {
+        // Walls thinner than a cell could lie between two nodes and stop none of them.
         let node_law = Law {
             friction: T::of(friction),
             band: T::of(self.band),
-            half_thickness: shape.half_thickness(),
+            growth: shape.half_thickness().map_or(T::ZERO, |h| (T::of(0.5 * self.dx) - h).at_least(T::ZERO)),
+            release: if shape.half_thickness().is_some() { T::ZERO } else { T::ONE },
             push_rate: T::ZERO,
             push_limit: T::ZERO,
         };
         let particle_law = Law {
             band: T::of(self.band * PARTICLE_BAND),
-            half_thickness: T::of(1e9),
+            growth: T::ZERO,
+            release: T::ONE,
             push_rate: T::of(PUSH_FRACTION / self.dt),
             push_limit: T::of(PUSH_LIMIT),
             ..node_law

@@ -182,15 +182,14 @@ macro_rules! with_solid {
 pub(crate) use with_solid;
 
 impl<T: Real> Shape<T> {
-    /// Half the wall thickness: how deep below the surface a point is nearest to both faces. Contact becomes
-    /// symmetric there. Huge for bodies without a second face.
-    pub(crate) fn half_thickness(&self) -> T {
+    /// Half the wall thickness; none for what has no second side.
+    pub(crate) fn half_thickness(&self) -> Option<T> {
         match *self {
-            Self::HalfSpace(_) => T::of(1e9),
-            Self::Slab(Slab { half, .. }) => half[0].at_most(half[1]).at_most(half[2]),
-            Self::Bowl(Bowl { half, .. }) => half,
-            Self::Ring(Ring { half_radial, half_axial, .. }) => half_radial.at_most(half_axial),
-            Self::Capsule(Capsule { radius, .. }) => radius,
+            Self::HalfSpace(_) => None,
+            Self::Slab(Slab { half, .. }) => Some(half[0].at_most(half[1]).at_most(half[2])),
+            Self::Bowl(Bowl { half, .. }) => Some(half),
+            Self::Ring(Ring { half_radial, half_axial, .. }) => Some(half_radial.at_most(half_axial)),
+            Self::Capsule(Capsule { radius, .. }) => Some(radius),
         }
     }
 }
@@ -204,6 +203,10 @@ impl<T: Real> SignedDistance<T> for HalfSpace {
 
 /// Keeps a division by a length of zero finite; a length this small is on the edge or axis itself.
 const TINY: f64 = 1e-18;
+
+/// Points this close to a box's surface, m, count as inside, where the normal is that of one face: a distance of
+/// rounding size has no direction, and faces that lie on grid nodes are common.
+const SKIN: f64 = 1e-6;
 
 #[inline(always)]
 fn norm3<T: Real, S: Scalar<T>>(a: [S; 3]) -> S {
@@ -236,7 +239,7 @@ fn slab<T: Real, S: Scalar<T>>(y: [S; 3], centre: [T; 3], half: [T; 3]) -> (S, [
     let x_face = a >= b && a >= c;
     let y_face = !x_face && b >= c;
     let z_face = !x_face && !y_face;
-    let outside = a > T::ZERO || b > T::ZERO || c > T::ZERO;
+    let outside = a.at_least(b).at_least(c) > T::of(SKIN);
     let deepest = S::choose(x_face, q[0], S::choose(y_face, q[1], q[2]));
     let face = [x_face, y_face, z_face];
     let zero = S::constant(T::ZERO);

@@ -3,6 +3,7 @@
 mod conservation;
 mod stages;
 mod substep;
+mod walls;
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 use rand_chacha::ChaCha8Rng;

@@ -255,7 +255,8 @@ fn contact_has_taylor_slope_two_in_position_velocity_and_the_bodys_motion() {
             let law = Law {
                 friction: 0.4,
                 band: 0.3,
-                half_thickness: if nodes { shape.half_thickness() } else { 1e9 },
+                growth: if nodes { 0.05 } else { 0.0 },
+                release: if nodes { 0.0 } else { 1.0 },
                 push_rate: if nodes { 0.0 } else { 2.0 },
                 push_limit: 0.7,
             };
@@ -273,7 +274,7 @@ fn contact_has_taylor_slope_two_in_position_velocity_and_the_bodys_motion() {
                 point.into_iter().chain(free).chain(base.position).chain([0.0; 3]).chain(twist).collect();
             with_solid!(shape, solid => {
                 let local = crate::small::tr_mul_vec(&base.rotation, crate::small::sub(point, base.position));
-                if solid.distance::<f64>(local).0 > 0.9 * law.band {
+                if solid.distance::<f64>(local).0 > 0.9 * law.reach() {
                     continue;
                 }
                 let f = |x: &[f64]| {
