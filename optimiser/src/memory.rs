@@ -33,10 +33,21 @@ pub struct Need {
 
 /// Estimates the need of a gradient for each of [`PASSES`].
 pub fn memory_needs(scene: &Scene, precision: Precision) -> [Need; 4] {
-    let scalar_bytes: u64 = match precision {
-        Precision::F32 => 4,
-        Precision::F64 => 8,
-    };
+    needs(
+        scene,
+        match precision {
+            Precision::F32 => 4,
+            Precision::F64 => 8,
+        },
+    )
+}
+
+/// The smallest of these needs, bytes: with less, a gradient would take many times as long.
+pub(crate) fn least_memory(scene: &Scene, scalar_bytes: u64) -> u64 {
+    needs(scene, scalar_bytes)[PASSES.len() - 1].bytes
+}
+
+fn needs(scene: &Scene, scalar_bytes: u64) -> [Need; 4] {
     let particles = scene.particle_count() as u64;
     // Identity and origin of each particle; a tenth for lanes that hold none.
     let state_bytes = particles * (PARTICLE_SCALARS * scalar_bytes + 2 * size_of::<u32>() as u64) * 11 / 10;

@@ -41,6 +41,15 @@ fn a_memory_budget_holds_as_the_operating_system_counts_and_changes_no_bit() {
     assert_same_bits(&free, &bound);
 }
 
+#[test]
+fn a_memory_budget_that_cannot_do_is_refused_before_anything_is_written() {
+    let place = Place::new();
+    let folder = place.path("run");
+    let done = run(OPTIMISE, &["run", "bench-small", "--memory", "16MiB", "--out", &folder]);
+    done.ended(2, "a memory budget of 16 MiB is too little: this scene needs 48 MiB for a gradient");
+    assert!(!Path::new(&folder).exists());
+}
+
 /// Runs `optimise` where no file can grow beyond `blocks` of 512 bytes.
 fn on_a_full_disk(blocks: u32, arguments: &[&str]) -> Done {
     let script = format!("trap '' XFSZ; ulimit -f {blocks}; exec \"$0\" \"$@\"");

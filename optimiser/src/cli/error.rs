@@ -65,6 +65,7 @@ impl From<RolloutError> for CliError {
         match error {
             RolloutError::Stopped => Self::Interrupted(error.to_string()),
             RolloutError::Skill(skill) => skill.into(),
+            RolloutError::Memory { .. } | RolloutError::Threads { .. } => Self::Input(error.to_string()),
             _ => Self::Failed(error.to_string()),
         }
     }

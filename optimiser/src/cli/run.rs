@@ -64,14 +64,27 @@ struct Run {
     state: RunState,
 }
 
+/// A run and the simulator for it.
+type Begun = (Run, Box<dyn Evaluate>);
+
+fn simulator(
+    arguments: &RunArgs,
+    scene: &Scene,
+    state: &RunState,
+    context: &Context<'_>,
+) -> Result<Box<dyn Evaluate>, CliError> {
+    let settings = arguments.resources.settings(state.seed, state.precision);
+    Ok((context.factory)(scene, &settings)?)
+}
+
 /// Runs the command.
 ///
 /// # Errors
 /// One sentence; everything evaluated before is saved.
 pub(super) fn execute(arguments: &RunArgs, context: &mut Context<'_>) -> Result<(), CliError> {
-    let mut run = match &arguments.resume {
-        Some(folder) => Run::resume(arguments, folder)?,
-        None => Run::start(arguments)?,
+    let (mut run, mut simulator) = match &arguments.resume {
+        Some(folder) => Run::resume(arguments, folder, context)?,
+        None => Run::start(arguments, context)?,
     };
     let resumable = format!("the epochs before are saved, go on with: {}", resume_command(run.folder.path()));
     if run.state.finished {
@@ -83,12 +96,13 @@ pub(super) fn execute(arguments: &RunArgs, context: &mut Context<'_>) -> Result<
         )?;
         return Ok(());
     }
-    let plan = run.complete(arguments, context).map_err(|error| error.with_remark(&resumable))?;
+    let plan = run.complete(simulator.as_mut(), context).map_err(|error| error.with_remark(&resumable))?;
     run.conclude(&plan, context)
 }
 
 impl Run {
-    fn start(arguments: &RunArgs) -> Result<Self, CliError> {
+    /// Makes the simulator before the folder: what it refuses leaves nothing behind.
+    fn start(arguments: &RunArgs, context: &Context<'_>) -> Result<Begun, CliError> {
         let name = arguments.scene.as_deref().unwrap_or(DEFAULT_SCENE);
         let scene = Scene::load(name)?;
         let map = SkillMap::new(&scene);
@@ -102,6 +116,7 @@ impl Run {
             search: Search::new(initial_theta(&scene.skill.initial_theta, seed), epochs),
             finished: false,
         };
+        let simulator = simulator(arguments, &scene, &state, context)?;
         let folder = match &arguments.out {
             Some(path) => RunFolder::create(path)?,
             None => RunFolder::create_numbered(&Path::new("runs").join(default_name(&scene.name, seed)))?,
@@ -109,10 +124,10 @@ impl Run {
         folder.replace(SCENE, scene.to_toml().as_bytes())?;
         // A scene without a state would be in the way of a second attempt, and nothing to resume from either.
         folder.replace(STATE, &state.to_bytes()).inspect_err(|_| folder.discard(SCENE))?;
-        Ok(Self { folder, method: Method::from(&scene.optimiser), scene, map, state })
+        Ok((Self { folder, method: Method::from(&scene.optimiser), scene, map, state }, simulator))
     }
 
-    fn resume(arguments: &RunArgs, path: &Path) -> Result<Self, CliError> {
+    fn resume(arguments: &RunArgs, path: &Path, context: &Context<'_>) -> Result<Begun, CliError> {
         let folder = RunFolder::open(path)?;
         let damaged = |error| {
             CliError::Input(format!("{} cannot be resumed from: {error}", folder.file(STATE).display()))
@@ -125,15 +140,20 @@ impl Run {
         }
         let map = SkillMap::new(&scene);
         map.check_all_corners()?;
+        let simulator = simulator(arguments, &scene, &state, context)?;
         // The state leads: a line too many or too few, from a run that was ended between two writes, is put right.
         let lines: String = state.search.history().iter().map(json_line).collect();
         folder.replace(METRICS, lines.as_bytes())?;
         folder.replace(STATE, &state.to_bytes())?;
-        Ok(Self { folder, method: Method::from(&scene.optimiser), scene, map, state })
+        Ok((Self { folder, method: Method::from(&scene.optimiser), scene, map, state }, simulator))
     }
 
     /// Evaluates the epochs that are left, then writes the plan.
-    fn complete(&mut self, arguments: &RunArgs, context: &mut Context<'_>) -> Result<Evaluation, CliError> {
+    fn complete(
+        &mut self,
+        simulator: &mut dyn Evaluate,
+        context: &mut Context<'_>,
+    ) -> Result<Evaluation, CliError> {
         let RunState { seed, precision, .. } = self.state;
         let mut progress = Progress::new(context.err, context.live);
         progress.line(&format!(
@@ -142,11 +162,9 @@ impl Run {
             precision_name(precision),
             self.folder.path().display()
         ));
-        let settings = arguments.resources.settings(seed, precision);
-        let mut simulator = (context.factory)(&self.scene, &settings)?;
         let result = self
-            .evaluate_epochs(simulator.as_mut(), &mut progress, &context.interrupt)
-            .and_then(|()| self.write_plan(simulator.as_mut(), &mut progress, &context.interrupt));
+            .evaluate_epochs(simulator, &mut progress, &context.interrupt)
+            .and_then(|()| self.write_plan(simulator, &mut progress, &context.interrupt));
         progress.clear();
         result
     }

@@ -21,8 +21,6 @@ pub(crate) mod material;
 pub(crate) mod obstacle;
 pub(crate) mod p2g;
 pub(crate) mod particles;
-#[cfg(test)]
-mod physics;
 pub(crate) mod stencil;
 pub(crate) mod substep;
 #[cfg(test)]

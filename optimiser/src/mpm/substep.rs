@@ -115,12 +115,6 @@ impl<T: Real> Workspace<T> {
             + self.spare.len() * size_of::<Payload<T>>()
     }
 
-    /// Mass on the grid in the last substep, kg.
-    #[cfg(test)]
-    pub(crate) fn mass_on_grid(&self) -> f64 {
-        self.momentum.iter().flatten().map(|node| node[3].to_f64()).sum()
-    }
-
     fn fit(&mut self, layout: &Layout, groups: usize) {
         let zero_nodes = [[T::ZERO; 4]; BLOCK_NODES];
         self.tiles.resize(layout.blocks.len(), empty_tile());

@@ -5,9 +5,12 @@ pub(crate) mod outcome;
 pub(crate) mod path;
 pub(crate) mod schedule;
 mod simulator;
+#[cfg(test)]
+mod tests;
 
 pub use simulator::Simulator;
 
+use crate::memory::least_memory;
 use crate::real::Real;
 use crate::scene::Scene;
 use crate::skill::{SkillError, Theta};
@@ -70,6 +73,14 @@ pub enum RolloutError {
         /// How many.
         threads: usize,
     },
+    /// Not even a gradient that recomputes everything several times fits.
+    #[error("a memory budget of {} MiB is too little: this scene needs {} MiB for a gradient", given >> 20, (least >> 20) + 1)]
+    Memory {
+        /// Budget, bytes.
+        given: u64,
+        /// The least that will do, bytes.
+        least: u64,
+    },
     /// The skill is not a motion.
     #[error(transparent)]
     Skill(#[from] SkillError),
@@ -115,7 +126,7 @@ pub struct SimulatorSettings {
 /// The simulator of a validated scene: the one place where the commands get it from.
 ///
 /// # Errors
-/// [`RolloutError::Threads`] if the threads cannot be started.
+/// See [`simulator`].
 pub fn boxed_simulator(
     scene: &Scene,
     settings: &SimulatorSettings,
@@ -129,8 +140,12 @@ pub fn boxed_simulator(
 /// The same in a precision known when compiling; `settings.precision` is not looked at.
 ///
 /// # Errors
-/// [`RolloutError::Threads`] if the threads cannot be started.
+/// [`RolloutError::Memory`] if the budget is too small, [`RolloutError::Threads`] if the threads cannot be started.
 pub fn simulator<T: Real>(scene: &Scene, settings: &SimulatorSettings) -> Result<Simulator<T>, RolloutError> {
+    let least = least_memory(scene, size_of::<T>() as u64);
+    if settings.memory_bytes < least {
+        return Err(RolloutError::Memory { given: settings.memory_bytes, least });
+    }
     let threads =
         settings.threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
     let pool = rayon::ThreadPoolBuilder::new()

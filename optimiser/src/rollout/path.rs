@@ -65,30 +65,61 @@ impl Path {
         )
     }
 
-    /// Cotangents of the controls from those of the motion in every substep.
-    pub(crate) fn pull_back(&self, bars: &[MotionBar]) -> Vec<Control> {
-        let mut out = vec![[0.0; 6]; self.controls.len()];
-        // Cotangent of the pose at the end of the step at hand: position, and rotation from the left.
-        let (mut position_bar, mut rotation_bar) = (Vector3::zeros(), Vector3::zeros());
-        for (step, u) in self.controls.iter().enumerate().rev() {
-            let dr = u.rotation();
-            let mut dp_bar: Vector3<f64> = position_bar;
-            let mut dr_bar = left_jacobian(&dr).tr_mul(&rotation_bar);
-            rotation_bar = exp_so3(&dr).inverse() * rotation_bar;
-            let first = step * self.substeps as usize;
-            for (substep, bar) in bars.iter().enumerate().skip(first).take(self.substeps as usize) {
-                let (_, part) = self.place(substep);
-                let partial = dr * part;
-                let turned = Vector3::from(bar.rotation);
-                dp_bar += Vector3::from(bar.position) * part + Vector3::from(bar.velocity) / self.period_s;
-                dr_bar += left_jacobian(&partial).tr_mul(&turned) * part
-                    + Vector3::from(bar.angular_velocity) / self.period_s;
-                position_bar += Vector3::from(bar.position);
-                rotation_bar += exp_so3(&partial).inverse() * turned;
-            }
-            out[step] = [dp_bar.x, dp_bar.y, dp_bar.z, dr_bar.x, dr_bar.y, dr_bar.z];
+    /// Begins the way back.
+    pub(crate) fn pull_back(&self) -> PullBack<'_> {
+        PullBack {
+            path: self,
+            bars: Vec::with_capacity(self.substeps as usize),
+            position_bar: Vector3::zeros(),
+            rotation_bar: Vector3::zeros(),
+            out: vec![[0.0; 6]; self.controls.len()],
         }
-        out
+    }
+}
+
+/// Cotangents of the controls from those of the motion in every substep, which come from the last to the first.
+pub(crate) struct PullBack<'a> {
+    path: &'a Path,
+    /// Those of one control step, so that a long motion with many substeps needs no memory for them.
+    bars: Vec<MotionBar>,
+    /// Cotangent of the pose at the end of the step at hand: position, and rotation from the left.
+    position_bar: Vector3<f64>,
+    rotation_bar: Vector3<f64>,
+    out: Vec<Control>,
+}
+
+impl PullBack<'_> {
+    /// Takes the cotangent of the motion in the substep before the one taken last.
+    pub(crate) fn take(&mut self, substep: usize, bar: MotionBar) {
+        self.bars.push(bar);
+        let (step, _) = self.path.place(substep);
+        if substep.is_multiple_of(self.path.substeps as usize) {
+            self.finish(step);
+        }
+    }
+
+    fn finish(&mut self, step: usize) {
+        let Path { controls, substeps, period_s, .. } = self.path;
+        let dr = controls[step].rotation();
+        let mut dp_bar: Vector3<f64> = self.position_bar;
+        let mut dr_bar = left_jacobian(&dr).tr_mul(&self.rotation_bar);
+        self.rotation_bar = exp_so3(&dr).inverse() * self.rotation_bar;
+        for (substep, bar) in (step * *substeps as usize..).zip(self.bars.drain(..).rev()) {
+            let (_, part) = self.path.place(substep);
+            let partial = dr * part;
+            let turned = Vector3::from(bar.rotation);
+            dp_bar += Vector3::from(bar.position) * part + Vector3::from(bar.velocity) / *period_s;
+            dr_bar += left_jacobian(&partial).tr_mul(&turned) * part
+                + Vector3::from(bar.angular_velocity) / *period_s;
+            self.position_bar += Vector3::from(bar.position);
+            self.rotation_bar += exp_so3(&partial).inverse() * turned;
+        }
+        self.out[step] = [dp_bar.x, dp_bar.y, dp_bar.z, dr_bar.x, dr_bar.y, dr_bar.z];
+    }
+
+    /// Cotangents of the controls, once all substeps have been taken.
+    pub(crate) fn finished(self) -> Vec<Control> {
+        self.out
     }
 }
 
@@ -182,7 +213,11 @@ mod tests {
                 bar
             })
             .collect();
-        let gradient = path.pull_back(&bars);
+        let mut back = path.pull_back();
+        for (substep, bar) in bars.into_iter().enumerate().rev() {
+            back.take(substep, bar);
+        }
+        let gradient = back.finished();
         for i in 0..controls.len() {
             for c in 0..6 {
                 let at = |h: f64| {

@@ -21,33 +21,61 @@ pub(crate) enum Action {
 
 /// Actions that reverse `steps` steps with `slots` kept states, the initial one included; at least one slot is
 /// taken. The initial state is on the stack at the beginning.
-pub(crate) fn schedule(steps: usize, slots: usize) -> Vec<Action> {
-    let mut actions = Vec::new();
-    let mut kept = vec![0usize];
-    let mut end = steps;
-    while end > 0 {
-        let top = *kept.last().expect("the initial state stays until the end");
-        if top >= end {
-            kept.pop();
-            actions.push(Action::Drop);
-            continue;
-        }
-        actions.push(Action::Restore);
-        let mut at = top;
-        while at + 1 < end {
-            let free = slots.saturating_sub(kept.len());
-            let step = if free == 0 { end - 1 - at } else { split(end - at, free) };
-            actions.push(Action::Advance(step));
-            at += step;
-            if free > 0 && at + 1 < end {
-                kept.push(at);
-                actions.push(Action::Keep);
+pub(crate) fn schedule(steps: usize, slots: usize) -> Schedule {
+    Schedule { slots, kept: vec![0], end: steps, next: Next::Restore }
+}
+
+/// The actions of a schedule, one by one: in full they would be longer than the motion.
+pub(crate) struct Schedule {
+    slots: usize,
+    /// The steps whose states are on the stack.
+    kept: Vec<usize>,
+    /// Steps that are still to be reversed.
+    end: usize,
+    next: Next,
+}
+
+enum Next {
+    Restore,
+    /// Advance, or reverse if this is the last step, from here.
+    GoOn(usize),
+    Keep(usize),
+}
+
+impl Iterator for Schedule {
+    type Item = Action;
+
+    fn next(&mut self) -> Option<Action> {
+        match self.next {
+            Next::Restore => {
+                let top = *self.kept.last().filter(|_| self.end > 0)?;
+                if top >= self.end {
+                    self.kept.pop();
+                    return Some(Action::Drop);
+                }
+                self.next = Next::GoOn(top);
+                Some(Action::Restore)
+            }
+            Next::GoOn(at) if at + 1 < self.end => {
+                let free = self.slots.saturating_sub(self.kept.len());
+                let last = self.end - 1;
+                let step = if free == 0 { last - at } else { split(self.end - at, free) };
+                let at = at + step;
+                self.next = if free > 0 && at < last { Next::Keep(at) } else { Next::GoOn(at) };
+                Some(Action::Advance(step))
+            }
+            Next::GoOn(_) => {
+                self.end -= 1;
+                self.next = Next::Restore;
+                Some(Action::Reverse(self.end))
+            }
+            Next::Keep(at) => {
+                self.kept.push(at);
+                self.next = Next::GoOn(at);
+                Some(Action::Keep)
             }
         }
-        end -= 1;
-        actions.push(Action::Reverse(end));
     }
-    actions
 }
 
 /// How far to advance before keeping the next state, when `length` steps remain to be reversed and `free` slots
@@ -67,9 +95,9 @@ fn reversible(slots: usize, passes: usize) -> f64 {
     (1..=passes).fold(1.0, |b, k| b * (slots + k) as f64 / k as f64)
 }
 
-/// Steps advanced by a schedule.
-pub(crate) fn advances(actions: &[Action]) -> u64 {
-    actions.iter().map(|a| if let Action::Advance(n) = a { *n as u64 } else { 0 }).sum()
+/// Steps that a schedule advances.
+pub(crate) fn advances(actions: Schedule) -> u64 {
+    actions.map(|a| if let Action::Advance(n) = a { n as u64 } else { 0 }).sum()
 }
 
 #[cfg(test)]
@@ -78,18 +106,17 @@ mod tests {
 
     /// Follows the actions with integers for states.
     fn replay(steps: usize, slots: usize) -> u64 {
-        let actions = schedule(steps, slots);
         let mut stack = vec![0usize];
         let mut working = usize::MAX;
         let mut next = steps;
-        for action in &actions {
+        for action in schedule(steps, slots) {
             match action {
                 Action::Restore => working = stack[stack.len() - 1],
                 Action::Advance(n) => working += n,
                 Action::Keep => stack.push(working),
                 Action::Reverse(k) => {
-                    assert_eq!((working, k + 1), (*k, next));
-                    next = *k;
+                    assert_eq!((working, k + 1), (k, next));
+                    next = k;
                 }
                 Action::Drop => {
                     stack.pop();
@@ -98,7 +125,7 @@ mod tests {
             assert!(stack.len() <= slots.max(1));
         }
         assert_eq!(next, 0);
-        advances(&actions)
+        advances(schedule(steps, slots))
     }
 
     #[test]

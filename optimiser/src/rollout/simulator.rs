@@ -253,16 +253,15 @@ impl<T: Real> Rollout<'_, T> {
 
     fn gradient(&mut self, start: State<T>, path: &Path) -> Result<(Evaluation, Vec<Control>), RolloutError> {
         let slots = self.slots(&start);
-        let actions = schedule(path.len(), slots);
-        let total = advances(&actions) + ADJOINT_WORK * path.len() as u64;
+        let total = advances(schedule(path.len(), slots)) + ADJOINT_WORK * path.len() as u64;
         let mut done = 0;
-        let mut bars = vec![MotionBar::default(); path.len()];
+        let mut back = path.pull_back();
         let mut end: Option<(Evaluation, Vec<Group<T>>)> = None;
         let mut at = 0;
         let mut working = start.clone();
         let mut kept = vec![(0, start)];
         let mut spare: Vec<State<T>> = Vec::new();
-        for action in actions {
+        for action in schedule(path.len(), slots) {
             match action {
                 Action::Restore => {
                     let (step, state) = kept.last().expect("the schedule keeps the first state");
@@ -290,8 +289,9 @@ impl<T: Real> Rollout<'_, T> {
                         None => self.end_of(path, working.clone())?,
                     };
                     let mut bar = bar;
-                    bars[step] = self.workspace.retreat(self.model, &path.motion(step), &working, &mut bar);
-                    self.check_finite(step, &bars[step], &working, &bar)?;
+                    let tool_bar = self.workspace.retreat(self.model, &path.motion(step), &working, &mut bar);
+                    self.check_finite(step, &tool_bar, &working, &bar)?;
+                    back.take(step, tool_bar);
                     end = Some((evaluation, unsort_bar(&working, bar)));
                     done += ADJOINT_WORK;
                     self.report(done, total)?;
@@ -302,7 +302,7 @@ impl<T: Real> Rollout<'_, T> {
             Some((evaluation, _)) => evaluation,
             None => self.end_of(path, working)?.0,
         };
-        Ok((evaluation, path.pull_back(&bars)))
+        Ok((evaluation, back.finished()))
     }
 
     /// Last step, loss, and the loss's cotangent in the order of the last step's particles.

@@ -1,5 +1,6 @@
 //! The derivative of every stage against the stage itself, and the physics that must hold.
 
+mod bulk;
 mod conservation;
 mod stages;
 mod substep;
@@ -14,8 +15,9 @@ use crate::mpm::contact::Motion;
 use crate::mpm::g2p::TileToParticles;
 use crate::mpm::grid_update::UpdateNodes;
 use crate::mpm::layout::{BLOCK_NODES, Nodes, empty_tile};
+use crate::mpm::material::return_map;
 use crate::mpm::p2g::{ParticlesToTile, Payload};
-use crate::mpm::particles::{Group, Lanes};
+use crate::mpm::particles::{Group, Lanes, Particles, vec_of};
 use crate::mpm::stencil::Tile;
 use crate::mpm::substep::{State, Workspace};
 use crate::real::Real;
@@ -150,6 +152,17 @@ fn lattice(min: [f64; 3], max: [f64; 3], spacing: f64, dice: &mut Dice) -> Vec<[
     out
 }
 
+/// Points of an even lattice in a box, eight to a cell of 4 mm.
+fn even_lattice(low: [f64; 3], high: [f64; 3]) -> Vec<[f64; 3]> {
+    let count = [0, 1, 2].map(|a| ((high[a] - low[a]) / 0.002).round() as usize);
+    let mut out = Vec::new();
+    for n in 0..count[0] * count[1] * count[2] {
+        let cell = [n % count[0], n / count[0] % count[1], n / count[0] / count[1]];
+        out.push([0, 1, 2].map(|a| low[a] + (cell[a] as f64 + 0.5) * (high[a] - low[a]) / count[a] as f64));
+    }
+    out
+}
+
 /// Row `k` of the 22 of a group, in the order of [`Group::rows`].
 fn row<T>(group: &mut Group<T>, k: usize) -> &mut Lanes<T> {
     match k {
@@ -222,4 +235,32 @@ fn advance<T: Real>(model: &Model<T>, tool: &Motion<T>, state: &mut State<T>, su
     for _ in 0..substeps {
         workspace.advance(model, tool, state).unwrap();
     }
+}
+
+/// A particle at rest.
+#[derive(Clone, Copy)]
+struct Settled {
+    x: [f64; 3],
+    /// Kirchhoff stress, Pa: xx, yy, zz, and shear.
+    stress: [f64; 6],
+}
+
+/// Every particle after `substeps` without a tool.
+fn settle(scene: &Scene, positions: &[[f64; 3]], substeps: usize) -> Vec<Settled> {
+    let model: Model<f64> = Model::new(scene);
+    let mut state = State::new(&model, &Particles::at_rest(positions)).unwrap();
+    advance(&model, &far_away(), &mut state, substeps);
+    let mut out = vec![Settled { x: [0.0; 3], stress: [0.0; 6] }; positions.len()];
+    for (g, l, id) in state.particles.living() {
+        let group = &state.particles.groups[g];
+        let (stress, _, _) = return_map(&model.material, group.strain_of(l), 0.0);
+        out[id as usize] = Settled { x: vec_of(&group.x, l), stress };
+    }
+    out
+}
+
+/// Mean of a number over the particles for which `keep` holds.
+fn mean(of: &[Settled], keep: impl Fn(&Settled) -> bool, number: impl Fn(&Settled) -> f64) -> f64 {
+    let kept: Vec<f64> = of.iter().filter(|p| keep(p)).map(number).collect();
+    kept.iter().sum::<f64>() / kept.len() as f64
 }

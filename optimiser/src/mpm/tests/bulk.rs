@@ -1,0 +1,75 @@
+//! How powder at rest bears its weight, and how it heaps.
+
+use crate::mpm::Model;
+use crate::mpm::particles::Particles;
+use crate::mpm::substep::State;
+use crate::mpm::tests::{Settled, advance, empty_bench, even_lattice, far_away, mean, settle};
+use crate::scene::{ContainerShape, Scene};
+
+/// A bed of 24 mm after a second, with walls and floor on nodes and between them.
+#[test]
+fn powder_in_a_frictionless_box_keeps_its_volume_and_its_base_bears_its_weight() {
+    for step in 0..4 {
+        let mut scene = Scene::load("bench-small").unwrap();
+        scene.container.truncate(1);
+        let shift = 0.001 * f64::from(step);
+        let c = &mut scene.container[0];
+        c.friction = 0.0;
+        c.position_m = [0.032 + shift, 0.032 + shift, 0.008 + shift];
+        c.shape = ContainerShape::Box { inner_size_m: [0.024, 0.024, 0.036] };
+        let [x, y, z] = c.position_m;
+        let positions = even_lattice([x - 0.012, y - 0.012, z], [x + 0.012, y + 0.012, z + 0.024]);
+        let end = settle(&scene, &positions, 2000);
+        let inside = |p: &Settled| (p.x[0] - x).abs() < 0.012 && (p.x[1] - y).abs() < 0.012 && p.x[2] > z;
+        let height = 2.0 * (mean(&end, |_| true, |p| p.x[2]) - z);
+        // Vertical pressure over depth, a straight line down to the base.
+        let depths: Vec<f64> = positions.iter().map(|p| z + 0.024 - p[2]).collect();
+        let pressures: Vec<f64> = end.iter().map(|p| -p.stress[2]).collect();
+        let base = line(&depths, &pressures, 0.024);
+        let want = scene.powder.density_kg_m3 * 9.81 * 0.024;
+        println!(
+            "walls {shift} m off the nodes: {base:.1} Pa at the base, {want:.1} Pa of weight, height {:.2} mm",
+            height * 1e3
+        );
+        assert!(end.iter().all(inside), "powder left the box");
+        assert!(height > 0.8 * 0.024, "{height} m high");
+        // The floor bears at the nodes in it: up to half a cell too deep where it lies between nodes.
+        let tolerance = if step == 0 { 0.05 } else { 0.3 };
+        assert!((base / want - 1.0).abs() < tolerance, "{base} Pa instead of {want} Pa");
+    }
+}
+
+/// Value at `at` of the straight line through the points, by least squares.
+fn line(x: &[f64], y: &[f64], at: f64) -> f64 {
+    let n = x.len() as f64;
+    let (mx, my) = (x.iter().sum::<f64>() / n, y.iter().sum::<f64>() / n);
+    let covariance: f64 = x.iter().zip(y).map(|(x, y)| (x - mx) * (y - my)).sum();
+    let variance: f64 = x.iter().map(|x| (x - mx) * (x - mx)).sum();
+    my + covariance / variance * (at - mx)
+}
+
+#[test]
+fn a_pile_is_steeper_the_greater_the_friction_angle() {
+    let slopes: Vec<f64> = [15.0, 30.0, 45.0]
+        .into_iter()
+        .map(|angle| {
+            let mut scene = empty_bench([0.16, 0.16, 0.06]);
+            scene.domain.friction = 0.8;
+            scene.powder.friction_angle_deg = angle;
+            let model: Model<f32> = Model::new(&scene);
+            let mut positions = even_lattice([0.06, 0.06, 0.0], [0.1, 0.1, 0.024]);
+            positions.retain(|p| (p[0] - 0.08).hypot(p[1] - 0.08) < 0.016);
+            let mut state = State::new(&model, &Particles::at_rest(&positions)).unwrap();
+            advance(&model, &far_away(), &mut state, 1600);
+            let end = state.particles.positions_by_id();
+            let mut heights: Vec<f64> = end.iter().map(|p| p[2]).collect();
+            let mut radii: Vec<f64> = end.iter().map(|p| (p[0] - 0.08).hypot(p[1] - 0.08)).collect();
+            heights.sort_by(f64::total_cmp);
+            radii.sort_by(f64::total_cmp);
+            let high = |v: &[f64]| v[v.len() * 98 / 100];
+            (high(&heights) / high(&radii)).atan().to_degrees()
+        })
+        .collect();
+    println!("slopes of the pile at friction angles of 15, 30, 45 deg: {slopes:.1?} deg");
+    assert!(slopes.windows(2).all(|s| s[1] > s[0] + 1.0), "{slopes:?}");
+}
