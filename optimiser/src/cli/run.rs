@@ -5,7 +5,7 @@ use super::{
     options::{DEFAULT_PRECISION, DEFAULT_SEED, PrecisionArg, precision_name},
 };
 use crate::{
-    optim::{Method, Probe, Request, Search, SearchError, initial_theta},
+    optim::{Method, Request, Search, SearchError, initial_theta},
     report::{
         curves::Curves,
         folder::{CURVES, METRICS, PLAN, RunFolder, SCENE, STATE},
@@ -194,15 +194,20 @@ impl Run {
     ) -> Result<(Evaluation, Vec<f64>), CliError> {
         let cost = if request.want_gradient { GRADIENT_COST } else { 1.0 };
         let share = |done: f64, probes: usize| done / (cost + probes as f64);
-        let theta = &request.theta;
-        let evaluation = work.evaluate(theta, request.want_gradient, [0.0, share(cost, request.probes)])?;
-        let probes = self.state.search.probes(&self.method, evaluation.gradient.as_ref());
-        let loss = |(index, probe): (usize, &Probe)| {
-            let span = [index, index + 1].map(|done| share(cost + done as f64, probes.len()));
-            work.evaluate(&probe.theta, false, span).map(|evaluation| evaluation.loss)
+        let search = &self.state.search;
+        let thetas = |adjoint: Option<&Theta>| {
+            search.probes(&self.method, adjoint).into_iter().map(|probe| probe.theta)
         };
-        let losses = probes.iter().enumerate().map(loss).collect::<Result<_, _>>()?;
-        Ok((evaluation, losses))
+        let (evaluation, probes) = if request.want_gradient {
+            let evaluation = work.evaluate_with_gradient(&request.theta, share(cost, request.probes))?;
+            let probes: Vec<Theta> = thetas(evaluation.gradient.as_ref()).collect();
+            (evaluation, work.evaluate_all(&probes, share(cost, probes.len()))?)
+        } else {
+            let all: Vec<Theta> = std::iter::once(request.theta).chain(thetas(None)).collect();
+            let mut evaluations = work.evaluate_all(&all, 0.0)?;
+            (evaluations.remove(0), evaluations)
+        };
+        Ok((evaluation, probes.iter().map(|evaluation| evaluation.loss).collect()))
     }
 
     fn save_epoch(
@@ -291,13 +296,21 @@ struct Work<'a, 'p> {
 }
 
 impl Work<'_, '_> {
-    /// One evaluation, which takes the bar through `span`.
-    fn evaluate(
+    /// One evaluation, which takes the bar to `end`.
+    fn evaluate_with_gradient(&mut self, theta: &Theta, end: f64) -> Result<Evaluation, CliError> {
+        self.go([0.0, end], |simulator, tick| simulator.evaluate(theta, true, tick))
+    }
+
+    /// Evaluations without gradients, which take the bar from `start` to the end.
+    fn evaluate_all(&mut self, thetas: &[Theta], start: f64) -> Result<Vec<Evaluation>, CliError> {
+        self.go([start, 1.0], |simulator, tick| simulator.evaluate_all(thetas, tick))
+    }
+
+    fn go<R>(
         &mut self,
-        theta: &Theta,
-        want_gradient: bool,
         span: [f64; 2],
-    ) -> Result<Evaluation, CliError> {
+        job: impl FnOnce(&mut dyn Evaluate, crate::rollout::Progress<'_>) -> Result<R, RolloutError>,
+    ) -> Result<R, CliError> {
         let Self { simulator, progress, interrupt } = self;
         stop_if_requested(interrupt)?;
         progress.span(span);
@@ -305,7 +318,7 @@ impl Work<'_, '_> {
             progress.tick(done, total);
             !interrupt.is_requested()
         };
-        Ok(simulator.evaluate(theta, want_gradient, &mut tick)?)
+        Ok(job(*simulator, &mut tick)?)
     }
 }
 

@@ -1,5 +1,6 @@
 //! What the optimiser asks of a simulator.
 
+mod branches;
 pub mod gradcheck;
 pub(crate) mod outcome;
 pub(crate) mod path;
@@ -99,6 +100,22 @@ pub trait Evaluate {
         progress: Progress<'_>,
     ) -> Result<Evaluation, RolloutError>;
 
+    /// Evaluations of several skills, without gradients, in their order.
+    ///
+    /// # Errors
+    /// See [`RolloutError`]; that of the first skill that has one.
+    fn evaluate_all(
+        &mut self,
+        thetas: &[Theta],
+        progress: Progress<'_>,
+    ) -> Result<Vec<Evaluation>, RolloutError> {
+        let count = thetas.len() as u64;
+        let one = |(index, theta): (u64, &Theta)| {
+            self.evaluate(theta, false, &mut |done, total| progress(index * total + done, count * total))
+        };
+        (0..).zip(thetas).map(one).collect()
+    }
+
     /// Loss of a given control sequence (that of a quantised plan), without gradient.
     ///
     /// # Errors
@@ -148,9 +165,11 @@ pub fn simulator<T: Real>(scene: &Scene, settings: &SimulatorSettings) -> Result
     }
     let threads =
         settings.threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
-    let pool = rayon::ThreadPoolBuilder::new()
-        .num_threads(threads)
-        .build()
-        .map_err(|_| RolloutError::Threads { threads })?;
+    let pool = thread_pool(threads)?;
     Ok(Simulator::new(scene, scene.particle_positions_m(settings.seed), pool, settings.memory_bytes))
+}
+
+fn thread_pool(threads: usize) -> Result<rayon::ThreadPool, RolloutError> {
+    let builder = rayon::ThreadPoolBuilder::new().num_threads(threads);
+    builder.build().map_err(|_| RolloutError::Threads { threads })
 }

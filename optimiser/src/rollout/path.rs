@@ -40,6 +40,22 @@ impl Path {
         self.controls.len() * self.substeps as usize
     }
 
+    /// Control steps in the whole path.
+    pub(crate) fn steps(&self) -> usize {
+        self.controls.len()
+    }
+
+    /// Substeps of a control step.
+    pub(crate) fn substeps_of(&self, step: usize) -> core::ops::Range<usize> {
+        let n = self.substeps as usize;
+        step * n..(step + 1) * n
+    }
+
+    /// The bits of a control.
+    pub(crate) fn control_bits(&self, step: usize) -> [u64; 6] {
+        self.controls[step].components().map(f64::to_bits)
+    }
+
     /// Pose after the last step.
     pub(crate) fn end(&self) -> Option<Pose> {
         Some(self.poses.last()?.displaced(self.controls.last()?))

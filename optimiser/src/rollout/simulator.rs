@@ -10,9 +10,10 @@ use crate::mpm::layout::Lost;
 use crate::mpm::particles::{Group, Particles, set_vec};
 use crate::mpm::substep::{State, Workspace, unsort_bar};
 use crate::real::Real;
+use crate::rollout::branches::{self, Family};
 use crate::rollout::path::{Path, displacement, resting};
 use crate::rollout::schedule::{Action, advances, schedule};
-use crate::rollout::{Evaluate, Evaluation, Progress, RolloutError, outcome};
+use crate::rollout::{Evaluate, Evaluation, Progress, RolloutError, outcome, thread_pool};
 use crate::scene::Scene;
 use crate::skill::{Control, SkillMap, Theta};
 
@@ -99,6 +100,15 @@ impl<T: Real> Simulator<T> {
         self.in_pool(|r| r.gradient(from.state.clone(), &path), progress)
     }
 
+    /// Threads for rollouts side by side: as many workers as there are threads, motions, and memory for.
+    fn worker_pools(&self, motions: usize, state: &State<T>) -> Result<Vec<rayon::ThreadPool>, RolloutError> {
+        let threads = self.pool.current_num_threads();
+        let states = slots(self.memory_bytes, state, &self.workspace);
+        let per_worker = 2 + self.workspace.bytes() / state.bytes().max(1);
+        let workers = threads.min(motions).min(states.saturating_sub(motions) / per_worker).max(1);
+        (0..workers).map(|_| thread_pool(threads / workers)).collect()
+    }
+
     /// Runs in the simulator's own threads.
     fn in_pool<R: Send>(
         &mut self,
@@ -151,6 +161,30 @@ impl<T: Real> Evaluate for Simulator<T> {
         Ok(evaluation)
     }
 
+    fn evaluate_all(
+        &mut self,
+        thetas: &[Theta],
+        progress: Progress<'_>,
+    ) -> Result<Vec<Evaluation>, RolloutError> {
+        if thetas.is_empty() {
+            return Ok(Vec::new());
+        }
+        let start = self.beginning(progress)?.state;
+        let path = |theta: &Theta| -> Result<Path, RolloutError> {
+            Ok(self.path(self.anchor, self.skill.controls(theta)?.iter().map(displacement).collect()))
+        };
+        let paths = thetas.iter().map(path).collect::<Result<Vec<_>, _>>()?;
+        let pools = self.worker_pools(paths.len(), &start)?;
+        let lost = |substep, lost, state: &State<T>| lost_error(&self.scene, substep, lost, Some(state));
+        let family = Family { model: &self.model, paths: &paths, lost: &lost };
+        let ends = branches::run(&family, start, &pools, progress)?;
+        let judge = |(state, path): (State<T>, &Path)| {
+            let tool = path.end().unwrap_or(self.anchor);
+            evaluation(&self.scene, &state.particles.positions_by_id(), &tool).0
+        };
+        Ok(ends.into_iter().zip(&paths).map(judge).collect())
+    }
+
     fn simulate(
         &mut self,
         controls: &[Displacement],
@@ -175,6 +209,23 @@ fn evaluation(scene: &Scene, positions: &[[f64; 3]], tool: &Pose) -> (Evaluation
     (evaluation, gradient)
 }
 
+/// What became of a particle that the grid cannot hold.
+fn lost_error<T: Real>(scene: &Scene, substep: usize, lost: Lost, state: Option<&State<T>>) -> RolloutError {
+    let n = scene.time.substeps as usize;
+    let (step, substep) = ((substep / n) as u32, (substep % n) as u32);
+    let finite = state.is_none_or(|s| {
+        s.particles
+            .living()
+            .find(|(_, _, id)| *id == lost.particle)
+            .is_none_or(|(g, l, _)| s.particles.groups[g].rows().all(|row| row[l].is_finite()))
+    });
+    if finite {
+        RolloutError::Escaped { step, substep, particle: lost.particle }
+    } else {
+        RolloutError::NonFinite { stage: "grid to particle", step, substep, particle: lost.particle }
+    }
+}
+
 /// The progress callback is only ever called from one thread at a time: the one that runs the rollout.
 struct SendProgress<'a>(Progress<'a>);
 
@@ -195,29 +246,14 @@ impl<T: Real> Rollout<'_, T> {
         if (self.progress.0)(done, total) { Ok(()) } else { Err(RolloutError::Stopped) }
     }
 
-    fn lost(&self, substep: usize, lost: Lost, state: Option<&State<T>>) -> RolloutError {
-        let n = self.scene.time.substeps as usize;
-        let (step, substep) = ((substep / n) as u32, (substep % n) as u32);
-        let finite = state.is_none_or(|s| {
-            s.particles
-                .living()
-                .find(|(_, _, id)| *id == lost.particle)
-                .is_none_or(|(g, l, _)| s.particles.groups[g].rows().all(|row| row[l].is_finite()))
-        });
-        if finite {
-            RolloutError::Escaped { step, substep, particle: lost.particle }
-        } else {
-            RolloutError::NonFinite { stage: "grid to particle", step, substep, particle: lost.particle }
-        }
-    }
-
     /// The powder at rest under the tool's start pose.
     fn settled(&mut self) -> Result<State<T>, RolloutError> {
         if let Some(state) = &self.settled {
             return Ok(state.clone());
         }
         let particles = Particles::at_rest(self.packing);
-        let mut state = State::new(self.model, &particles).map_err(|l| self.lost(0, l, None))?;
+        let mut state =
+            State::new(self.model, &particles).map_err(|l| lost_error::<T>(self.scene, 0, l, None))?;
         let tool = resting(self.anchor);
         let steps = self.scene.time.settle_steps() as usize * self.scene.time.substeps as usize;
         for substep in 0..steps {
@@ -235,7 +271,7 @@ impl<T: Real> Rollout<'_, T> {
     ) -> Result<(), RolloutError> {
         match self.workspace.advance(self.model, tool, state) {
             Ok(()) => Ok(()),
-            Err(lost) => Err(self.lost(substep, lost, Some(state))),
+            Err(lost) => Err(lost_error(self.scene, substep, lost, Some(state))),
         }
     }
 
@@ -252,7 +288,7 @@ impl<T: Real> Rollout<'_, T> {
     }
 
     fn gradient(&mut self, start: State<T>, path: &Path) -> Result<(Evaluation, Vec<Control>), RolloutError> {
-        let slots = self.slots(&start);
+        let slots = slots(self.memory_bytes, &start, self.workspace);
         let total = advances(schedule(path.len(), slots)) + ADJOINT_WORK * path.len() as u64;
         let mut done = 0;
         let mut back = path.pull_back();
@@ -344,13 +380,13 @@ impl<T: Real> Rollout<'_, T> {
         }
         Ok(())
     }
+}
 
-    /// Kept states that the memory budget allows.
-    fn slots(&self, state: &State<T>) -> usize {
-        let per_state = state.bytes() as u64;
-        let fixed = PROCESS_BYTES + STANDING_STATES * per_state + self.workspace.bytes() as u64;
-        // A tenth in reserve: states grow a little as the powder spreads over more blocks.
-        let free = self.memory_bytes.saturating_sub(fixed) / 10 * 9;
-        ((free / per_state.max(1)) as usize).max(2)
-    }
+/// Kept states that a memory budget allows.
+fn slots<T: Real>(memory_bytes: u64, state: &State<T>, workspace: &Workspace<T>) -> usize {
+    let per_state = state.bytes() as u64;
+    let fixed = PROCESS_BYTES + STANDING_STATES * per_state + workspace.bytes() as u64;
+    // A tenth in reserve: states grow a little as the powder spreads over more blocks.
+    let free = memory_bytes.saturating_sub(fixed) / 10 * 9;
+    ((free / per_state.max(1)) as usize).max(2)
 }

@@ -3,9 +3,9 @@
 use powderline_shared::plan::Precision;
 
 use crate::rollout::path::displacement;
-use crate::rollout::{SimulatorSettings, gradcheck, simulator};
+use crate::rollout::{Evaluate, RolloutError, SimulatorSettings, gradcheck, simulator};
 use crate::scene::Scene;
-use crate::skill::SkillMap;
+use crate::skill::{SkillMap, Theta};
 
 #[test]
 fn threads_and_memory_change_no_bit_of_loss_and_gradient() {
@@ -26,6 +26,46 @@ fn threads_and_memory_change_no_bit_of_loss_and_gradient() {
     assert!(one.1.iter().flatten().any(|b| *b != 0));
     assert!(one == gradient(2, 1 << 30), "two threads");
     assert!(one == gradient(3, 52 << 20), "three threads and few checkpoints");
+}
+
+#[test]
+fn skills_evaluated_side_by_side_have_the_bits_of_skills_evaluated_alone() {
+    let mut scene = Scene::load("bench-small").expect("shipped");
+    // The beginnings of the skills differ in depth, in angle, in nothing, and in what comes later.
+    scene.time.horizon_steps = 300;
+    let skills: Vec<Theta> = [(0, 0.1), (1, 0.1), (1, -0.1), (4, 0.0), (3, 0.1), (4, 0.2), (4, -0.2)]
+        .into_iter()
+        .map(|(component, step)| {
+            let mut theta = gradcheck::CHECKED_THETA;
+            theta[component] += step;
+            theta
+        })
+        .collect();
+    let evaluate = |threads: usize, memory_bytes: u64| {
+        let settings =
+            SimulatorSettings { seed: 1, precision: Precision::F32, threads: Some(threads), memory_bytes };
+        let mut s = simulator::<f32>(&scene, &settings).expect("threads");
+        let (mut last, mut calls) = (0, 0);
+        let all = s.evaluate_all(&skills, &mut |done, total| {
+            assert!((last..=total).contains(&done));
+            (last, calls) = (done, calls + 1);
+            true
+        });
+        assert!(calls > 0 && calls < 300 * skills.len(), "beginnings are shared: {calls} steps");
+        (all.expect("runs"), s)
+    };
+    let (side_by_side, mut s) = evaluate(3, 1 << 30);
+    assert!(evaluate(1, 48 << 20).0 == side_by_side, "one thread");
+    let alone: Vec<_> =
+        skills.iter().map(|theta| s.evaluate(theta, false, &mut |_, _| true).expect("runs")).collect();
+    assert!(side_by_side == alone);
+    assert!(alone[0].loss.to_bits() != alone[1].loss.to_bits());
+    let mut patience = 40;
+    let stopped = s.evaluate_all(&skills, &mut |_, _| {
+        patience -= 1;
+        patience > 0
+    });
+    assert_eq!(stopped, Err(RolloutError::Stopped));
 }
 
 #[test]

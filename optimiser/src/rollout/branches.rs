@@ -1,0 +1,179 @@
+//! Many motions from one start, side by side.
+//!
+//! Skills that differ in one parameter begin alike: until the first control in which they differ they are one
+//! rollout, which is computed once. What has parted is shared out among workers, each with threads of its own; that
+//! uses processors better than all of them on one rollout, and changes no bit.
+
+use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+
+use crate::mpm::Model;
+use crate::mpm::substep::{State, Workspace};
+use crate::real::Real;
+use crate::rollout::path::Path;
+use crate::rollout::{Progress, RolloutError};
+
+/// What all motions have in common.
+pub(crate) struct Family<'a, T> {
+    pub(crate) model: &'a Model<T>,
+    /// As many controls each.
+    pub(crate) paths: &'a [Path],
+    /// Turns what went wrong in a substep into an error.
+    pub(crate) lost: &'a (dyn Fn(usize, crate::mpm::layout::Lost, &State<T>) -> RolloutError + Sync),
+}
+
+/// Motions that have been the same so far.
+struct Branch<T> {
+    state: State<T>,
+    /// Control steps done.
+    step: usize,
+    /// Indices of the motions, at least one.
+    members: Vec<usize>,
+}
+
+/// Branches that wait for a worker, and how far everything is.
+struct Work<'p, T> {
+    waiting: Vec<Branch<T>>,
+    /// Branches in the hands of workers.
+    running: usize,
+    ends: Vec<Option<Result<State<T>, RolloutError>>>,
+    progress: Progress<'p>,
+    done: u64,
+    total: u64,
+    stopped: bool,
+}
+
+/// The states at the ends of all paths, in order. `pools` are the workers' threads, at least one.
+pub(crate) fn run<T: Real>(
+    family: &Family<'_, T>,
+    start: State<T>,
+    pools: &[rayon::ThreadPool],
+    progress: Progress<'_>,
+) -> Result<Vec<State<T>>, RolloutError> {
+    let members: Vec<usize> = (0..family.paths.len()).collect();
+    let total = family.steps(0, &members);
+    let work = Mutex::new(Work {
+        waiting: vec![Branch { state: start, step: 0, members }],
+        running: 0,
+        ends: family.paths.iter().map(|_| None).collect(),
+        progress,
+        done: 0,
+        total,
+        stopped: false,
+    });
+    let parted = Condvar::new();
+    std::thread::scope(|scope| {
+        for pool in pools {
+            scope.spawn(|| pool.install(|| family.work(&work, &parted)));
+        }
+    });
+    let work = work.into_inner().unwrap_or_else(PoisonError::into_inner);
+    if work.stopped {
+        return Err(RolloutError::Stopped);
+    }
+    work.ends.into_iter().map(|end| end.expect("every branch was followed to its end")).collect()
+}
+
+fn lock<'a, 'p, T>(work: &'a Mutex<Work<'p, T>>) -> MutexGuard<'a, Work<'p, T>> {
+    work.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+impl<T: Real> Family<'_, T> {
+    /// A worker's life: takes a branch, follows it until it parts or ends, and puts back what it has parted into.
+    fn work(&self, work: &Mutex<Work<'_, T>>, parted: &Condvar) {
+        let mut workspace = Workspace::new();
+        let mut guard = lock(work);
+        loop {
+            if guard.stopped || (guard.waiting.is_empty() && guard.running == 0) {
+                parted.notify_all();
+                return;
+            }
+            let Some(branch) = guard.waiting.pop() else {
+                guard = parted.wait(guard).unwrap_or_else(PoisonError::into_inner);
+                continue;
+            };
+            guard.running += 1;
+            drop(guard);
+            let members = branch.members.clone();
+            let followed = self.follow(branch, &mut workspace, work);
+            guard = lock(work);
+            guard.running -= 1;
+            match followed {
+                Ok(branch) if branch.step == self.length() => {
+                    for member in branch.members {
+                        guard.ends[member] = Some(Ok(branch.state.clone()));
+                    }
+                }
+                Ok(branch) => guard.waiting.extend(self.part(branch)),
+                Err(RolloutError::Stopped) => guard.stopped = true,
+                Err(error) => members.iter().for_each(|m| guard.ends[*m] = Some(Err(error.clone()))),
+            }
+            parted.notify_all();
+        }
+    }
+
+    fn length(&self) -> usize {
+        self.paths.first().map_or(0, Path::steps)
+    }
+
+    /// Advances a branch to where its members part, or to the end.
+    fn follow(
+        &self,
+        mut branch: Branch<T>,
+        workspace: &mut Workspace<T>,
+        work: &Mutex<Work<'_, T>>,
+    ) -> Result<Branch<T>, RolloutError> {
+        let path = &self.paths[branch.members[0]];
+        let end = self.parting(branch.step, &branch.members);
+        for step in branch.step..end {
+            for substep in path.substeps_of(step) {
+                workspace
+                    .advance(self.model, &path.motion(substep), &mut branch.state)
+                    .map_err(|lost| (self.lost)(substep, lost, &branch.state))?;
+            }
+            let mut guard = lock(work);
+            guard.done += 1;
+            let Work { progress, done, total, stopped, .. } = &mut *guard;
+            if *stopped || !progress(*done, *total) {
+                return Err(RolloutError::Stopped);
+            }
+        }
+        branch.step = end;
+        Ok(branch)
+    }
+
+    /// The first step, not before `from`, whose controls are not the same bits in all members.
+    fn parting(&self, from: usize, members: &[usize]) -> usize {
+        let first = &self.paths[members[0]];
+        let same = |step: &usize| {
+            members.iter().all(|m| self.paths[*m].control_bits(*step) == first.control_bits(*step))
+        };
+        (from..self.length()).find(|step| !same(step)).unwrap_or(self.length())
+    }
+
+    /// Members that go on alike, in order; the largest group last, because most work hangs on it.
+    fn groups(&self, step: usize, members: &[usize]) -> Vec<Vec<usize>> {
+        let mut groups: Vec<Vec<usize>> = Vec::new();
+        for member in members {
+            let control = |m: usize| self.paths[m].control_bits(step);
+            match groups.iter_mut().find(|group| control(group[0]) == control(*member)) {
+                Some(group) => group.push(*member),
+                None => groups.push(vec![*member]),
+            }
+        }
+        groups.sort_by_key(Vec::len);
+        groups
+    }
+
+    fn part(&self, branch: Branch<T>) -> Vec<Branch<T>> {
+        let Branch { state, step, members } = branch;
+        let groups = self.groups(step, &members);
+        groups.into_iter().map(|members| Branch { state: state.clone(), step, members }).collect()
+    }
+
+    /// Control steps to be simulated from a step on.
+    fn steps(&self, from: usize, members: &[usize]) -> u64 {
+        let end = self.parting(from, members);
+        let rest = if end == self.length() { Vec::new() } else { self.groups(end, members) };
+        (end - from) as u64 + rest.iter().map(|group| self.steps(end, group)).sum::<u64>()
+    }
+}
