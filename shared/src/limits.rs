@@ -41,8 +41,9 @@ const RELATIVE_ROUNDING: f64 = 1e-9;
 /// Ticks at rest after the last setpoint in which velocity, acceleration and jerk return to zero.
 const TICKS_TO_REST: u32 = 3;
 
-/// What the motion of the tool's origin must keep.
+/// What the motion of the tool's origin must keep; also the section `limits` of a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Limits {
     /// Lower corner of the workspace box, metres.
     pub workspace_min_m: [f64; 3],

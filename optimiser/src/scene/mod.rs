@@ -25,6 +25,7 @@ pub use canonical::{DIGEST_VERSION, Digest};
 pub use derived::{BLOCK_CELLS, MAX_CELLS, MAX_CFL, MAX_PARTICLES, MAX_VISCOUS_LOSS};
 pub use embedded::{DEFAULT_SCENE, EMBEDDED_SCENES, embedded_scene};
 pub use error::SceneError;
+pub use powderline_shared::limits::Limits;
 pub use read::MAX_SCENE_BYTES;
 
 /// A whole bench, as written in TOML.
@@ -260,28 +261,6 @@ pub enum Profile {
     ConstantSpeed,
     /// Quintic from rest to rest.
     MinimumJerk,
-}
-
-/// Motion limits of the arm, of the tool's origin.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Limits {
-    /// Lower corner of the box that the tool's origin must stay in, metres, world frame; -10 to 10.
-    pub workspace_min_m: [f64; 3],
-    /// Upper corner of that box, metres, world frame; -10 to 10.
-    pub workspace_max_m: [f64; 3],
-    /// Speed, m/s; 0.001 to 100.
-    pub linear_velocity_m_s: f64,
-    /// Acceleration, m/s^2; 0.001 to 10,000.
-    pub linear_acceleration_m_s2: f64,
-    /// Jerk, m/s^3; 0.001 to 1e7.
-    pub linear_jerk_m_s3: f64,
-    /// Angular speed, rad/s; 0.001 to 1000.
-    pub angular_velocity_rad_s: f64,
-    /// Angular acceleration, rad/s^2; 0.001 to 100,000.
-    pub angular_acceleration_rad_s2: f64,
-    /// Angular jerk, rad/s^3; 0.001 to 1e8.
-    pub angular_jerk_rad_s3: f64,
 }
 
 /// What is wanted: how much powder, where, and how it is judged.

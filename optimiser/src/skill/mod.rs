@@ -128,7 +128,7 @@ pub struct SkillMap {
     clock: Clock,
     period_us: u32,
     start: Pose,
-    limits: powderline_shared::limits::Limits,
+    limits: Limits,
 }
 
 impl SkillMap {
@@ -155,7 +155,7 @@ impl SkillMap {
             clock: clock(skill, time, limits),
             period_us: time.control_period_us,
             start: quantised::start_pose(tool, skill.heading_deg.to_radians()),
-            limits: quantised::shared_limits(limits),
+            limits: *limits,
         }
     }
 

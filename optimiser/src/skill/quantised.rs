@@ -60,20 +60,6 @@ pub(super) fn start_pose(tool: &scene::Tool, heading_rad: f64) -> Pose {
     Pose { position_m: tool.start_position_m.into(), orientation: heading * pitch }
 }
 
-/// A scene's limits in the words of both ends.
-pub(super) fn shared_limits(limits: &scene::Limits) -> Limits {
-    Limits {
-        workspace_min_m: limits.workspace_min_m,
-        workspace_max_m: limits.workspace_max_m,
-        linear_velocity_m_s: limits.linear_velocity_m_s,
-        linear_acceleration_m_s2: limits.linear_acceleration_m_s2,
-        linear_jerk_m_s3: limits.linear_jerk_m_s3,
-        angular_velocity_rad_s: limits.angular_velocity_rad_s,
-        angular_acceleration_rad_s2: limits.angular_acceleration_rad_s2,
-        angular_jerk_rad_s3: limits.angular_jerk_rad_s3,
-    }
-}
-
 impl SkillMap {
     /// The tool's pose before the motion.
     pub fn start_pose(&self) -> &Pose {
