@@ -13,8 +13,7 @@ use serde::Serialize;
 
 use crate::real::Real;
 use crate::rollout::path::displacement;
-use crate::rollout::simulator::Moment;
-use crate::rollout::{Evaluate, Progress, RolloutError, Simulator};
+use crate::rollout::{Evaluate, Evaluation, Progress, RolloutError, Simulator};
 use crate::skill::{Control, SkillMap, Theta};
 use powderline_shared::displacement::Displacement;
 
@@ -97,12 +96,16 @@ pub fn check_window<T: Real>(
     let mut components = Vec::new();
     for (k, adjoint) in gradient.into_iter().enumerate() {
         let at_work = linear.jacobian[stretch.clone()].iter().flatten().any(|row| row[k] != 0.0);
-        let mut differences = Vec::new();
-        for half_step in HALF_STEPS.into_iter().filter(|_| at_work) {
-            let mut loss_at = |h: f64| window_loss(simulator, map, &from, (k, h), stretch.clone(), progress);
-            let slope = (loss_at(half_step)? - loss_at(-half_step)?) / (2.0 * half_step);
-            differences.push((half_step, slope));
-        }
+        let half_steps = if at_work { &HALF_STEPS[..] } else { &[] };
+        let moved = |step: f64| -> Result<_, RolloutError> {
+            let mut theta = CHECKED_THETA;
+            theta[k] += step;
+            Ok(displacements(&map.controls(&theta)?[stretch.clone()]))
+        };
+        let both_ways = half_steps.iter().flat_map(|h| [moved(*h), moved(-h)]);
+        let ends = simulator.evaluate_motions(&from, both_ways.collect::<Result<_, _>>()?, progress)?;
+        let slope = |(h, pair): (&f64, &[Evaluation])| (*h, (pair[0].loss - pair[1].loss) / (2.0 * h));
+        let differences: Vec<_> = half_steps.iter().zip(ends.chunks_exact(2)).map(slope).collect();
         let scale = adjoint.abs().max(1e-3 * length).max(f64::MIN_POSITIVE);
         let best = differences.iter().map(|(_, d)| (d - adjoint).abs() / scale).fold(f64::INFINITY, f64::min);
         components.push(Component { adjoint, differences, error: at_work.then_some(best) });
@@ -111,37 +114,21 @@ pub fn check_window<T: Real>(
     Ok(Window { start, end, loss: at.loss, components, error })
 }
 
-/// Loss at the end of the stretch with parameter `k` moved by `h`.
-fn window_loss<T: Real>(
-    simulator: &mut Simulator<T>,
-    map: &SkillMap,
-    from: &Moment<T>,
-    (k, h): (usize, f64),
-    stretch: std::ops::Range<usize>,
-    progress: Progress<'_>,
-) -> Result<f64, RolloutError> {
-    let mut theta = CHECKED_THETA;
-    theta[k] += h;
-    let controls = displacements(&map.controls(&theta)?[stretch]);
-    let end = simulator.after(from, &controls, progress)?;
-    Ok(simulator.judge(&end).loss)
-}
-
 /// Compares the gradient of the scene as it is with differences over a large step.
 ///
 /// # Errors
 /// See [`RolloutError`].
 pub fn smoothed(simulator: &mut dyn Evaluate, progress: Progress<'_>) -> Result<Smoothed, RolloutError> {
     let adjoint = simulator.evaluate(&CHECKED_THETA, true, progress)?.gradient.unwrap_or([f64::NAN; 5]);
-    let mut differences = [0.0; 5];
-    for (k, d) in differences.iter_mut().enumerate() {
-        let mut loss_at = |h: f64| {
-            let mut theta = CHECKED_THETA;
-            theta[k] += h;
-            simulator.evaluate(&theta, false, progress).map(|e| e.loss)
-        };
-        *d = (loss_at(SMOOTH_HALF_STEP)? - loss_at(-SMOOTH_HALF_STEP)?) / (2.0 * SMOOTH_HALF_STEP);
-    }
+    let moved = |(k, step): (usize, f64)| {
+        let mut theta = CHECKED_THETA;
+        theta[k] += step;
+        theta
+    };
+    let both_ways = (0..5).flat_map(|k| [(k, SMOOTH_HALF_STEP), (k, -SMOOTH_HALF_STEP)]);
+    let ends = simulator.evaluate_all(&both_ways.map(moved).collect::<Vec<_>>(), progress)?;
+    let differences: Theta =
+        std::array::from_fn(|k| (ends[2 * k].loss - ends[2 * k + 1].loss) / (2.0 * SMOOTH_HALF_STEP));
     let dot = |a: &Theta, b: &Theta| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let cosine =
         dot(&adjoint, &differences) / (dot(&adjoint, &adjoint) * dot(&differences, &differences)).sqrt();

@@ -100,6 +100,28 @@ impl<T: Real> Simulator<T> {
         self.in_pool(|r| r.gradient(from.state.clone(), &path), progress)
     }
 
+    /// Evaluations after each of several control sequences of one length, side by side.
+    pub(crate) fn evaluate_motions(
+        &self,
+        from: &Moment<T>,
+        motions: Vec<Vec<Displacement>>,
+        progress: Progress<'_>,
+    ) -> Result<Vec<Evaluation>, RolloutError> {
+        if motions.is_empty() {
+            return Ok(Vec::new());
+        }
+        let paths: Vec<Path> = motions.into_iter().map(|controls| self.path(from.tool, controls)).collect();
+        let pools = self.worker_pools(paths.len(), &from.state)?;
+        let lost = |substep, lost, state: &State<T>| lost_error(&self.scene, substep, lost, Some(state));
+        let family = Family { model: &self.model, paths: &paths, lost: &lost };
+        let ends = branches::run(&family, from.state.clone(), &pools, progress)?;
+        let judge = |(state, path): (State<T>, &Path)| {
+            let tool = path.end().unwrap_or(from.tool);
+            self.judge(&Moment { state, tool })
+        };
+        Ok(ends.into_iter().zip(&paths).map(judge).collect())
+    }
+
     /// Threads for rollouts side by side: as many workers as there are threads, motions, and memory for.
     fn worker_pools(&self, motions: usize, state: &State<T>) -> Result<Vec<rayon::ThreadPool>, RolloutError> {
         let threads = self.pool.current_num_threads();
@@ -166,23 +188,12 @@ impl<T: Real> Evaluate for Simulator<T> {
         thetas: &[Theta],
         progress: Progress<'_>,
     ) -> Result<Vec<Evaluation>, RolloutError> {
-        if thetas.is_empty() {
-            return Ok(Vec::new());
-        }
-        let start = self.beginning(progress)?.state;
-        let path = |theta: &Theta| -> Result<Path, RolloutError> {
-            Ok(self.path(self.anchor, self.skill.controls(theta)?.iter().map(displacement).collect()))
+        let controls = |theta: &Theta| -> Result<Vec<_>, RolloutError> {
+            Ok(self.skill.controls(theta)?.iter().map(displacement).collect())
         };
-        let paths = thetas.iter().map(path).collect::<Result<Vec<_>, _>>()?;
-        let pools = self.worker_pools(paths.len(), &start)?;
-        let lost = |substep, lost, state: &State<T>| lost_error(&self.scene, substep, lost, Some(state));
-        let family = Family { model: &self.model, paths: &paths, lost: &lost };
-        let ends = branches::run(&family, start, &pools, progress)?;
-        let judge = |(state, path): (State<T>, &Path)| {
-            let tool = path.end().unwrap_or(self.anchor);
-            evaluation(&self.scene, &state.particles.positions_by_id(), &tool).0
-        };
-        Ok(ends.into_iter().zip(&paths).map(judge).collect())
+        let motions = thetas.iter().map(controls).collect::<Result<_, _>>()?;
+        let start = self.beginning(progress)?;
+        self.evaluate_motions(&start, motions, progress)
     }
 
     fn simulate(
