@@ -11,7 +11,7 @@ use powderline_shared::plan::Precision;
 pub const PARTICLE_SCALARS: u64 = 22;
 
 /// Executable, stacks and allocator of the running program, bytes, generously.
-pub const PROCESS_BYTES: u64 = 40 << 20;
+pub const PROCESS_BYTES: u64 = 36 << 20;
 
 /// States that a rollout holds beside the kept ones: the settled one, the one at work and the one at the end, the
 /// cotangents, what particles send to the grid, and scratch.
@@ -31,28 +31,31 @@ pub struct Need {
     pub bytes: u64,
 }
 
+/// The smallest of the needs, bytes: with less, a gradient would take many times as long.
+pub(crate) fn least_memory(scene: &Scene, precision: Precision) -> u64 {
+    memory_needs(scene, precision)[PASSES.len() - 1].bytes
+}
+
+/// What does not depend on the powder's state, bytes: the program, the motion with what its gradient needs for each
+/// control step (and the motions of the probes), and the list of obstacles for each block of the grid.
+pub(crate) fn fixed_bytes(scene: &Scene) -> u64 {
+    const PER_CONTROL_STEP: u64 = 720 + 11 * 104;
+    const PER_BLOCK: u64 = 64;
+    let blocks: u64 = scene.block_counts().iter().map(|count| *count as u64).product();
+    PROCESS_BYTES + PER_CONTROL_STEP * u64::from(scene.time.horizon_steps) + PER_BLOCK * blocks
+}
+
 /// Estimates the need of a gradient for each of [`PASSES`].
 pub fn memory_needs(scene: &Scene, precision: Precision) -> [Need; 4] {
-    needs(
-        scene,
-        match precision {
-            Precision::F32 => 4,
-            Precision::F64 => 8,
-        },
-    )
-}
-
-/// The smallest of these needs, bytes: with less, a gradient would take many times as long.
-pub(crate) fn least_memory(scene: &Scene, scalar_bytes: u64) -> u64 {
-    needs(scene, scalar_bytes)[PASSES.len() - 1].bytes
-}
-
-fn needs(scene: &Scene, scalar_bytes: u64) -> [Need; 4] {
+    let scalar_bytes: u64 = match precision {
+        Precision::F32 => 4,
+        Precision::F64 => 8,
+    };
     let particles = scene.particle_count() as u64;
     // Identity and origin of each particle; a tenth for lanes that hold none.
     let state_bytes = particles * (PARTICLE_SCALARS * scalar_bytes + 2 * size_of::<u32>() as u64) * 11 / 10;
     let steps = u64::from(scene.time.horizon_steps) * u64::from(scene.time.substeps);
-    let standing_bytes = PROCESS_BYTES + STANDING_STATES * state_bytes + grid_bytes(scene, scalar_bytes);
+    let standing_bytes = fixed_bytes(scene) + STANDING_STATES * state_bytes + grid_bytes(scene, scalar_bytes);
     PASSES.map(|passes| {
         let kept_states = fewest_states(steps, passes);
         Need { passes, kept_states, bytes: standing_bytes + kept_states * state_bytes / 9 * 10 }

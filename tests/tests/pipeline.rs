@@ -42,8 +42,7 @@ fn a_skill_is_optimised_played_and_reproduced_with_the_same_bits_for_any_number_
     assert_eq!(played["plan"]["content_hash"], inspected["content_hash"]);
 
     // Powder moved, and the gradient knows of all that the curriculum lets it.
-    let lines: Vec<Value> =
-        metrics(&folder).iter().map(|l| serde_json::from_str(&format!("{l}}}")).unwrap()).collect();
+    let lines: Vec<Value> = metrics(&folder).iter().map(|l| serde_json::from_str(l).unwrap()).collect();
     let epochs: Vec<_> = lines.iter().map(|line| line["epoch"].as_u64().unwrap()).collect();
     assert_eq!(epochs, [0, 1, 2]);
     let gradient = lines[0]["gradient"].as_array().unwrap();
@@ -53,6 +52,22 @@ fn a_skill_is_optimised_played_and_reproduced_with_the_same_bits_for_any_number_
     );
     assert_ne!(lines[1]["theta"], lines[0]["theta"]);
     assert_ne!(lines[1]["loss"], lines[0]["loss"]);
+}
+
+#[test]
+fn the_gradient_agrees_with_differences_in_all_five_parameters() {
+    let place = Place::new();
+    let report = run(OPTIMISE, &["gradcheck", &place.tiny(), "--short", "--json"]).json();
+    let mut at_work = [0; 5];
+    for window in report["windows"].as_array().unwrap() {
+        for (k, component) in window["components"].as_array().unwrap().iter().enumerate() {
+            if let Some(error) = component["error"].as_f64() {
+                assert!(error < 1e-4, "{error} in component {k} of {window}");
+                at_work[k] += usize::from(component["adjoint"].as_f64() != Some(0.0));
+            }
+        }
+    }
+    assert!(at_work.iter().all(|count| *count > 0), "{at_work:?}");
 }
 
 #[test]

@@ -116,10 +116,14 @@ pub(crate) fn bytes(folder: impl AsRef<OsStr>, file: &str) -> Vec<u8> {
     fs::read(Path::new(&folder).join(file)).unwrap()
 }
 
-/// The lines of `metrics.jsonl` as they are, but for the seconds at their end.
+/// The lines of `metrics.jsonl` as they are, but for the seconds.
 pub(crate) fn metrics(folder: &str) -> Vec<String> {
     let text = String::from_utf8(bytes(folder, "metrics.jsonl")).unwrap();
-    let timeless = |line: &str| line.rsplit_once(",\"seconds\":").unwrap().0.to_owned();
+    let timeless = |line: &str| {
+        let (before, rest) = line.split_once(",\"seconds\":").unwrap();
+        let (_, after) = rest.split_once(',').unwrap();
+        format!("{before},{after}")
+    };
     text.lines().map(timeless).collect()
 }
 

@@ -81,7 +81,7 @@ pub struct MemoryRow {
 /// Runs `optimise check`.
 ///
 /// # Errors
-/// [`CliError::Scene`] for a bad scene, [`CliError::Output`] if `out` refuses.
+/// A bad scene, or `out` refuses.
 pub(super) fn run(args: &CheckArgs, out: &mut dyn Write) -> Result<(), CliError> {
     let report = CheckReport::new(&Scene::load(&args.scene)?);
     if args.json {

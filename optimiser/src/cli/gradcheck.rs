@@ -1,12 +1,12 @@
 //! `optimise gradcheck`: the adjoint's gradient against finite differences.
 
 use super::{
-    CliError, Context, Progress, Resources,
-    options::{DEFAULT_SEED, PrecisionArg, precision_name},
+    CliError, Context, Interrupt, Progress, Resources,
+    options::{PrecisionArg, precision_name},
 };
 use crate::real::Real;
 use crate::rollout::gradcheck::{CHECKED_THETA, HALF_STEPS, Smoothed, Window, check_window, smoothed};
-use crate::rollout::{RolloutError, SimulatorSettings, simulator};
+use crate::rollout::{RolloutError, SimulatorSettings, check_memory, simulator};
 use crate::scene::{DEFAULT_SCENE, Scene};
 use crate::skill::SkillMap;
 use clap::Args;
@@ -72,7 +72,7 @@ fn horizons(short: u32, own: u32) -> Vec<u32> {
 
 fn check(arguments: &GradcheckArgs, scene: &Scene, context: &mut Context<'_>) -> Result<Report, CliError> {
     let precision = arguments.precision.map_or(Precision::F64, Precision::from);
-    let settings = arguments.resources.settings(arguments.seed.unwrap_or(DEFAULT_SEED), precision);
+    let settings = arguments.resources.settings(arguments.seed.unwrap_or(scene.powder.seed), precision);
     match precision {
         Precision::F32 => check_in::<f32>(arguments, scene, &settings, context),
         Precision::F64 => check_in::<f64>(arguments, scene, &settings, context),
@@ -86,7 +86,20 @@ fn check_in<T: Real>(
     context: &mut Context<'_>,
 ) -> Result<Report, CliError> {
     let interrupt = context.interrupt.clone();
+    check_memory(scene, settings)?;
     let mut progress = Progress::new(context.err, context.live);
+    let report = compare::<T>(arguments, scene, settings, &mut progress, &interrupt);
+    progress.clear();
+    report
+}
+
+fn compare<T: Real>(
+    arguments: &GradcheckArgs,
+    scene: &Scene,
+    settings: &SimulatorSettings,
+    progress: &mut Progress<'_>,
+    interrupt: &Interrupt,
+) -> Result<Report, CliError> {
     let mut simulator = simulator::<T>(scene, settings)?;
     let map = SkillMap::new(scene);
     let own = scene.time.horizon_steps;
@@ -107,7 +120,6 @@ fn check_in<T: Real>(
     let growth = longer.into_iter().map(|end| window(0, end)).collect::<Result<_, _>>()?;
     let mut tick = |_, _| !interrupt.is_requested();
     let smoothed = if arguments.short { None } else { Some(smoothed(&mut simulator, &mut tick)?) };
-    progress.clear();
     Ok(Report {
         scene: scene.name.clone(),
         precision: precision_name(settings.precision),

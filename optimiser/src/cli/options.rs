@@ -31,9 +31,6 @@ pub(super) fn precision_name(precision: Precision) -> &'static str {
     }
 }
 
-/// Seed when none is given.
-pub(super) const DEFAULT_SEED: u64 = 1;
-
 /// Precision when none is given.
 pub(super) const DEFAULT_PRECISION: Precision = Precision::F32;
 

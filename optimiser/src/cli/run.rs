@@ -2,10 +2,11 @@
 
 use super::{
     CliError, Context, Interrupt, Progress, Resources,
-    options::{DEFAULT_PRECISION, DEFAULT_SEED, PrecisionArg, precision_name},
+    options::{DEFAULT_PRECISION, PrecisionArg, precision_name},
 };
 use crate::{
-    optim::{Method, Request, Search, SearchError, initial_theta},
+    mpm::PHYSICS_VERSION,
+    optim::{EpochRecord, Method, Request, Search, SearchError, initial_theta},
     report::{
         curves::Curves,
         folder::{CURVES, METRICS, PLAN, RunFolder, SCENE, STATE},
@@ -14,9 +15,9 @@ use crate::{
         summary::Finding,
         words::hex,
     },
-    rollout::{Evaluate, Evaluation, RolloutError},
+    rollout::{Evaluate, Evaluation, RolloutError, check_memory},
     scene::{DEFAULT_SCENE, Scene},
-    skill::{SkillMap, Theta},
+    skill::{Quantised, SkillMap, Theta},
 };
 use clap::Args;
 use powderline_shared::plan::Precision;
@@ -41,7 +42,7 @@ pub(super) struct RunArgs {
     /// Threads and memory.
     #[command(flatten)]
     pub resources: Resources,
-    /// Folder to write into, new or empty [default: runs/<scene>-seed<seed>, numbered if taken]
+    /// Folder to write into, new or without a run [default: runs/<scene>-seed<seed>, numbered if taken]
     #[arg(long, value_name = "DIR", conflicts_with = "resume")]
     pub out: Option<PathBuf>,
     /// Go on with the run in this folder; with a larger --epochs also when it is finished
@@ -74,6 +75,9 @@ fn simulator(
     context: &Context<'_>,
 ) -> Result<Box<dyn Evaluate>, CliError> {
     let settings = arguments.resources.settings(state.seed, state.precision);
+    if !state.finished {
+        check_memory(scene, &settings)?;
+    }
     Ok((context.factory)(scene, &settings)?)
 }
 
@@ -107,9 +111,10 @@ impl Run {
         let scene = Scene::load(name)?;
         let map = SkillMap::new(&scene);
         map.check_all_corners().map_err(|error| CliError::Input(format!("{name}: {error}")))?;
-        let seed = arguments.seed.unwrap_or(DEFAULT_SEED);
+        let seed = arguments.seed.unwrap_or(scene.powder.seed);
         let epochs = checked_epochs(arguments.epochs.unwrap_or(scene.optimiser.epochs))?;
         let state = RunState {
+            physics: PHYSICS_VERSION,
             scene: scene.digest(),
             seed,
             precision: arguments.precision.map_or(DEFAULT_PRECISION, Precision::from),
@@ -238,6 +243,24 @@ impl Run {
         Ok(self.folder.replace(CURVES, svg.as_bytes())?)
     }
 
+    /// The epoch of the lowest loss, and its motion as shipped. Between the corners of the skill's bounds, which were
+    /// checked before the run, a motion of constant speed and whole control steps may exceed the arm's limits; such an
+    /// epoch is passed over.
+    fn best(&self) -> Result<(EpochRecord, Quantised), CliError> {
+        let mut epochs = self.state.search.history().to_vec();
+        epochs.sort_by(|a, b| a.loss.total_cmp(&b.loss));
+        let mut refusal = None;
+        for epoch in epochs {
+            let shipped = self.map.quantised(&epoch.theta);
+            match shipped.and_then(|quantised| self.map.check_limits(&quantised).map(|_| quantised)) {
+                Ok(quantised) => return Ok((epoch, quantised)),
+                Err(error) => refusal = refusal.or(Some(error)),
+            }
+        }
+        let reason = refusal.map_or_else(|| "there is none".into(), |error| error.to_string());
+        Err(CliError::Failed(format!("no evaluated skill is a motion within the limits: {reason}")))
+    }
+
     /// The best epoch's skill, quantised, simulated again as it will be performed, and written.
     fn write_plan(
         &mut self,
@@ -246,9 +269,7 @@ impl Run {
         interrupt: &Interrupt,
     ) -> Result<Evaluation, CliError> {
         stop_if_requested(interrupt)?;
-        let best = *self.state.search.best().expect("a search that is done has a best epoch");
-        let quantised = self.map.quantised(&best.theta)?;
-        self.map.check_limits(&quantised)?;
+        let (best, quantised) = self.best()?;
         progress.begin("the plan, as shipped", 0, &[]);
         let mut tick = |done, total| {
             progress.tick(done, total);
@@ -275,10 +296,9 @@ impl Run {
 
     fn conclude(&self, plan: &Evaluation, context: &mut Context<'_>) -> Result<(), CliError> {
         let search = &self.state.search;
-        if let ([first, ..], Some(last), Some(best)) =
-            (search.history(), search.history().last(), search.best())
-        {
-            write!(context.out, "\n{}", Finding { map: &self.map, first, best, last, plan }.text())?;
+        if let [first, .., last] | [first @ last] = search.history() {
+            let (best, _) = self.best()?;
+            write!(context.out, "\n{}", Finding { map: &self.map, first, best: &best, last, plan }.text())?;
         }
         let path = self.folder.file(PLAN);
         writeln!(context.out, "\nThe curves are in {}.", self.folder.file(CURVES).display())?;
@@ -358,9 +378,7 @@ fn json_line(record: &impl serde::Serialize) -> String {
 /// The scene that the run was started with.
 fn saved_scene(folder: &RunFolder, state: &RunState) -> Result<Scene, CliError> {
     let file = folder.file(SCENE).display().to_string();
-    let bytes = folder.read(SCENE)?;
-    let text = String::from_utf8(bytes).map_err(|_| CliError::Input(format!("{file} is not a text file")))?;
-    let scene = Scene::from_toml(&file, &text)?;
+    let scene = Scene::load(&file)?;
     if scene.digest() != state.scene {
         return Err(CliError::Input(format!("{file} is no longer the scene that the run was started with")));
     }

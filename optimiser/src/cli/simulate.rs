@@ -3,7 +3,7 @@
 use super::{
     CliError, Context, Progress, Resources,
     inspect::read_plan,
-    options::{DEFAULT_PRECISION, DEFAULT_SEED, PrecisionArg, precision_name},
+    options::{DEFAULT_PRECISION, PrecisionArg, precision_name},
 };
 use crate::{
     report::{
@@ -115,7 +115,7 @@ fn skill_task(arguments: &SimulateArgs, theta: &str) -> Result<Task, CliError> {
     // Refused here, before anything is simulated.
     SkillMap::new(&scene).controls(&theta)?;
     let precision = arguments.precision.map_or(DEFAULT_PRECISION, Precision::from);
-    let settings = arguments.resources.settings(arguments.seed.unwrap_or(DEFAULT_SEED), precision);
+    let settings = arguments.resources.settings(arguments.seed.unwrap_or(scene.powder.seed), precision);
     Ok(Task { scene, settings, motion: Motion::Skill(theta) })
 }
 

@@ -13,7 +13,7 @@
 //!
 //! Two choices differ from the usual `min(exp(-k s), 1)` on velocities that approach. The blend is a cubic with
 //! compact support: it has a derivative everywhere, also at the surface, and it is exactly 0 beyond the band, so
-//! that leaving out bodies that are farther away changes no bit. And a node in a thin wall moves with the wall along
+//! that leaving out bodies that are farther away changes no bit. And a node in a wall that has two sides moves with it along
 //! its normal (`r = 0`), whatever the powder wants there: a node sees powder on both sides and cannot tell which of
 //! them pushes, so that a node near the far face would take powder pressed on the near one for powder that leaves,
 //! and hand its pressure on. What this costs is that powder lets go of a wall more slowly than it should.

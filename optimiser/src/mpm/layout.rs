@@ -11,13 +11,12 @@
 use crate::mpm::particles::{Group, LANES, NOBODY, Particles};
 use crate::mpm::stencil::{TILE_EDGE, TILE_NODES, Tile};
 use crate::real::Real;
+use crate::scene::{BLOCK_CELLS, PADDING_BLOCKS, Scene};
 
 /// Cells along one edge of a block.
-pub(crate) const BLOCK_EDGE: usize = 4;
+pub(crate) const BLOCK_EDGE: usize = BLOCK_CELLS;
 /// Nodes that a block owns.
 pub(crate) const BLOCK_NODES: usize = BLOCK_EDGE * BLOCK_EDGE * BLOCK_EDGE;
-/// Blocks of padding below and above the domain on each axis.
-const PADDING_BLOCKS: i32 = 2;
 /// "No such block".
 pub(crate) const NONE: u32 = u32::MAX;
 /// The 27 neighbours of a block, itself included, in the order of [`neighbour_offsets`].
@@ -36,13 +35,12 @@ pub(crate) struct Grid {
 }
 
 impl Grid {
-    pub(crate) fn new(size_m: [f64; 3], dx: f64) -> Self {
-        let blocks = size_m.map(|size| (size / dx / BLOCK_EDGE as f64).ceil() as i32 + 2 * PADDING_BLOCKS);
-        Self { dx, blocks }
+    pub(crate) fn new(scene: &Scene) -> Self {
+        Self { dx: scene.domain.cell_m, blocks: scene.block_counts().map(|count| count as i32) }
     }
 
     /// Node index of world coordinate 0.
-    const ORIGIN: i32 = PADDING_BLOCKS * BLOCK_EDGE as i32;
+    const ORIGIN: i32 = (PADDING_BLOCKS * BLOCK_EDGE) as i32;
 
     /// World position of the first node of a block, m.
     pub(crate) fn block_origin(&self, coord: [i32; 3]) -> [f64; 3] {

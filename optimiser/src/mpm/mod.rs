@@ -26,6 +26,9 @@ pub(crate) mod substep;
 #[cfg(test)]
 mod tests;
 
+/// Raised with every change of what a substep computes: a run is not resumed by another physics.
+pub(crate) const PHYSICS_VERSION: u32 = 2;
+
 use crate::real::Real;
 use crate::scene::Scene;
 
@@ -54,7 +57,7 @@ pub(crate) struct Model<T> {
 
 impl<T: Real> Model<T> {
     pub(crate) fn new(scene: &Scene) -> Self {
-        let grid = layout::Grid::new(scene.domain.size_m, scene.domain.cell_m);
+        let grid = layout::Grid::new(scene);
         let dx = scene.domain.cell_m;
         let dt = f64::from(scene.time.control_period_us) * 1e-6 / f64::from(scene.time.substeps);
         let volume = dx * dx * dx / f64::from(scene.powder.particles_per_cell);

@@ -235,24 +235,18 @@ impl Builder {
     /// The tool's pieces in its own frame.
     fn tool<T: Real>(&self, tool: &Tool) -> Vec<Piece<T>> {
         let t = tool.wall_thickness_m;
-        let (mut shapes, rear, half_width) = match tool.shape {
+        let mut shapes = match tool.shape {
             ToolShape::Bowl { inner_radius_m: r } => {
-                let bowl = Bowl { radius: T::of(r + 0.5 * t), half: T::of(0.5 * t) };
-                (vec![Shape::Bowl(bowl)], r + 0.5 * t, 0.5 * t)
+                vec![Shape::Bowl(Bowl { radius: T::of(r + 0.5 * t), half: T::of(0.5 * t) })]
             }
-            ToolShape::BoxScoop { inner_size_m: [l, w, h] } => (scoop(l, w, h, t), 0.5 * (l + t), 0.5 * t),
+            ToolShape::BoxScoop { inner_size_m: [l, w, h] } => scoop(l, w, h, t),
         };
-        let handle = &tool.handle;
-        if handle.length_m > 0.0 {
-            let rise = handle.rise_deg.to_radians();
-            let start = rear + half_width.max(handle.radius_m);
-            shapes.push(Shape::Capsule(Capsule {
-                from: [-start, 0.0, 0.0].map(T::of),
-                along: [-handle.length_m * libm::cos(rise), 0.0, handle.length_m * libm::sin(rise)]
-                    .map(T::of),
-                radius: T::of(handle.radius_m),
-            }));
-        }
+        let (from, along) = tool.handle();
+        shapes.push(Shape::Capsule(Capsule {
+            from: from.map(T::of),
+            along: along.map(T::of),
+            radius: T::of(tool.handle.radius_m),
+        }));
         shapes.into_iter().map(|shape| self.piece(shape, tool.friction)).collect()
     }
 }

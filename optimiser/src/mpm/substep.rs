@@ -52,7 +52,7 @@ impl<T: Real> State<T> {
         Ok(Self { particles, layout: Arc::new(layout), sorted_from: None, stale: false })
     }
 
-    /// Sorts if a particle has come to the end of its block's reach, or if asked to.
+    /// Sorts if a particle has come to the end of its block's reach.
     fn freshen(&mut self, model: &Model<T>) -> Result<(), Lost> {
         self.sorted_from = None;
         if self.stale {

@@ -2,7 +2,7 @@
 
 use std::{
     fs::{self, File, OpenOptions, TryLockError},
-    io::{self, Seek, SeekFrom, Write},
+    io::{self, Read, Seek, SeekFrom, Write},
     path::{Path, PathBuf},
 };
 use thiserror::Error;
@@ -17,6 +17,8 @@ pub const CURVES: &str = "curves.svg";
 pub const SCENE: &str = "scene.toml";
 /// The plan.
 pub const PLAN: &str = "skill.plan";
+/// A file longer than this is not from a run, bytes.
+const MAX_FILE_BYTES: u64 = 64 << 20;
 /// Held locked by the run that writes here.
 const LOCK: &str = "lock";
 
@@ -154,7 +156,17 @@ impl RunFolder {
     /// [`FolderError::Read`].
     pub fn read(&self, name: &str) -> Result<Vec<u8>, FolderError> {
         let path = self.file(name);
-        fs::read(&path).map_err(|source| FolderError::Read { path, source })
+        let mut bytes = Vec::new();
+        let read =
+            fs::File::open(&path).and_then(|file| file.take(MAX_FILE_BYTES + 1).read_to_end(&mut bytes));
+        match read {
+            Ok(count) if count as u64 > MAX_FILE_BYTES => {
+                let source = io::Error::new(io::ErrorKind::FileTooLarge, "no run writes a file of this size");
+                Err(FolderError::Read { path, source })
+            }
+            Ok(_) => Ok(bytes),
+            Err(source) => Err(FolderError::Read { path, source }),
+        }
     }
 
     /// Replaces a file so that, whatever happens, either the old or the new contents are there, whole.

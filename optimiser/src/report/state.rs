@@ -4,20 +4,22 @@
 //! magic "PLSTATE\0" (8) | version u32 LE (4) | body (postcard) | SHA-256 of everything before (32)
 //! ```
 
-use crate::{optim::Search, scene::Digest};
+use crate::{mpm::PHYSICS_VERSION, optim::Search, scene::Digest};
 use powderline_shared::plan::Precision;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest as _, Sha256};
 use thiserror::Error;
 
 const MAGIC: &[u8; 8] = b"PLSTATE\0";
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 const HEAD: usize = MAGIC.len() + size_of::<u32>();
 const CHECKSUM: usize = 32;
 
 /// A run between two epochs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RunState {
+    /// Version of what a substep computes.
+    pub physics: u32,
     /// Digest of the resolved scene.
     pub scene: Digest,
     /// Seed of packing and initial theta.
@@ -39,6 +41,14 @@ pub enum StateError {
     /// Written by another version of the program.
     #[error("it has version {found}, and this program reads version {VERSION}")]
     Version {
+        /// The file's version.
+        found: u32,
+    },
+    /// Its epochs were simulated by another physics.
+    #[error(
+        "its epochs were simulated by version {found} of the powder's physics, and this program has {PHYSICS_VERSION}; start a new run"
+    )]
+    Physics {
         /// The file's version.
         found: u32,
     },
@@ -75,7 +85,11 @@ impl RunState {
         if !intact {
             return Err(StateError::Damaged);
         }
-        postcard::from_bytes(&checked[HEAD..]).map_err(|_| StateError::Damaged)
+        let state: Self = postcard::from_bytes(&checked[HEAD..]).map_err(|_| StateError::Damaged)?;
+        match state.physics {
+            PHYSICS_VERSION => Ok(state),
+            found => Err(StateError::Physics { found }),
+        }
     }
 }
 
@@ -85,7 +99,14 @@ mod tests {
 
     fn state() -> RunState {
         let search = Search::new([0.1, -0.2, 1.0 / 3.0, 0.0, -1.0], 30);
-        RunState { scene: [7; 32], seed: 3, precision: Precision::F32, search, finished: false }
+        RunState {
+            physics: PHYSICS_VERSION,
+            scene: [7; 32],
+            seed: 3,
+            precision: Precision::F32,
+            search,
+            finished: false,
+        }
     }
 
     #[test]
@@ -112,10 +133,17 @@ mod tests {
     }
 
     #[test]
+    fn epochs_of_another_physics_are_refused() {
+        let other = RunState { physics: PHYSICS_VERSION + 1, ..state() };
+        let refused = Err(StateError::Physics { found: PHYSICS_VERSION + 1 });
+        assert_eq!(RunState::from_bytes(&other.to_bytes()), refused);
+    }
+
+    #[test]
     fn version_from_the_future_is_refused_with_both_numbers() {
         let mut bytes = state().to_bytes();
         bytes[8] = 9;
         let error = RunState::from_bytes(&bytes).unwrap_err().to_string();
-        assert!(error.contains("version 9") && error.contains("version 2"), "{error}");
+        assert!(error.contains("version 9") && error.contains("version 3"), "{error}");
     }
 }

@@ -40,6 +40,23 @@ struct Work<'p, T> {
     done: u64,
     total: u64,
     stopped: bool,
+    /// Not even one worker could be started.
+    refused: bool,
+}
+
+/// Ends everything if its worker panics, so that nobody waits for what that worker had in hands.
+struct Alarm<'a, 'p, T> {
+    work: &'a Mutex<Work<'p, T>>,
+    parted: &'a Condvar,
+}
+
+impl<T> Drop for Alarm<'_, '_, T> {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            lock(self.work).stopped = true;
+            self.parted.notify_all();
+        }
+    }
 }
 
 /// The states at the ends of all paths, in order. `pools` are the workers' threads, at least one.
@@ -59,14 +76,23 @@ pub(crate) fn run<T: Real>(
         done: 0,
         total,
         stopped: false,
+        refused: false,
     });
     let parted = Condvar::new();
     std::thread::scope(|scope| {
-        for pool in pools {
-            scope.spawn(|| pool.install(|| family.work(&work, &parted)));
+        for (started, pool) in pools.iter().enumerate() {
+            let worker = || pool.install(|| family.work(&work, &parted));
+            let thread = std::thread::Builder::new().spawn_scoped(scope, worker);
+            // One worker is enough to get everything done.
+            if thread.is_err() && started == 0 {
+                lock(&work).refused = true;
+            }
         }
     });
     let work = work.into_inner().unwrap_or_else(PoisonError::into_inner);
+    if work.refused {
+        return Err(RolloutError::Threads { threads: 1 });
+    }
     if work.stopped {
         return Err(RolloutError::Stopped);
     }
@@ -81,6 +107,7 @@ impl<T: Real> Family<'_, T> {
     /// A worker's life: takes a branch, follows it until it parts or ends, and puts back what it has parted into.
     fn work(&self, work: &Mutex<Work<'_, T>>, parted: &Condvar) {
         let mut workspace = Workspace::new();
+        let _alarm = Alarm { work, parted };
         let mut guard = lock(work);
         loop {
             if guard.stopped || (guard.waiting.is_empty() && guard.running == 0) {

@@ -12,9 +12,8 @@
 use serde::Serialize;
 
 use crate::real::Real;
-use crate::rollout::path::displacement;
 use crate::rollout::{Evaluate, Evaluation, Progress, RolloutError, Simulator};
-use crate::skill::{Control, SkillMap, Theta};
+use crate::skill::{Control, SkillMap, Theta, displacement};
 use powderline_shared::displacement::Displacement;
 
 /// The skill at which gradients are checked: a middling scoop that reaches the target.

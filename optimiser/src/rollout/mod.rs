@@ -140,6 +140,15 @@ pub struct SimulatorSettings {
     pub memory_bytes: u64,
 }
 
+/// Whether the memory budget lets gradients be computed in reasonable time.
+///
+/// # Errors
+/// [`RolloutError::Memory`] if not.
+pub fn check_memory(scene: &Scene, settings: &SimulatorSettings) -> Result<(), RolloutError> {
+    let (given, least) = (settings.memory_bytes, least_memory(scene, settings.precision));
+    if given < least { Err(RolloutError::Memory { given, least }) } else { Ok(()) }
+}
+
 /// The simulator of a validated scene: the one place where the commands get it from.
 ///
 /// # Errors
@@ -157,12 +166,8 @@ pub fn boxed_simulator(
 /// The same in a precision known when compiling; `settings.precision` is not looked at.
 ///
 /// # Errors
-/// [`RolloutError::Memory`] if the budget is too small, [`RolloutError::Threads`] if the threads cannot be started.
+/// [`RolloutError::Threads`] if the threads cannot be started.
 pub fn simulator<T: Real>(scene: &Scene, settings: &SimulatorSettings) -> Result<Simulator<T>, RolloutError> {
-    let least = least_memory(scene, size_of::<T>() as u64);
-    if settings.memory_bytes < least {
-        return Err(RolloutError::Memory { given: settings.memory_bytes, least });
-    }
     let threads =
         settings.threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
     let pool = thread_pool(threads)?;

@@ -173,14 +173,10 @@ fn left_jacobian(r: &Vector3<f64>) -> Matrix3<f64> {
     Matrix3::identity() + cross * a + cross * cross * b
 }
 
-/// A control as the shared type.
-pub(crate) fn displacement(u: &Control) -> Displacement {
-    Displacement { translation_m: [u[0], u[1], u[2]], rotation_rad: [u[3], u[4], u[5]] }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::skill::displacement;
 
     /// A made-up linear functional of all motions; its gradient must be what `pull_back` says.
     #[test]

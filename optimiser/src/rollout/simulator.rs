@@ -3,7 +3,7 @@
 use powderline_shared::displacement::Displacement;
 use powderline_shared::pose::Pose;
 
-use crate::memory::{PROCESS_BYTES, STANDING_STATES};
+use crate::memory::{STANDING_STATES, fixed_bytes};
 use crate::mpm::Model;
 use crate::mpm::contact::MotionBar;
 use crate::mpm::layout::Lost;
@@ -11,11 +11,11 @@ use crate::mpm::particles::{Group, Particles, set_vec};
 use crate::mpm::substep::{State, Workspace, unsort_bar};
 use crate::real::Real;
 use crate::rollout::branches::{self, Family};
-use crate::rollout::path::{Path, displacement, resting};
+use crate::rollout::path::{Path, resting};
 use crate::rollout::schedule::{Action, advances, schedule};
 use crate::rollout::{Evaluate, Evaluation, Progress, RolloutError, outcome, thread_pool};
 use crate::scene::Scene;
-use crate::skill::{Control, SkillMap, Theta};
+use crate::skill::{Control, SkillMap, Theta, displacement};
 
 /// Work of one adjoint substep in units of a forward one, for the progress bar.
 const ADJOINT_WORK: u64 = 3;
@@ -125,7 +125,7 @@ impl<T: Real> Simulator<T> {
     /// Threads for rollouts side by side: as many workers as there are threads, motions, and memory for.
     fn worker_pools(&self, motions: usize, state: &State<T>) -> Result<Vec<rayon::ThreadPool>, RolloutError> {
         let threads = self.pool.current_num_threads();
-        let states = slots(self.memory_bytes, state, &self.workspace);
+        let states = slots(&self.scene, self.memory_bytes, state, &self.workspace);
         let per_worker = 2 + self.workspace.bytes() / state.bytes().max(1);
         let workers = threads.min(motions).min(states.saturating_sub(motions) / per_worker).max(1);
         (0..workers).map(|_| thread_pool(threads / workers)).collect()
@@ -266,8 +266,12 @@ impl<T: Real> Rollout<'_, T> {
         let mut state =
             State::new(self.model, &particles).map_err(|l| lost_error::<T>(self.scene, 0, l, None))?;
         let tool = resting(self.anchor);
-        let steps = self.scene.time.settle_steps() as usize * self.scene.time.substeps as usize;
-        for substep in 0..steps {
+        let per_step = self.scene.time.substeps as usize;
+        for substep in 0..self.scene.time.settle_steps() as usize * per_step {
+            if substep.is_multiple_of(per_step) {
+                // Only to ask whether to go on: the rollout's own work is counted from its beginning.
+                self.report(0, 1)?;
+            }
             self.step(&mut state, substep, &tool)?;
         }
         *self.settled = Some(state.clone());
@@ -299,7 +303,7 @@ impl<T: Real> Rollout<'_, T> {
     }
 
     fn gradient(&mut self, start: State<T>, path: &Path) -> Result<(Evaluation, Vec<Control>), RolloutError> {
-        let slots = slots(self.memory_bytes, &start, self.workspace);
+        let slots = slots(self.scene, self.memory_bytes, &start, self.workspace);
         let total = advances(schedule(path.len(), slots)) + ADJOINT_WORK * path.len() as u64;
         let mut done = 0;
         let mut back = path.pull_back();
@@ -394,9 +398,9 @@ impl<T: Real> Rollout<'_, T> {
 }
 
 /// Kept states that a memory budget allows.
-fn slots<T: Real>(memory_bytes: u64, state: &State<T>, workspace: &Workspace<T>) -> usize {
+fn slots<T: Real>(scene: &Scene, memory_bytes: u64, state: &State<T>, workspace: &Workspace<T>) -> usize {
     let per_state = state.bytes() as u64;
-    let fixed = PROCESS_BYTES + STANDING_STATES * per_state + workspace.bytes() as u64;
+    let fixed = fixed_bytes(scene) + STANDING_STATES * per_state + workspace.bytes() as u64;
     // A tenth in reserve: states grow a little as the powder spreads over more blocks.
     let free = memory_bytes.saturating_sub(fixed) / 10 * 9;
     ((free / per_state.max(1)) as usize).max(2)

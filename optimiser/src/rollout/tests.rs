@@ -2,10 +2,9 @@
 
 use powderline_shared::plan::Precision;
 
-use crate::rollout::path::displacement;
 use crate::rollout::{Evaluate, RolloutError, SimulatorSettings, gradcheck, simulator};
 use crate::scene::Scene;
-use crate::skill::{SkillMap, Theta};
+use crate::skill::{SkillMap, Theta, displacement};
 
 #[test]
 fn threads_and_memory_change_no_bit_of_loss_and_gradient() {
@@ -33,6 +32,8 @@ fn skills_evaluated_side_by_side_have_the_bits_of_skills_evaluated_alone() {
     let mut scene = Scene::load("bench-small").expect("shipped");
     // The beginnings of the skills differ in depth, in angle, in nothing, and in what comes later.
     scene.time.horizon_steps = 300;
+    scene.domain.cell_m *= 2.0;
+    scene.time.substeps /= 2;
     let skills: Vec<Theta> = [(0, 0.1), (1, 0.1), (1, -0.1), (4, 0.0), (3, 0.1), (4, 0.2), (4, -0.2)]
         .into_iter()
         .map(|(component, step)| {
@@ -55,7 +56,8 @@ fn skills_evaluated_side_by_side_have_the_bits_of_skills_evaluated_alone() {
         (all.expect("runs"), s)
     };
     let (side_by_side, mut s) = evaluate(3, 1 << 30);
-    assert!(evaluate(1, 48 << 20).0 == side_by_side, "one thread");
+    assert!(evaluate(1, 1 << 30).0 == side_by_side, "one thread");
+    assert!(evaluate(3, 48 << 20).0 == side_by_side, "little memory");
     let alone: Vec<_> =
         skills.iter().map(|theta| s.evaluate(theta, false, &mut |_, _| true).expect("runs")).collect();
     assert!(side_by_side == alone);

@@ -5,6 +5,12 @@ use super::{Amount, Powder, Scene, Time};
 /// Edge of a grid block, in cells.
 pub const BLOCK_CELLS: usize = 4;
 
+/// Most substeps of a rollout, settling included: days of computing for the smallest bench.
+pub const MAX_SUBSTEPS: u64 = 100_000_000;
+
+/// Blocks of padding at either end of each axis: a particle that leaves the domain by a cell still finds its nodes.
+pub const PADDING_BLOCKS: usize = 2;
+
 /// The largest grid that is accepted, in cells with the padding.
 pub const MAX_CELLS: usize = 1 << 26;
 
@@ -92,9 +98,9 @@ impl Scene {
         self.domain.size_m.map(|size_m| (size_m / self.domain.cell_m - 1e-6).ceil() as usize)
     }
 
-    /// Blocks of 4 x 4 x 4 cells along x, y, z, with the padding of one block at either end.
+    /// Blocks of 4 x 4 x 4 cells along x, y, z, with the padding of [`PADDING_BLOCKS`] at either end.
     pub fn block_counts(&self) -> [usize; 3] {
-        self.cell_counts().map(|cells| cells.div_ceil(BLOCK_CELLS) + 2)
+        self.cell_counts().map(|cells| cells.div_ceil(BLOCK_CELLS) + 2 * PADDING_BLOCKS)
     }
 
     /// Courant number sqrt(P-wave modulus / density) dt_sub / cell, dimensionless; at most [`MAX_CFL`].

@@ -22,7 +22,9 @@ mod validate;
 use serde::{Deserialize, Serialize};
 
 pub use canonical::{DIGEST_VERSION, Digest};
-pub use derived::{BLOCK_CELLS, MAX_CELLS, MAX_CFL, MAX_PARTICLES, MAX_VISCOUS_LOSS};
+pub use derived::{
+    BLOCK_CELLS, MAX_CELLS, MAX_CFL, MAX_PARTICLES, MAX_SUBSTEPS, MAX_VISCOUS_LOSS, PADDING_BLOCKS,
+};
 pub use embedded::{DEFAULT_SCENE, EMBEDDED_SCENES, embedded_scene};
 pub use error::SceneError;
 pub use powderline_shared::limits::Limits;

@@ -12,16 +12,22 @@ impl Tool {
         self.body_reach([0.0, 0.0, -1.0])
     }
 
-    /// Ends of the handle's axis in the tool's frame: the middle of the rear rim, and the far end, metres.
+    /// Ends of the handle's axis in the tool's frame, metres: its round end touches the inside of the rear wall.
     pub fn handle_axis_m(&self) -> [[f64; 3]; 2] {
+        let (start, along) = self.handle();
+        [start, [0, 1, 2].map(|i| start[i] + along[i])]
+    }
+
+    /// Where the handle's axis begins, and from there to its end, tool frame, metres.
+    pub(crate) fn handle(&self) -> ([f64; 3], [f64; 3]) {
         let half_wall = 0.5 * self.wall_thickness_m;
         let rear = match self.shape {
             ToolShape::Bowl { inner_radius_m } => inner_radius_m + half_wall,
             ToolShape::BoxScoop { inner_size_m } => 0.5 * inner_size_m[0] + half_wall,
         };
-        let (sin, cos) = self.handle.rise_deg.to_radians().sin_cos();
-        let length = self.handle.length_m;
-        [[-rear, 0.0, 0.0], [-rear - length * cos, 0.0, length * sin]]
+        let start = rear + half_wall.max(self.handle.radius_m);
+        let (rise, length) = (self.handle.rise_deg.to_radians(), self.handle.length_m);
+        ([-start, 0.0, 0.0], [-length * libm::cos(rise), 0.0, length * libm::sin(rise)])
     }
 
     /// Reach of the body from the tool's origin, tool frame.

@@ -402,7 +402,7 @@ proptest! {
     fn pull_back_is_the_transpose_of_the_jacobian(theta in theta(), direction in theta(), seed in any::<u64>()) {
         let at = map(Timing::Continuous, Profile::MinimumJerk).linearise(&theta).unwrap();
         let bars: Vec<Control> =
-            (0..at.controls.len() as u64).map(|i| std::array::from_fn(|k| (seed ^ (7 * i + k as u64)) as f64 / 1e19)).collect();
+            (0..at.controls.len() as u64).map(|i| std::array::from_fn(|k| libm::sin((seed % 1000) as f64 + 0.7 * i as f64 + 1.9 * k as f64))).collect();
         let pushed: f64 = at.jacobian.iter().zip(&bars).map(|(jacobian, bar)| {
             (0..6).map(|row| bar[row] * (0..5).map(|k| jacobian[row][k] * direction[k]).sum::<f64>()).sum::<f64>()
         }).sum();

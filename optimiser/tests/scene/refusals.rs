@@ -598,6 +598,11 @@ const RULES_BETWEEN_FIELDS: &[Case] = &[
         ": skill.lift_height_m is [0.02, 0.19], but the tool's origin would then be at z = 0.234, outside the limits' workspace, which goes from 0.02 to 0.18",
     ),
     (
+        "substeps = 20\nhorizon_steps = 500",
+        "substeps = 2000\nhorizon_steps = 100000",
+        ": time.substeps is 2000, but with 100020 control steps, settling included, that makes 200040000 substeps and at most 100000000 are allowed; at most 999 would be right",
+    ),
+    (
         "horizon_steps = 500",
         "horizon_steps = 400",
         ": time.horizon_steps is 400, but that is 4 s and the longest skill within the bounds takes 4.94 s; at least 494 would be right",

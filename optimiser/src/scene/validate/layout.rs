@@ -4,7 +4,7 @@ use super::checker::{Checked, Checker};
 use crate::scene::figures::{about, at_most, list, plain};
 use crate::scene::solid::{Hull, TOUCH_M, Vec3};
 use crate::scene::tool_body::PlacedTool;
-use crate::scene::{BLOCK_CELLS, MAX_CELLS, MAX_CFL, MAX_PARTICLES, MAX_VISCOUS_LOSS, Scene};
+use crate::scene::{BLOCK_CELLS, MAX_CELLS, MAX_CFL, MAX_PARTICLES, MAX_SUBSTEPS, MAX_VISCOUS_LOSS, Scene};
 
 /// World directions with the name of their coordinate and their sign.
 pub(super) const SIDES: [(Vec3, usize); 6] = [
@@ -60,6 +60,24 @@ fn too_many(checker: &Checker<'_>, scene: &Scene, count: f64, limit: f64, what: 
             "that makes {} {what} and at most {limit} are allowed; about {} would be right",
             about(count, 3),
             about(right_m, 2)
+        ),
+    ))
+}
+
+/// Substeps of a rollout.
+pub(super) fn check_substeps(checker: &Checker<'_>, scene: &Scene) -> Checked {
+    let steps = u64::from(scene.time.horizon_steps) + u64::from(scene.time.settle_steps());
+    let substeps = steps * u64::from(scene.time.substeps);
+    if substeps <= MAX_SUBSTEPS {
+        return Ok(());
+    }
+    Err(checker.invalid(
+        "time.substeps",
+        scene.time.substeps,
+        format!(
+            "with {steps} control steps, settling included, that makes {substeps} substeps and at most {MAX_SUBSTEPS} \
+             are allowed; at most {} would be right",
+            (MAX_SUBSTEPS / steps).max(1)
         ),
     ))
 }

@@ -18,6 +18,7 @@ impl Scene {
         // Each check may rely on those before it.
         fields::check(&checker, self)?;
         layout::check_size(&checker, self)?;
+        layout::check_substeps(&checker, self)?;
         layout::check_cfl(&checker, self)?;
         layout::check_powder_law(&checker, self)?;
         layout::check_containers(&checker, self)?;
