@@ -420,7 +420,7 @@ const RULES_BETWEEN_FIELDS: &[Case] = &[
     (
         "cell_m = 0.004",
         "cell_m = 0.0002",
-        ": domain.cell_m is 0.0002, but that makes 6.59e8 grid cells, padding included, and at most 67108864 are allowed; about 0.00049 would be right",
+        ": domain.cell_m is 0.0002, but that makes 6.79e8 grid cells, padding included, and at most 67108864 are allowed; about 0.0005 would be right",
     ),
     (
         "size_m = [0.256, 0.096, 0.208]",

@@ -20,6 +20,6 @@ fn figures_of_the_shipped_scenes() {
         (scene.particle_count(), scene.cell_counts(), scene.block_counts(), scene.target_count())
     };
     assert_eq!(figures("bench"), (11_264, [64, 24, 52], [20, 10, 17], 1200));
-    assert_eq!(figures("bench-small"), (2_772, [44, 16, 32], [13, 6, 10], 200));
-    assert_eq!(figures("bench-fine"), (90_112, [128, 48, 104], [34, 14, 28], 6_800));
+    assert_eq!(figures("bench-small"), (2_772, [44, 16, 32], [15, 8, 12], 200));
+    assert_eq!(figures("bench-fine"), (90_112, [128, 48, 104], [36, 16, 30], 9_600));
 }
