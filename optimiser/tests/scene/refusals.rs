@@ -425,7 +425,7 @@ const RULES_BETWEEN_FIELDS: &[Case] = &[
     (
         "size_m = [0.256, 0.096, 0.208]",
         "size_m = [10.0, 10.0, 10.0]",
-        ": domain.cell_m is 0.004, but that makes 1.58e10 grid cells, padding included, and at most 67108864 are allowed; about 0.028 would be right",
+        ": domain.cell_m is 0.004, but that makes 1.59e10 grid cells, padding included, and at most 67108864 are allowed; about 0.028 would be right",
     ),
     (
         "fill_max_m = [0.088, 0.080, 0.026]",
