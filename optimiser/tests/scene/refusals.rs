@@ -535,7 +535,7 @@ const RULES_BETWEEN_FIELDS: &[Case] = &[
     (
         "start_position_m = [0.048, 0.048, 0.066]",
         "start_position_m = [0.048, 0.048, 0.180]",
-        ": tool.start_position_m is [0.048, 0.048, 0.18], but the tool's handle would then reach z = 0.2387, outside the domain, which goes from 0 to 0.208",
+        ": tool.start_position_m is [0.048, 0.048, 0.18], but the tool's handle would then reach z = 0.2418, outside the domain, which goes from 0 to 0.208",
     ),
     (
         "start_position_m = [0.048, 0.048, 0.066]",
