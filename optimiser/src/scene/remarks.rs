@@ -3,16 +3,19 @@
 use super::figures::about;
 use super::solid::Hull;
 use super::tool_body::PlacedTool;
-use super::{Container, Scene};
+use super::{Container, ContainerShape, Scene};
 
 /// Gap between expectation and geometry that is worth a remark, in cells.
 const REMARKABLE_CELLS: f64 = 0.25;
 
+/// Distance of a face from nodes, and from the middle between two, that lets powder sink, in cells.
+const BADLY_PLACED_CELLS: f64 = 0.1;
+
 impl Scene {
     /// Sentences about a valid scene that may hide a mistake: corners of the skill's range in which the tool
-    /// would pass through a container, and a start height at odds with the approach.
+    /// would pass through a container, a start height at odds with the approach, and faces that the grid holds badly.
     pub fn remarks(&self) -> Vec<String> {
-        [self.remark_approach(), self.remark_handle(), self.remark_transport()]
+        [self.remark_approach(), self.remark_handle(), self.remark_transport(), self.remark_faces()]
             .into_iter()
             .flatten()
             .collect()
@@ -60,5 +63,58 @@ impl Scene {
                 container.name
             )
         })
+    }
+
+    fn remark_faces(&self) -> Option<String> {
+        let cell_m = self.domain.cell_m;
+        let (container, face_m) = self.container.iter().find_map(|container| {
+            let badly = |face_m: &f64| {
+                let halves = 2.0 * face_m / cell_m;
+                0.5 * (halves - halves.round()).abs() > BADLY_PLACED_CELLS
+            };
+            container.faces_m().into_iter().find(badly).map(|face_m| (container, face_m))
+        })?;
+        Some(format!(
+            "a face of container {:?} at {} mm lies neither on the grid's nodes nor midway between two, so powder at \
+             rest on it sinks by some per cent a second; multiples of {} mm would be right",
+            container.name,
+            about(1e3 * face_m, 4),
+            about(1e3 * 0.5 * cell_m, 4)
+        ))
+    }
+}
+
+impl Container {
+    /// Coordinates of the inner floor and, where they are square to the grid, of the inner walls, metres.
+    fn faces_m(&self) -> Vec<f64> {
+        let [x, y, z] = self.position_m;
+        let quarters = self.yaw_deg / 90.0;
+        let square = (quarters - quarters.round()).abs() < 1e-9;
+        match self.shape {
+            ContainerShape::Box { inner_size_m: [length, width, _] } if square => {
+                let turned = quarters.round().rem_euclid(2.0) == 1.0;
+                let (hx, hy) = if turned { (0.5 * width, 0.5 * length) } else { (0.5 * length, 0.5 * width) };
+                vec![z, x - hx, x + hx, y - hy, y + hy]
+            }
+            _ => vec![z],
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn faces_between_nodes_are_remarked() {
+        let mut scene = Scene::load("bench").unwrap();
+        assert_eq!(scene.remark_faces(), None);
+        scene.container[1].position_m[0] += 0.001;
+        let remark = scene.remark_faces().unwrap();
+        assert!(remark.contains("\"target\" at 145 mm") && remark.contains("multiples of 2 mm"), "{remark}");
+        scene.container[1].yaw_deg = 30.0;
+        assert_eq!(scene.remark_faces(), None);
+        scene.container[1].position_m[2] += 0.0011;
+        assert!(scene.remark_faces().unwrap().contains("at 5.1 mm"));
     }
 }
