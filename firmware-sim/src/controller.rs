@@ -369,11 +369,14 @@ impl Controller {
         }
     }
 
-    /// Commands a pose that the limit check accepts; stops otherwise.
+    /// Commands a pose that the limit check accepts; stops otherwise. The pose after it bends the path towards it, so it
+    /// has a say only if it will be accepted too.
     fn take(&mut self, tick_us: u64, pose: Pose, after: Option<Pose>) {
         let Some(anchored) = self.anchored_mut() else { return };
         match anchored.checker.check(pose) {
             Ok(motion) => {
+                let mut probe = anchored.checker;
+                let after = after.filter(|after| probe.check(*after).is_ok());
                 anchored.applied_tick = anchored.applied_tick.saturating_add(1);
                 let applied = anchored.applied_tick;
                 anchored.buffer.take(applied);

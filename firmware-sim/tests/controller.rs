@@ -400,6 +400,32 @@ fn between_ticks_the_arm_moves_without_jumps() {
     }
 }
 
+#[test]
+fn a_setpoint_that_will_be_refused_does_not_bend_the_path_before_it() {
+    const BAD: u32 = 40;
+    // A jump of 0.1 m among setpoints that are all within limits.
+    let sent = |tick| {
+        let mut setpoint = setpoint(tick);
+        setpoint.counts[0] += if tick == BAD { 1_000_000 } else { 0 };
+        setpoint
+    };
+    let mut bench = Bench::enabled();
+    (1..=CAPACITY).for_each(|tick| bench.set(sent(tick)));
+    let mut last = bench.arm.pose();
+    for tick in 1..END {
+        for _ in 0..10 {
+            bench.now_us += u64::from(PERIOD_US) / 10;
+            while bench.arm.poll(bench.now_us).is_some() {}
+            let moved = last.displacement_to(&bench.arm.pose()).translation().norm();
+            assert!(moved <= 0.5 * 1e-3, "{moved} m in a tenth of tick {tick}");
+            last = bench.arm.pose();
+        }
+        bench.set(sent((tick + CAPACITY).min(END)));
+    }
+    assert_eq!((bench.fault(), bench.arm.state()), (Some(FaultCode::ArmLinearVelocity), State::Fault));
+    assert_eq!(bench.arm.fault().map(|fault| fault.tick), Some(BAD - 1));
+}
+
 /// The controller's own transitions against the table that all share.
 #[test]
 fn states_follow_the_table() {
