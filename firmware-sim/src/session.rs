@@ -1,12 +1,13 @@
 //! What the controller knows about the executor's session, and which sessions it admits.
 
 use powderline_shared::limits::{LimitChecker, Limits};
-use powderline_shared::plan::{PERIOD_US_MAX, PERIOD_US_MIN};
+use powderline_shared::plan::PERIOD_US_MIN;
 use powderline_shared::pose::Pose;
 use powderline_shared::wire::message::{NO_SESSION, OpenRequest, PROTOCOL_VERSION, Refusal};
 use powderline_shared::wire::state::State;
 
 use crate::buffer::{CAPACITY, SetpointBuffer};
+use crate::controller::LONGEST_PERIOD_US;
 
 /// An open session.
 #[derive(Clone, Debug)]
@@ -66,7 +67,7 @@ pub(crate) fn admit(request: &OpenRequest, own_limits: &Limits, state: State) ->
     if !idle {
         return Err(Refusal::Busy);
     }
-    if !(PERIOD_US_MIN..=PERIOD_US_MAX).contains(&request.period_us) {
+    if !(PERIOD_US_MIN..=LONGEST_PERIOD_US).contains(&request.period_us) {
         return Err(Refusal::Period);
     }
     let limits = own_limits.tighter(&request.limits);

@@ -2,7 +2,8 @@
 
 use nalgebra::Vector3;
 use powderline_firmware_sim::buffer::CAPACITY;
-use powderline_firmware_sim::controller::{ArmConfig, Controller, EXTRAPOLATION_TICKS};
+use powderline_firmware_sim::controller::{ArmConfig, Controller, EXTRAPOLATION_TICKS, LONGEST_PERIOD_US};
+use powderline_firmware_sim::stop::GENTLE_STOP_US;
 use powderline_shared::displacement::{Displacement, Lsb, Setpoint, pose_at};
 use powderline_shared::fault::FaultCode;
 use powderline_shared::limits::{Limits, Motion};
@@ -212,6 +213,7 @@ fn sessions_that_do_not_fit_are_refused() {
     let cases = [
         (OpenRequest { version: 2, ..fine }, Refusal::Version { arm: PROTOCOL_VERSION }),
         (OpenRequest { period_us: 1, ..fine }, Refusal::Period),
+        (OpenRequest { period_us: LONGEST_PERIOD_US + 1, ..fine }, Refusal::Period),
         (OpenRequest { session: 0, ..fine }, Refusal::Meaningless),
         (OpenRequest { end_tick: 0, ..fine }, Refusal::Meaningless),
         (OpenRequest { start_level: 0, ..fine }, Refusal::Meaningless),
@@ -349,6 +351,59 @@ fn a_commanded_stop_keeps_limits_at_any_moment() {
         bench.command(Command::DisableVoltage);
         assert_eq!(bench.arm.state(), State::SwitchOnDisabled);
     }
+}
+
+const SLOW_END: u32 = 1_000;
+
+/// A session that hardly accelerates, and hardly brakes.
+fn slow_request() -> OpenRequest {
+    let slow = Limits { linear_acceleration_m_s2: 0.015, linear_jerk_m_s3: 1.0, ..limits() };
+    OpenRequest { limits: slow, end_tick: SLOW_END, ..request() }
+}
+
+/// 0.2 m in `SLOW_END` ticks.
+fn slow_setpoint(tick: u32) -> Setpoint {
+    let translation_m = [0.2 * smooth(f64::from(tick) / f64::from(SLOW_END)), 0.0, 0.0];
+    let cumulative = Displacement { translation_m, ..Displacement::default() };
+    Setpoint::from_cumulative(tick, &cumulative, Lsb::default()).unwrap()
+}
+
+#[test]
+fn a_slow_session_does_not_make_a_slow_stop() {
+    let nonsense = Setpoint { tick: SLOW_END + 1, counts: [0; 6] };
+    for code in [FaultCode::StopCommanded, FaultCode::SetpointPastEnd, FaultCode::SetpointMissing] {
+        let mut bench = Bench::enabled_with(slow_request());
+        (1..=4).for_each(|tick| bench.set(slow_setpoint(tick)));
+        for tick in 5..500 {
+            bench.period();
+            bench.set(slow_setpoint(tick));
+        }
+        assert!(bench.arm.motion().linear.velocity.norm() > 0.03);
+        match code {
+            FaultCode::StopCommanded => bench.command(Command::QuickStop),
+            FaultCode::SetpointPastEnd => bench.set(nonsense),
+            _ => {}
+        }
+        while bench.arm.state() == State::OperationEnabled {
+            bench.period();
+        }
+        let latched_us = bench.now_us;
+        while !bench.arm.status().standstill {
+            bench.period();
+        }
+        assert_eq!(bench.fault(), Some(code));
+        let took_us = bench.now_us - latched_us;
+        assert!(took_us <= u64::from(GENTLE_STOP_US + PERIOD_US), "{code:?}: {took_us} us");
+        bench.assert_limits_kept();
+    }
+}
+
+/// Nor does it make the arm give up at the first setpoint that is lost.
+#[test]
+fn two_setpoints_lost_in_a_slow_session_heal() {
+    let mut bench = Bench::enabled_with(slow_request());
+    bench.stream(SLOW_END, |tick| (!(300..302).contains(&tick)).then(|| slow_setpoint(tick)));
+    assert_eq!((bench.fault(), bench.arm.status().lost), (None, 2));
 }
 
 #[test]
