@@ -7,7 +7,7 @@ use powderline_executor::host::pace::VirtualTime;
 use powderline_executor::host::run::{Observer, RunResult, Unattended, play};
 use powderline_executor::{Action, Config, Executor, Outcome};
 use powderline_firmware_sim::controller::{ArmConfig, Controller};
-use powderline_shared::displacement::Displacement;
+use powderline_shared::displacement::{Displacement, Lsb};
 use powderline_shared::fault::FaultCode;
 use powderline_shared::limits::{Limits, Motion};
 use powderline_shared::plan::{PlanHeader, PlanReader};
@@ -119,8 +119,9 @@ fn each_limit_is_refused_by_executor_and_by_arm_independently() {
         assert_eq!(fault_code(result.outcome), Some(by_executor));
         assert!(result.violation.is_some() && result.arm.standstill);
 
-        // The plan is fine by its own limits, the arm has tighter ones.
-        let bytes = plan_bytes(&header(), &one_move());
+        // The plan is fine by its own limits, the arm has tighter ones. (The LSB is fine enough for the tightest.)
+        let lsb = Lsb { translation_nm: 10, rotation_nrad: 10 };
+        let bytes = plan_bytes(&PlanHeader { lsb, ..header() }, &one_move());
         let plan = PlanReader::new(&bytes).unwrap();
         let arm = ArmConfig { limits: tight, ..arm_for(&plan) };
         let result = play_on(&plan, arm);

@@ -9,6 +9,10 @@ use powderline_shared::wire::state::State;
 use crate::buffer::{CAPACITY, SetpointBuffer};
 use crate::controller::LONGEST_PERIOD_US;
 
+/// Setpoints are rounded to an LSB that the executor chooses, and the limit check grants them what that rounding can add.
+/// This is the largest share of the arm's own limits that it may come to.
+const MAX_NOISE_SHARE: f64 = 0.2;
+
 /// An open session.
 #[derive(Clone, Debug)]
 pub(crate) struct Session {
@@ -78,5 +82,11 @@ pub(crate) fn admit(request: &OpenRequest, own_limits: &Limits, state: State) ->
         && request.limits.validate().is_ok()
         && limits.validate().is_ok()
         && limits.check_resolution(request.lsb, request.period_us).is_ok();
-    if meaningful { Ok(()) } else { Err(Refusal::Meaningless) }
+    if !meaningful {
+        return Err(Refusal::Meaningless);
+    }
+    if own_limits.noise_share(request.lsb, request.period_us) > MAX_NOISE_SHARE {
+        return Err(Refusal::Coarse);
+    }
+    Ok(())
 }

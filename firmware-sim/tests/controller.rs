@@ -228,6 +228,26 @@ fn sessions_that_do_not_fit_are_refused() {
     }
 }
 
+/// At 10 ms rounding to q adds 4 sqrt(3) q / h^3 = 6.93 q / us^3 to the jerk; a fifth of 40 m/s^3 is reached at 1.143 um, a
+/// fifth of 200 rad/s^3 at 5.716 urad.
+#[test]
+fn an_lsb_that_would_stretch_the_arms_own_limits_by_more_than_a_fifth_is_refused() {
+    let opened = FromArm::Opened { session: SESSION };
+    let refused = FromArm::Refused { session: SESSION, reason: Refusal::Coarse };
+    let cases = [
+        (Lsb { translation_nm: 1_140, rotation_nrad: 100 }, opened),
+        (Lsb { translation_nm: 1_146, rotation_nrad: 100 }, refused),
+        (Lsb { translation_nm: 100, rotation_nrad: 5_710 }, opened),
+        (Lsb { translation_nm: 100, rotation_nrad: 5_720 }, refused),
+    ];
+    for (lsb, answer) in cases {
+        // The session's own limits are what they may be; only the arm's count here.
+        let mut bench = Bench::new();
+        bench.tell(ToArm::Open(OpenRequest { lsb, ..request() }));
+        assert!(bench.messages.contains(&answer), "{lsb:?}: {:?}", bench.messages);
+    }
+}
+
 #[test]
 fn each_limit_is_kept_by_the_arm_alone() {
     let fine = limits();
