@@ -523,9 +523,13 @@ fn states_follow_the_table() {
         }
         for moving in [false, true] {
             let mut stopping = Bench::enabled();
-            stopping.stream(50, |tick| (tick <= 20).then(|| setpoint(tick)));
+            (1..=CAPACITY).for_each(|tick| stopping.set(setpoint(tick)));
+            (0..10).for_each(|_| stopping.period());
+            stopping.set(Setpoint { tick: END + 1, counts: [0; 6] });
+            assert_eq!(stopping.arm.state(), State::FaultReactionActive);
             if !moving {
                 stopping.rest();
+                assert_eq!(stopping.arm.state(), State::Fault);
             }
             assert_obeys(&mut stopping, command);
 
@@ -533,6 +537,7 @@ fn states_follow_the_table() {
             (1..=CAPACITY).for_each(|tick| running.set(setpoint(tick)));
             (0..10).for_each(|_| running.period());
             running.command(Command::QuickStop);
+            assert!(!running.arm.status().standstill);
             if !moving {
                 running.rest();
             }
