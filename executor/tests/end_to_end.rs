@@ -163,6 +163,51 @@ fn an_arm_whose_limits_drown_in_noise_refuses_the_session() {
     assert_eq!(result.refusal, Some(Refusal::Meaningless));
 }
 
+/// Asks for a stop between two ticks of the arm, and notes when the arm is seen to obey.
+#[derive(Default)]
+struct StopAtOnce {
+    asked_us: Option<u64>,
+    obeyed_us: Option<u64>,
+}
+
+impl Observer for StopAtOnce {
+    fn observe(&mut self, now_us: u64, arm: &Status) -> bool {
+        if arm.state == State::QuickStopActive {
+            self.obeyed_us.get_or_insert(now_us);
+        }
+        if arm.applied_tick >= 50 {
+            self.asked_us.get_or_insert(now_us);
+        }
+        self.asked_us.is_some()
+    }
+}
+
+#[test]
+fn a_stop_does_not_wait_for_the_next_tick() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    let mut observer = StopAtOnce::default();
+    let result = play(&plan, Config::default(), arm_for(&plan), &mut VirtualTime, &mut observer);
+    assert_eq!(fault_code(result.outcome), Some(FaultCode::OperatorStop));
+    assert!(observer.asked_us.is_some());
+    assert_eq!(observer.asked_us, observer.obeyed_us);
+}
+
+#[test]
+fn whoever_has_something_to_say_is_to_be_polled_at_once() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    let mut executor = Executor::new(0, &plan, Config::default());
+    executor.handle_message(50_000, &FromArm::Opened { session: 1 });
+    executor.handle_stop(50_000);
+    assert!(executor.poll_at().unwrap() <= 50_000);
+    assert!(matches!(
+        executor.poll(50_000),
+        Action::Send(ToArm::Control { command: Command::QuickStop, .. })
+    ));
+    assert!(executor.poll_at().unwrap() > 50_000);
+}
+
 /// Asks for a stop at a tick.
 struct StopAt(u32);
 
