@@ -6,7 +6,10 @@
 //! | enabling   | each state of [`WAY_UP`], then the anchor   | streaming, if the anchor is the plan's start      |
 //! | streaming  | credit; sends guarded setpoints             | leaving, when the arm holds the last setpoint     |
 //! | leaving    | ready to switch on                          | done: completed                                   |
-//! | stopping   | the arm to stand still, but not for ever    | done: stopped, with the first reason latched      |
+//! | stopping   | the arm to report standstill                | done: stopped, with the first reason latched      |
+//!
+//! Stopping goes on for as long as the arm reports that it moves; only an arm that falls silent is given up, and the
+//! outcome then says that nobody knows whether it stands.
 //!
 //! Whatever is asked of the arm is asked again after [`Config::retry_us`] until it is done or the time for it is over.
 
@@ -48,7 +51,7 @@ pub struct Config {
     pub anchor_tolerance_rad: f64,
     /// When an unanswered request is repeated.
     pub retry_us: u64,
-    /// When the handshake, leaving or stopping is given up.
+    /// When the handshake or leaving is given up, and stopping an arm that no longer reports.
     pub handshake_us: u64,
     /// When an arm that moves and does not report counts as silent; at least four control periods.
     pub silence_us: u64,
@@ -84,8 +87,13 @@ pub enum Action {
 pub enum Outcome {
     /// The arm holds the last setpoint.
     Completed,
-    /// The arm was stopped, for this reason.
-    Stopped(Fault),
+    /// The arm was told to stop.
+    Stopped {
+        /// Why.
+        fault: Fault,
+        /// Whether the arm has reported that it stands still. If not, it may be moving yet.
+        standstill: bool,
+    },
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -155,7 +163,7 @@ impl<'a> Executor<'a> {
             FromArm::Refused { session, reason } if self.is_ours(session) => {
                 if self.stage == Stage::Opening {
                     self.refusal = Some(reason);
-                    self.end(Fault { code: FaultCode::SessionRefused, tick: 0 });
+                    self.end_untouched(Fault { code: FaultCode::SessionRefused, tick: 0 });
                 }
             }
             FromArm::Anchored { session, pose } if self.is_ours(session) => self.anchored(now_us, &pose),
@@ -276,7 +284,7 @@ impl<'a> Executor<'a> {
             Stage::Leaving if !ours && status.state == State::ReadyToSwitchOn => {
                 self.stage = Stage::Done(Outcome::Completed);
             }
-            Stage::Stopping => self.end_if_standing(status),
+            Stage::Stopping => self.watch_stop(now_us, ours, status),
             Stage::Opening | Stage::Enabling | Stage::Leaving | Stage::Done(_) => {}
         }
     }
@@ -290,10 +298,15 @@ impl<'a> Executor<'a> {
         }
     }
 
-    fn end_if_standing(&mut self, status: &Status) {
+    fn watch_stop(&mut self, now_us: u64, ours: bool, status: &Status) {
         let stopped = !matches!(status.state, State::OperationEnabled | State::FaultReactionActive);
-        if let (true, Some(fault)) = (stopped && status.standstill, self.fault) {
-            self.end(fault);
+        match self.fault {
+            Some(fault) if stopped && status.standstill => self.end(fault, true),
+            // It moves, but it still answers.
+            _ if ours && !status.standstill => {
+                self.give_up_at_us = now_us.saturating_add(self.config.handshake_us);
+            }
+            _ => {}
         }
     }
 
@@ -382,14 +395,18 @@ impl<'a> Executor<'a> {
         self.fault = Some(fault);
         self.outbox.clear();
         if self.stage == Stage::Opening {
-            // Nothing has been asked of the arm that could make it move.
-            return self.end(fault);
+            return self.end_untouched(fault);
         }
         self.enter(now_us, Stage::Stopping);
     }
 
-    fn end(&mut self, fault: Fault) {
-        self.stage = Stage::Done(Outcome::Stopped(fault));
+    fn end(&mut self, fault: Fault, standstill: bool) {
+        self.stage = Stage::Done(Outcome::Stopped { fault, standstill });
+    }
+
+    /// Nothing has been asked of the arm that could make it move: what it last said holds.
+    fn end_untouched(&mut self, fault: Fault) {
+        self.end(fault, self.arm.is_some_and(|arm| arm.standstill));
     }
 
     // --- time ---
@@ -414,7 +431,7 @@ impl<'a> Executor<'a> {
 
     fn give_up(&mut self, now_us: u64) {
         match (self.stage, self.fault) {
-            (Stage::Stopping, Some(fault)) => self.end(fault),
+            (Stage::Stopping, Some(fault)) => self.end(fault, false),
             _ => self.stop(now_us, FaultCode::HandshakeTimeout),
         }
     }

@@ -4,6 +4,7 @@ mod common;
 
 use common::{Move, header, one_move, plan_bytes};
 use powderline_executor::host::pace::VirtualTime;
+use powderline_executor::host::report::Report;
 use powderline_executor::host::run::{Observer, RunResult, Unattended, play};
 use powderline_executor::{Action, Config, Executor, Outcome};
 use powderline_firmware_sim::controller::{ArmConfig, Controller};
@@ -26,7 +27,7 @@ fn play_on(plan: &PlanReader<'_>, arm: ArmConfig) -> RunResult {
 fn fault_code(outcome: Outcome) -> Option<FaultCode> {
     match outcome {
         Outcome::Completed => None,
-        Outcome::Stopped(fault) => Some(fault.code),
+        Outcome::Stopped { fault, .. } => Some(fault.code),
     }
 }
 
@@ -251,10 +252,43 @@ fn a_silent_arm_is_noticed() {
             Action::Finished(outcome) => break outcome,
         }
     };
-    assert_eq!(fault_code(outcome), Some(FaultCode::ArmSilent));
+    let Outcome::Stopped { fault, standstill } = outcome else { panic!("{outcome:?}") };
+    assert_eq!(fault.code, FaultCode::ArmSilent);
+    assert!(!standstill, "nobody has said so");
     // The arm has come to rest by itself, and for its own reason.
     assert!(matches!(arm.state(), State::Fault | State::QuickStopActive));
     assert_eq!(arm.fault().map(|fault| fault.code), Some(FaultCode::SetpointMissing));
+}
+
+#[test]
+fn a_stop_is_over_when_the_arm_stands_and_not_before() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    // By its limits the arm takes 0.2 s from the middle of the move.
+    let config = Config { handshake_us: 50_000, retry_us: 20_000, ..Config::default() };
+    let result = play(&plan, config, arm_for(&plan), &mut VirtualTime, &mut StopAt(60));
+    let Outcome::Stopped { fault, standstill } = result.outcome else { panic!("{:?}", result.outcome) };
+    assert_eq!(fault.code, FaultCode::OperatorStop);
+    assert!(standstill && result.arm.standstill, "given up while the arm moves");
+    let took_us = result.duration_us - 60 * 10_000;
+    assert!((100_000..500_000).contains(&took_us), "{took_us} us");
+}
+
+#[test]
+fn a_stop_that_the_arm_does_not_confirm_is_not_reported_as_one() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    let run = play(&plan, Config::default(), arm_for(&plan), &mut VirtualTime, &mut StopAt(60));
+    let report = Report::new("skill.plan", &plan, &run);
+    assert!(report.stopped_by_a_person() && report.to_string().starts_with("Stopped at tick"));
+
+    let Outcome::Stopped { fault, .. } = run.outcome else { panic!("{:?}", run.outcome) };
+    let unconfirmed = RunResult { outcome: Outcome::Stopped { fault, standstill: false }, ..run };
+    let report = Report::new("skill.plan", &plan, &unconfirmed);
+    let text = report.to_string();
+    assert!(!text.contains("Stopped") && text.contains("may be moving"), "{text}");
+    assert!(!report.stopped_by_a_person() && !report.succeeded());
+    assert_eq!(serde_json::to_value(&report).unwrap()["standstill"], false);
 }
 
 #[test]
@@ -405,7 +439,8 @@ proptest! {
         assert_within(&header().limits, peak);
         match outcome {
             Outcome::Completed => prop_assert_eq!(arm.pose(), plan.end_pose()),
-            Outcome::Stopped(fault) => {
+            Outcome::Stopped { fault, standstill } => {
+                prop_assert!(standstill);
                 // If the very first setpoints are lost the arm never starts; the executor gives up.
                 prop_assert!(matches!(fault.code, FaultCode::SetpointMissing | FaultCode::ArmSilent), "{}", fault);
                 prop_assert!(arm.status().standstill);

@@ -31,7 +31,7 @@ const PROGRESS_EVERY_US: u64 = 100_000;
     version,
     after_help = "Exit codes:\n  \
     0  the arm performed the whole plan and stands at its end\n  \
-    1  the arm was stopped by a fault, or does not stand at the plan's end\n  \
+    1  the arm was stopped by a fault, does not stand at the plan's end, or has not reported standstill\n  \
     2  wrong usage\n  \
     3  the plan file cannot be read, is damaged, or breaks its own limits\n  \
     4  a person stopped the arm (Ctrl-C)\n  \
