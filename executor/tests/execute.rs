@@ -180,6 +180,15 @@ fn wrong_usage_is_exit_code_2() {
 
 #[test]
 #[cfg(unix)]
+fn a_standard_error_that_cannot_be_written_changes_nothing() {
+    let Ok(full) = File::options().write(true).open("/dev/full") else { return };
+    let mut command = Command::new(env!("CARGO_BIN_EXE_execute"));
+    let output = command.args(["missing.plan", "--json"]).stderr(full).output().unwrap();
+    assert_eq!((output.status.code(), &json(&output)["exit_code"]), (Some(3), &Value::from(3)));
+}
+
+#[test]
+#[cfg(unix)]
 fn ctrl_c_is_a_controlled_stop() {
     use std::process::Stdio;
     use std::thread::sleep;

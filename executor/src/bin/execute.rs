@@ -59,7 +59,7 @@ fn main() -> ExitCode {
 /// Says what went wrong, once on standard error and, if wanted, as JSON; the exit code.
 fn fail(arguments: &Arguments, error: &anyhow::Error) -> u8 {
     let code = if error.is::<LoadError>() { EXIT_BAD_PLAN } else { EXIT_OTHER };
-    eprintln!("execute: {error:#}");
+    tell(&format!("execute: {error:#}\n"));
     if arguments.json {
         let object = serde_json::json!({ "error": format!("{error:#}"), "exit_code": code });
         // There is no one left to tell if this fails too.
@@ -123,7 +123,7 @@ impl Person {
 
     fn finish(&self) {
         if self.shows_progress {
-            eprint!("\r\x1b[K");
+            tell("\r\x1b[K");
         }
     }
 }
@@ -133,16 +133,23 @@ impl Observer for Person {
         if self.shows_progress && now_us >= self.next_update_us {
             self.next_update_us = now_us.saturating_add(PROGRESS_EVERY_US);
             let percent = 100.0 * f64::from(arm.applied_tick) / f64::from(self.step_count);
-            eprint!(
+            tell(&format!(
                 "\r\x1b[K  tick {} of {} ({percent:.0} %), {}, {} buffered",
                 arm.applied_tick,
                 self.step_count,
                 arm.state.name(),
                 arm.buffered
-            );
+            ));
         }
         self.wants_stop.load(Ordering::Relaxed)
     }
+}
+
+/// Writes to standard error. Where that fails, as on a terminal that has been closed, nobody is left to be told; the arm
+/// is still to be stopped as it should.
+fn tell(text: &str) {
+    let mut err = io::stderr().lock();
+    let _ = err.write_all(text.as_bytes()).and_then(|()| err.flush());
 }
 
 /// Writes to standard output. A reader that went away (`| head`) is no error of ours.
