@@ -72,11 +72,13 @@ fn run(arguments: &Arguments) -> anyhow::Result<ExitCode> {
     let bytes = read_plan_file(&arguments.plan)?;
     let plan = check_plan(&arguments.plan, &bytes)?;
     let file = arguments.plan.display().to_string();
+    // From here on Ctrl-C is a controlled stop; only then is the motion announced.
+    let mut person = Person::attend(arguments, plan.header().step_count)?;
     if !arguments.json {
         let clock = if arguments.realtime { "wall clock" } else { "virtual time" };
         say(&format!("{}Playing on the simulated arm, {clock}.\n", PlanFacts::new(&file, &plan)))?;
     }
-    let result = perform(arguments, &plan)?;
+    let result = perform(arguments, &plan, &mut person);
     let report = Report::new(&file, &plan, &result);
     if arguments.json {
         say(&format!("{}\n", serde_json::to_string(&report)?))?;
@@ -90,17 +92,16 @@ fn run(arguments: &Arguments) -> anyhow::Result<ExitCode> {
     })
 }
 
-fn perform(arguments: &Arguments, plan: &PlanReader<'_>) -> anyhow::Result<RunResult> {
-    let mut person = Person::attend(arguments, plan.header().step_count)?;
+fn perform(arguments: &Arguments, plan: &PlanReader<'_>, person: &mut Person) -> RunResult {
     let arm = ArmConfig::bench(plan.header().start_pose());
     let config = Config::default();
     let result = if arguments.realtime {
-        play(plan, config, arm, &mut WallClock::start(), &mut person)
+        play(plan, config, arm, &mut WallClock::start(), person)
     } else {
-        play(plan, config, arm, &mut VirtualTime, &mut person)
+        play(plan, config, arm, &mut VirtualTime, person)
     };
     person.finish();
-    Ok(result)
+    result
 }
 
 /// Whoever sits in front of the terminal: sees progress, may press Ctrl-C.
