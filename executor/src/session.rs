@@ -4,7 +4,7 @@
 //! |------------|---------------------------------------------|---------------------------------------------------|
 //! | opening    | the arm to accept the session               | enabling                                          |
 //! | enabling   | each state of [`WAY_UP`], then the anchor   | streaming, if the anchor is the plan's start      |
-//! | streaming  | credit; sends guarded setpoints             | leaving, when the arm holds the last setpoint     |
+//! | streaming  | credit; sends guarded setpoints             | leaving, when the arm stands on the last setpoint |
 //! | leaving    | ready to switch on                          | done: completed                                   |
 //! | stopping   | the arm to report standstill                | done: stopped, with the first reason latched      |
 //!
@@ -14,6 +14,7 @@
 //! Whatever is asked of the arm is asked again after [`Config::retry_us`] until it is done or the time for it is over.
 
 use heapless::Deque;
+use nalgebra::Vector3;
 use powderline_shared::fault::{Fault, FaultCode};
 use powderline_shared::limits::{PeakUse, Violation};
 use powderline_shared::plan::{PlanHeader, PlanReader};
@@ -37,6 +38,9 @@ const OUTBOX_CAPACITY: usize = 4;
 
 /// Periods without a report after which the arm is silent, at the least.
 const SILENT_PERIODS: u64 = 4;
+
+/// Largest difference between where the arm holds and the last setpoint, LSB; the excess over one half is for rounding.
+const END_TOLERANCE_LSB: f64 = 0.5 * 1.01;
 
 /// What may differ from arm to arm. Times in microseconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -118,7 +122,8 @@ pub struct Executor<'a> {
     stage: Stage,
     outbox: Deque<ToArm, OUTBOX_CAPACITY>,
     arm: Option<Status>,
-    actual: Option<Pose>,
+    /// The pose that the arm has reported, with the tick that it belongs to.
+    actual: Option<(u32, Pose)>,
     fault: Option<Fault>,
     violation: Option<Violation>,
     refusal: Option<Refusal>,
@@ -167,9 +172,9 @@ impl<'a> Executor<'a> {
                 }
             }
             FromArm::Anchored { session, pose } if self.is_ours(session) => self.anchored(now_us, &pose),
-            FromArm::Actual { session, pose, .. } if self.is_ours(session) => {
+            FromArm::Actual { session, tick, pose } if self.is_ours(session) => {
                 self.heard_us = now_us;
-                self.actual = Some(pose);
+                self.actual = Some((tick, pose));
             }
             FromArm::Status(status) => self.status(now_us, &status),
             // Of another session: no business of ours.
@@ -223,7 +228,7 @@ impl<'a> Executor<'a> {
     /// The arm's last reported pose.
     #[must_use]
     pub fn actual_pose(&self) -> Option<Pose> {
-        self.actual
+        self.actual.map(|(_, pose)| pose)
     }
 
     /// The numbers behind a limit fault of our own.
@@ -263,7 +268,7 @@ impl<'a> Executor<'a> {
         }
         let PlanHeader { limits, lsb, control_period_us, step_count, .. } = self.header;
         self.guard = Some(Guard::new(*anchor, limits, lsb, control_period_us, step_count));
-        self.actual = Some(*anchor);
+        self.actual = Some((0, *anchor));
         self.enter(now_us, Stage::Streaming);
     }
 
@@ -294,8 +299,24 @@ impl<'a> Executor<'a> {
             return self.stop(now_us, FaultCode::StateUnexpected);
         }
         if status.phase == Some(Phase::Holding) && status.applied_tick == self.player.end().tick {
-            self.enter(now_us, Stage::Leaving);
+            match self.stands_at_end() {
+                Some(true) => self.enter(now_us, Stage::Leaving),
+                Some(false) => self.stop(now_us, FaultCode::EndElsewhere),
+                // Its last poses have been lost. Should none follow, the arm is silent.
+                None => {}
+            }
         }
+    }
+
+    /// Whether the pose that the arm reports for the last tick is that of the last setpoint; `None` before it has.
+    fn stands_at_end(&self) -> Option<bool> {
+        let end = self.player.end();
+        let (_, actual) = self.actual.filter(|(tick, _)| *tick == end.tick)?;
+        let off = self.guard.as_ref()?.pose_at(end).displacement_to(&actual);
+        let lsb = self.header.lsb;
+        // Asked as "is it near", so that NaN fails.
+        let near = |off: Vector3<f64>, lsb: f64| off.iter().all(|x| x.abs() <= END_TOLERANCE_LSB * lsb);
+        Some(near(off.translation(), lsb.translation_m()) && near(off.rotation(), lsb.rotation_rad()))
     }
 
     fn watch_stop(&mut self, now_us: u64, ours: bool, status: &Status) {

@@ -291,6 +291,58 @@ fn a_stop_that_the_arm_does_not_confirm_is_not_reported_as_one() {
     assert_eq!(serde_json::to_value(&report).unwrap()["standstill"], false);
 }
 
+/// Executor and arm joined by a wire that passes, changes or drops what the arm says.
+fn play_hearing(plan: &PlanReader<'_>, heard: impl Fn(FromArm) -> Option<FromArm>) -> Outcome {
+    let mut arm = Controller::new(arm_for(plan));
+    let mut executor = Executor::new(0, plan, Config::default());
+    let mut now_us = 0;
+    loop {
+        while let Some(message) = arm.poll(now_us) {
+            heard(message).into_iter().for_each(|message| executor.handle_message(now_us, &message));
+        }
+        match executor.poll(now_us) {
+            Action::Send(message) => arm.handle_message(now_us, &message),
+            Action::Wait => now_us += 1_000,
+            Action::Finished(outcome) => return outcome,
+        }
+        assert!(now_us < 10_000_000, "the session never ends");
+    }
+}
+
+#[test]
+fn completed_means_that_the_arm_stands_at_the_plans_end() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    // Translation (LSB) and rotation (LSB) by which the arm is off.
+    for (length, angle, code) in [
+        (0.0, 0.0, None),
+        (0.49, 0.49, None),
+        (0.52, 0.0, Some(FaultCode::EndElsewhere)),
+        (0.0, -0.52, Some(FaultCode::EndElsewhere)),
+        (f64::NAN, 0.0, Some(FaultCode::EndElsewhere)),
+    ] {
+        let off =
+            Displacement { translation_m: [0.0, 0.0, 1e-7 * length], rotation_rad: [1e-7 * angle, 0.0, 0.0] };
+        let outcome = play_hearing(&plan, |message| match message {
+            FromArm::Actual { session, tick, pose } => {
+                Some(FromArm::Actual { session, tick, pose: pose.displaced(&off) })
+            }
+            other => Some(other),
+        });
+        assert_eq!(fault_code(outcome), code, "off by {length} and {angle} LSB");
+    }
+}
+
+#[test]
+fn an_end_that_the_arm_does_not_report_is_not_completed() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    let end_tick = plan.header().step_count;
+    let last_pose = |message: &FromArm| matches!(message, FromArm::Actual { tick, .. } if *tick == end_tick);
+    let outcome = play_hearing(&plan, |message| (!last_pose(&message)).then_some(message));
+    assert_eq!(fault_code(outcome), Some(FaultCode::ArmSilent));
+}
+
 #[test]
 fn an_arm_that_never_answers_is_given_up() {
     let bytes = plan_bytes(&header(), &one_move());
