@@ -383,7 +383,9 @@ impl Controller {
                 let after = after.filter(|after| probe.check(*after).is_ok());
                 anchored.applied_tick = anchored.applied_tick.saturating_add(1);
                 let applied = anchored.applied_tick;
-                anchored.buffer.take(applied);
+                if anchored.buffer.take(applied).is_some() {
+                    anchored.received = (applied, pose);
+                }
                 self.activity = Activity::Following { bridge: None };
                 self.command_pose(tick_us, motion, after);
             }
@@ -474,9 +476,10 @@ impl Controller {
 
     // --- stops ---
 
-    /// A commanded pose breaks a limit. If that is the echo of a lost setpoint, the loss is the reason.
+    /// A commanded pose breaks a limit. If that is the echo of a lost setpoint, the loss is the reason; not so if the
+    /// setpoint would have been refused without the loss as well.
     fn refuse(&mut self, tick_us: u64, violation: Violation) {
-        let echo = self.anchored().is_some_and(|anchored| violation.tick <= anchored.echo_until);
+        let echo = self.session.as_ref().is_some_and(|session| session.is_echo(&violation));
         let code =
             if echo { FaultCode::SetpointMissing } else { FaultCode::from_limit(violation.limit, Side::Arm) };
         if self.fault.is_none() {

@@ -1,8 +1,9 @@
 //! What the controller knows about the executor's session, and which sessions it admits.
 
-use powderline_shared::limits::{LimitChecker, Limits};
+use powderline_shared::displacement::pose_at;
+use powderline_shared::limits::{Limit, LimitChecker, Limits, Violation};
 use powderline_shared::plan::PERIOD_US_MIN;
-use powderline_shared::pose::Pose;
+use powderline_shared::pose::{Pose, norm};
 use powderline_shared::wire::message::{NO_SESSION, OpenRequest, PROTOCOL_VERSION, Refusal};
 use powderline_shared::wire::state::State;
 
@@ -26,6 +27,29 @@ impl Session {
     pub(crate) fn new(request: &OpenRequest, own_limits: &Limits) -> Self {
         Self { request: *request, limits: own_limits.tighter(&request.limits), anchored: None }
     }
+
+    /// Whether a limit may be broken only because a setpoint was lost shortly before.
+    pub(crate) fn is_echo(&self, violation: &Violation) -> bool {
+        let Some(anchored) = &self.anchored else { return false };
+        violation.tick <= anchored.echo_until && !self.is_bad_by_itself(anchored, violation)
+    }
+
+    /// Whether the refused pose is a setpoint that lies outside the workspace, or too far from the last one that has
+    /// arrived, whatever came between.
+    fn is_bad_by_itself(&self, anchored: &Anchored, violation: &Violation) -> bool {
+        let OpenRequest { lsb, period_us, .. } = self.request;
+        let Some(setpoint) = anchored.buffer.peek(violation.tick) else { return false };
+        if matches!(violation.limit, Limit::Workspace(_)) {
+            return true;
+        }
+        let (tick, pose) = anchored.received;
+        let step = pose.displacement_to(&pose_at(&anchored.anchor, setpoint, lsb));
+        let time_s = f64::from(setpoint.tick.saturating_sub(tick)) * f64::from(period_us) / 1e6;
+        // Rounding moves both ends by up to sqrt(3) / 2 LSB.
+        let farthest = |speed: f64, lsb: f64| speed * time_s + 2.0 * lsb;
+        norm(&step.translation()) > farthest(self.limits.linear_velocity_m_s, lsb.translation_m())
+            || norm(&step.rotation()) > farthest(self.limits.angular_velocity_rad_s, lsb.rotation_rad())
+    }
 }
 
 /// What exists from enabling on.
@@ -36,6 +60,8 @@ pub(crate) struct Anchored {
     pub(crate) buffer: SetpointBuffer,
     pub(crate) applied_tick: u32,
     pub(crate) lost: u32,
+    /// The last setpoint taken that had really arrived: its tick, and where it led.
+    pub(crate) received: (u32, Pose),
     /// A limit broken up to this tick is the echo of a lost setpoint.
     pub(crate) echo_until: u32,
     /// The last setpoint has been reached; nothing more may come.
@@ -51,6 +77,7 @@ impl Anchored {
             buffer: SetpointBuffer::default(),
             applied_tick: 0,
             lost: 0,
+            received: (0, anchor),
             echo_until: 0,
             ended: false,
         }

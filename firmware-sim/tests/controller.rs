@@ -291,6 +291,28 @@ fn a_single_lost_setpoint_heals_with_the_next() {
     }
 }
 
+/// Tick 40 is lost; the setpoint two ticks after it is off by so many counts along x.
+#[test]
+fn a_loss_does_not_excuse_a_bad_setpoint_after_it() {
+    let cases = [
+        (1_000_000, FaultCode::ArmLinearVelocity),
+        (4_000_000, FaultCode::ArmWorkspace),
+        // Half a millimetre: too hard, but that may be the loss.
+        (5_000, FaultCode::SetpointMissing),
+    ];
+    for (off, code) in cases {
+        let mut bench = Bench::enabled();
+        bench.stream(END, |tick| {
+            let mut setpoint = setpoint(tick);
+            setpoint.counts[0] += if tick == 42 { off } else { 0 };
+            (tick != 40).then_some(setpoint)
+        });
+        bench.rest();
+        assert_eq!(bench.fault(), Some(code), "{off} counts");
+        bench.assert_limits_kept();
+    }
+}
+
 #[test]
 fn silence_is_a_latched_stop_within_limits() {
     for silent_from in (5..=END).step_by(5).chain([END - 1]) {
