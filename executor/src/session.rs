@@ -462,3 +462,19 @@ impl<'a> Executor<'a> {
         self.heard_us.saturating_add(self.config.silence_us.max(periods))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use powderline_shared::wire::state::{Event, transition};
+
+    #[test]
+    fn the_way_up_is_one_of_the_table() {
+        let mut state = State::SwitchOnDisabled;
+        for (from, command) in WAY_UP {
+            assert_eq!(from, state);
+            state = transition(from, Event::Command(command)).unwrap().to;
+        }
+        assert_eq!(state, State::OperationEnabled);
+    }
+}
