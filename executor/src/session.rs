@@ -91,7 +91,7 @@ pub enum Action {
 pub enum Outcome {
     /// The arm holds the last setpoint.
     Completed,
-    /// The arm was told to stop.
+    /// The session ended before the plan did.
     Stopped {
         /// Why.
         fault: Fault,

@@ -90,7 +90,7 @@ fault_codes! {
     ArmAngularAcceleration = 306, "The arm refused a setpoint that breaks its limit on angular acceleration.";
     ArmAngularJerk = 307, "The arm refused a setpoint that breaks its limit on angular jerk.";
 
-    SessionRefused = 401, "The arm refused the session: its version, period, length or limits do not fit.";
+    SessionRefused = 401, "The arm refused the session: its version, period, length, LSB or limits do not fit.";
     AnchorElsewhere = 402, "The arm stands too far from the start pose of the plan.";
     StateUnexpected = 403, "The arm left the state that the session needs.";
     HandshakeTimeout = 404, "The arm did not take the next step of the handshake in time.";

@@ -236,7 +236,7 @@ impl fmt::Display for Report {
         match &self.stop {
             None => writeln!(f, "Completed: {applied} of {planned} ticks in {:.3} s", self.duration_s)?,
             Some(stop) => {
-                let what = if self.standstill { "Stopped" } else { "Told to stop" };
+                let what = if self.standstill { "Stopped" } else { "Given up" };
                 writeln!(f, "{what} at tick {applied} of {planned}, after {:.3} s", self.duration_s)?;
                 if !self.standstill {
                     writeln!(f, "  arm       has not reported standstill: it may be moving yet")?;
