@@ -175,6 +175,7 @@ impl<'a> Executor<'a> {
             FromArm::Actual { session, tick, pose } if self.is_ours(session) => {
                 self.heard_us = now_us;
                 self.actual = Some((tick, pose));
+                self.leave_at_end(now_us);
             }
             FromArm::Status(status) => self.status(now_us, &status),
             // Of another session: no business of ours.
@@ -298,13 +299,23 @@ impl<'a> Executor<'a> {
         if !ours || status.state != State::OperationEnabled {
             return self.stop(now_us, FaultCode::StateUnexpected);
         }
-        if status.phase == Some(Phase::Holding) && status.applied_tick == self.player.end().tick {
-            match self.stands_at_end() {
-                Some(true) => self.enter(now_us, Stage::Leaving),
-                Some(false) => self.stop(now_us, FaultCode::EndElsewhere),
-                // Its last poses have been lost. Should none follow, the arm is silent.
-                None => {}
-            }
+        self.leave_at_end(now_us);
+    }
+
+    /// Goes on once the arm has reported both that it holds the last setpoint and where that is, in whatever order.
+    fn leave_at_end(&mut self, now_us: u64) {
+        let end_tick = self.player.end().tick;
+        let holds = self.arm.is_some_and(|arm| {
+            self.is_ours(arm.session) && arm.phase == Some(Phase::Holding) && arm.applied_tick == end_tick
+        });
+        if self.stage != Stage::Streaming || !holds {
+            return;
+        }
+        match self.stands_at_end() {
+            Some(true) => self.enter(now_us, Stage::Leaving),
+            Some(false) => self.stop(now_us, FaultCode::EndElsewhere),
+            // Its last poses have been lost. Should none follow, the arm is silent.
+            None => {}
         }
     }
 

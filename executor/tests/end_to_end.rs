@@ -13,7 +13,7 @@ use powderline_shared::fault::FaultCode;
 use powderline_shared::limits::{Limits, Motion};
 use powderline_shared::plan::{PlanHeader, PlanReader};
 use powderline_shared::wire::message::{FromArm, OpenRequest, PROTOCOL_VERSION, Refusal, Status, ToArm};
-use powderline_shared::wire::state::{Command, State};
+use powderline_shared::wire::state::{Command, Phase, State};
 use proptest::prelude::*;
 
 fn arm_for(plan: &PlanReader<'_>) -> ArmConfig {
@@ -291,15 +291,14 @@ fn a_stop_that_the_arm_does_not_confirm_is_not_reported_as_one() {
     assert_eq!(serde_json::to_value(&report).unwrap()["standstill"], false);
 }
 
-/// Executor and arm joined by a wire that passes, changes or drops what the arm says.
-fn play_hearing(plan: &PlanReader<'_>, heard: impl Fn(FromArm) -> Option<FromArm>) -> Outcome {
+/// Executor and arm joined by a wire that may change, drop or reorder what the arm says at one moment.
+fn play_hearing(plan: &PlanReader<'_>, heard: impl Fn(Vec<FromArm>) -> Vec<FromArm>) -> Outcome {
     let mut arm = Controller::new(arm_for(plan));
     let mut executor = Executor::new(0, plan, Config::default());
     let mut now_us = 0;
     loop {
-        while let Some(message) = arm.poll(now_us) {
-            heard(message).into_iter().for_each(|message| executor.handle_message(now_us, &message));
-        }
+        let said = std::iter::from_fn(|| arm.poll(now_us)).collect();
+        heard(said).iter().for_each(|message| executor.handle_message(now_us, message));
         match executor.poll(now_us) {
             Action::Send(message) => arm.handle_message(now_us, &message),
             Action::Wait => now_us += 1_000,
@@ -307,6 +306,10 @@ fn play_hearing(plan: &PlanReader<'_>, heard: impl Fn(FromArm) -> Option<FromArm
         }
         assert!(now_us < 10_000_000, "the session never ends");
     }
+}
+
+fn is_pose_of(message: &FromArm, end_tick: u32) -> bool {
+    matches!(message, FromArm::Actual { tick, .. } if *tick == end_tick)
 }
 
 #[test]
@@ -323,12 +326,13 @@ fn completed_means_that_the_arm_stands_at_the_plans_end() {
     ] {
         let off =
             Displacement { translation_m: [0.0, 0.0, 1e-7 * length], rotation_rad: [1e-7 * angle, 0.0, 0.0] };
-        let outcome = play_hearing(&plan, |message| match message {
+        let moved = |message| match message {
             FromArm::Actual { session, tick, pose } => {
-                Some(FromArm::Actual { session, tick, pose: pose.displaced(&off) })
+                FromArm::Actual { session, tick, pose: pose.displaced(&off) }
             }
-            other => Some(other),
-        });
+            other => other,
+        };
+        let outcome = play_hearing(&plan, |said| said.into_iter().map(moved).collect());
         assert_eq!(fault_code(outcome), code, "off by {length} and {angle} LSB");
     }
 }
@@ -338,9 +342,32 @@ fn an_end_that_the_arm_does_not_report_is_not_completed() {
     let bytes = plan_bytes(&header(), &one_move());
     let plan = PlanReader::new(&bytes).unwrap();
     let end_tick = plan.header().step_count;
-    let last_pose = |message: &FromArm| matches!(message, FromArm::Actual { tick, .. } if *tick == end_tick);
-    let outcome = play_hearing(&plan, |message| (!last_pose(&message)).then_some(message));
-    assert_eq!(fault_code(outcome), Some(FaultCode::ArmSilent));
+    let last_pose = |message: &FromArm| is_pose_of(message, end_tick);
+    let without = |mut said: Vec<FromArm>| {
+        said.retain(|message| !last_pose(message));
+        said
+    };
+    assert_eq!(fault_code(play_hearing(&plan, without)), Some(FaultCode::ArmSilent));
+}
+
+#[test]
+fn an_end_may_be_reported_after_the_arm_holds_it() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    let end_tick = plan.header().step_count;
+    let held = std::cell::Cell::new(None);
+    let late = |mut said: Vec<FromArm>| {
+        // All but the last of the reports from the end are lost, and that one comes after the last status.
+        let last_pose = said.iter().copied().find(|message| is_pose_of(message, end_tick));
+        held.set(last_pose.or(held.get()));
+        said.retain(|message| !is_pose_of(message, end_tick));
+        let holds = |message: &FromArm| matches!(message, FromArm::Status(status) if status.phase == Some(Phase::Holding));
+        if said.iter().any(holds) {
+            said.extend(held.take());
+        }
+        said
+    };
+    assert_eq!(play_hearing(&plan, late), Outcome::Completed);
 }
 
 #[test]
