@@ -26,12 +26,18 @@ impl Guard {
     /// # Errors
     /// The first limit broken.
     pub fn check(&mut self, setpoint: Setpoint) -> Result<(), Violation> {
-        self.checker.check(pose_at(&self.anchor, setpoint, self.lsb))?;
+        self.checker.check(self.pose_at(setpoint))?;
         if setpoint.tick >= self.end_tick {
             let mut ending = self.checker;
             ending.finish()?;
         }
         Ok(())
+    }
+
+    /// Where a setpoint leads.
+    #[must_use]
+    pub fn pose_at(&self, setpoint: Setpoint) -> Pose {
+        pose_at(&self.anchor, setpoint, self.lsb)
     }
 
     /// Largest use of each limit so far.

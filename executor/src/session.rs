@@ -4,13 +4,17 @@
 //! |------------|---------------------------------------------|---------------------------------------------------|
 //! | opening    | the arm to accept the session               | enabling                                          |
 //! | enabling   | each state of [`WAY_UP`], then the anchor   | streaming, if the anchor is the plan's start      |
-//! | streaming  | credit; sends guarded setpoints             | leaving, when the arm holds the last setpoint     |
+//! | streaming  | credit; sends guarded setpoints             | leaving, when the arm stands on the last setpoint |
 //! | leaving    | ready to switch on                          | done: completed                                   |
-//! | stopping   | the arm to stand still, but not for ever    | done: stopped, with the first reason latched      |
+//! | stopping   | the arm to report standstill                | done: stopped, with the first reason latched      |
+//!
+//! Stopping goes on for as long as the arm reports that it moves; only an arm that falls silent is given up, and the
+//! outcome then says that nobody knows whether it stands.
 //!
 //! Whatever is asked of the arm is asked again after [`Config::retry_us`] until it is done or the time for it is over.
 
 use heapless::Deque;
+use nalgebra::Vector3;
 use powderline_shared::fault::{Fault, FaultCode};
 use powderline_shared::limits::{PeakUse, Violation};
 use powderline_shared::plan::{PlanHeader, PlanReader};
@@ -35,6 +39,9 @@ const OUTBOX_CAPACITY: usize = 4;
 /// Periods without a report after which the arm is silent, at the least.
 const SILENT_PERIODS: u64 = 4;
 
+/// Largest difference between where the arm holds and the last setpoint, LSB; the excess over one half is for rounding.
+const END_TOLERANCE_LSB: f64 = 0.5 * 1.01;
+
 /// What may differ from arm to arm. Times in microseconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Config {
@@ -48,7 +55,7 @@ pub struct Config {
     pub anchor_tolerance_rad: f64,
     /// When an unanswered request is repeated.
     pub retry_us: u64,
-    /// When the handshake, leaving or stopping is given up.
+    /// When the handshake or leaving is given up, and stopping an arm that no longer reports.
     pub handshake_us: u64,
     /// When an arm that moves and does not report counts as silent; at least four control periods.
     pub silence_us: u64,
@@ -84,8 +91,13 @@ pub enum Action {
 pub enum Outcome {
     /// The arm holds the last setpoint.
     Completed,
-    /// The arm was stopped, for this reason.
-    Stopped(Fault),
+    /// The session ended before the plan did.
+    Stopped {
+        /// Why.
+        fault: Fault,
+        /// Whether the arm has reported that it stands still. If not, it may be moving yet.
+        standstill: bool,
+    },
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -110,7 +122,8 @@ pub struct Executor<'a> {
     stage: Stage,
     outbox: Deque<ToArm, OUTBOX_CAPACITY>,
     arm: Option<Status>,
-    actual: Option<Pose>,
+    /// The pose that the arm has reported, with the tick that it belongs to.
+    actual: Option<(u32, Pose)>,
     fault: Option<Fault>,
     violation: Option<Violation>,
     refusal: Option<Refusal>,
@@ -155,13 +168,14 @@ impl<'a> Executor<'a> {
             FromArm::Refused { session, reason } if self.is_ours(session) => {
                 if self.stage == Stage::Opening {
                     self.refusal = Some(reason);
-                    self.end(Fault { code: FaultCode::SessionRefused, tick: 0 });
+                    self.end_untouched(Fault { code: FaultCode::SessionRefused, tick: 0 });
                 }
             }
             FromArm::Anchored { session, pose } if self.is_ours(session) => self.anchored(now_us, &pose),
-            FromArm::Actual { session, pose, .. } if self.is_ours(session) => {
+            FromArm::Actual { session, tick, pose } if self.is_ours(session) => {
                 self.heard_us = now_us;
-                self.actual = Some(pose);
+                self.actual = Some((tick, pose));
+                self.leave_at_end(now_us);
             }
             FromArm::Status(status) => self.status(now_us, &status),
             // Of another session: no business of ours.
@@ -190,9 +204,13 @@ impl<'a> Executor<'a> {
         }
     }
 
-    /// When to poll next even if no message arrives; `None` when finished.
+    /// When to poll next even if no message arrives, microseconds; a moment in the past means at once, `None` that the
+    /// session is over.
     #[must_use]
     pub fn poll_at(&self) -> Option<u64> {
+        if !self.outbox.is_empty() {
+            return Some(0);
+        }
         match self.stage {
             Stage::Done(_) => None,
             Stage::Streaming => Some(self.silent_at_us()),
@@ -211,7 +229,7 @@ impl<'a> Executor<'a> {
     /// The arm's last reported pose.
     #[must_use]
     pub fn actual_pose(&self) -> Option<Pose> {
-        self.actual
+        self.actual.map(|(_, pose)| pose)
     }
 
     /// The numbers behind a limit fault of our own.
@@ -251,7 +269,7 @@ impl<'a> Executor<'a> {
         }
         let PlanHeader { limits, lsb, control_period_us, step_count, .. } = self.header;
         self.guard = Some(Guard::new(*anchor, limits, lsb, control_period_us, step_count));
-        self.actual = Some(*anchor);
+        self.actual = Some((0, *anchor));
         self.enter(now_us, Stage::Streaming);
     }
 
@@ -272,7 +290,7 @@ impl<'a> Executor<'a> {
             Stage::Leaving if !ours && status.state == State::ReadyToSwitchOn => {
                 self.stage = Stage::Done(Outcome::Completed);
             }
-            Stage::Stopping => self.end_if_standing(status),
+            Stage::Stopping => self.watch_stop(now_us, ours, status),
             Stage::Opening | Stage::Enabling | Stage::Leaving | Stage::Done(_) => {}
         }
     }
@@ -281,15 +299,46 @@ impl<'a> Executor<'a> {
         if !ours || status.state != State::OperationEnabled {
             return self.stop(now_us, FaultCode::StateUnexpected);
         }
-        if status.phase == Some(Phase::Holding) && status.applied_tick == self.player.end().tick {
-            self.enter(now_us, Stage::Leaving);
+        self.leave_at_end(now_us);
+    }
+
+    /// Goes on once the arm has reported both that it holds the last setpoint and where that is, in whatever order.
+    fn leave_at_end(&mut self, now_us: u64) {
+        let end_tick = self.player.end().tick;
+        let holds = self.arm.is_some_and(|arm| {
+            self.is_ours(arm.session) && arm.phase == Some(Phase::Holding) && arm.applied_tick == end_tick
+        });
+        if self.stage != Stage::Streaming || !holds {
+            return;
+        }
+        match self.stands_at_end() {
+            Some(true) => self.enter(now_us, Stage::Leaving),
+            Some(false) => self.stop(now_us, FaultCode::EndElsewhere),
+            // Its last poses have been lost. Should none follow, the arm is silent.
+            None => {}
         }
     }
 
-    fn end_if_standing(&mut self, status: &Status) {
+    /// Whether the pose that the arm reports for the last tick is that of the last setpoint; `None` before it has.
+    fn stands_at_end(&self) -> Option<bool> {
+        let end = self.player.end();
+        let (_, actual) = self.actual.filter(|(tick, _)| *tick == end.tick)?;
+        let off = self.guard.as_ref()?.pose_at(end).displacement_to(&actual);
+        let lsb = self.header.lsb;
+        // Asked as "is it near", so that NaN fails.
+        let near = |off: Vector3<f64>, lsb: f64| off.iter().all(|x| x.abs() <= END_TOLERANCE_LSB * lsb);
+        Some(near(off.translation(), lsb.translation_m()) && near(off.rotation(), lsb.rotation_rad()))
+    }
+
+    fn watch_stop(&mut self, now_us: u64, ours: bool, status: &Status) {
         let stopped = !matches!(status.state, State::OperationEnabled | State::FaultReactionActive);
-        if let (true, Some(fault)) = (stopped && status.standstill, self.fault) {
-            self.end(fault);
+        match self.fault {
+            Some(fault) if stopped && status.standstill => self.end(fault, true),
+            // It moves, but it still answers.
+            _ if ours && !status.standstill => {
+                self.give_up_at_us = now_us.saturating_add(self.config.handshake_us);
+            }
+            _ => {}
         }
     }
 
@@ -353,8 +402,8 @@ impl<'a> Executor<'a> {
         if self.outbox.is_full() {
             self.outbox.pop_front();
         }
-        let refused = self.outbox.push_back(message);
-        debug_assert!(refused.is_ok(), "there is room after one was taken out");
+        // There is room after one was taken out.
+        let _ = self.outbox.push_back(message);
     }
 
     // --- stages ---
@@ -378,14 +427,18 @@ impl<'a> Executor<'a> {
         self.fault = Some(fault);
         self.outbox.clear();
         if self.stage == Stage::Opening {
-            // Nothing has been asked of the arm that could make it move.
-            return self.end(fault);
+            return self.end_untouched(fault);
         }
         self.enter(now_us, Stage::Stopping);
     }
 
-    fn end(&mut self, fault: Fault) {
-        self.stage = Stage::Done(Outcome::Stopped(fault));
+    fn end(&mut self, fault: Fault, standstill: bool) {
+        self.stage = Stage::Done(Outcome::Stopped { fault, standstill });
+    }
+
+    /// Nothing has been asked of the arm that could make it move: what it last said holds.
+    fn end_untouched(&mut self, fault: Fault) {
+        self.end(fault, self.arm.is_some_and(|arm| arm.standstill));
     }
 
     // --- time ---
@@ -410,7 +463,7 @@ impl<'a> Executor<'a> {
 
     fn give_up(&mut self, now_us: u64) {
         match (self.stage, self.fault) {
-            (Stage::Stopping, Some(fault)) => self.end(fault),
+            (Stage::Stopping, Some(fault)) => self.end(fault, false),
             _ => self.stop(now_us, FaultCode::HandshakeTimeout),
         }
     }
@@ -418,5 +471,21 @@ impl<'a> Executor<'a> {
     fn silent_at_us(&self) -> u64 {
         let periods = u64::from(self.header.control_period_us).saturating_mul(SILENT_PERIODS);
         self.heard_us.saturating_add(self.config.silence_us.max(periods))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use powderline_shared::wire::state::{Event, transition};
+
+    #[test]
+    fn the_way_up_is_one_of_the_table() {
+        let mut state = State::SwitchOnDisabled;
+        for (from, command) in WAY_UP {
+            assert_eq!(from, state);
+            state = transition(from, Event::Command(command)).unwrap().to;
+        }
+        assert_eq!(state, State::OperationEnabled);
     }
 }

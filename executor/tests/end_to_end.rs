@@ -4,15 +4,16 @@ mod common;
 
 use common::{Move, header, one_move, plan_bytes};
 use powderline_executor::host::pace::VirtualTime;
+use powderline_executor::host::report::Report;
 use powderline_executor::host::run::{Observer, RunResult, Unattended, play};
 use powderline_executor::{Action, Config, Executor, Outcome};
 use powderline_firmware_sim::controller::{ArmConfig, Controller};
-use powderline_shared::displacement::Displacement;
+use powderline_shared::displacement::{Displacement, Lsb};
 use powderline_shared::fault::FaultCode;
 use powderline_shared::limits::{Limits, Motion};
 use powderline_shared::plan::{PlanHeader, PlanReader};
 use powderline_shared::wire::message::{FromArm, OpenRequest, PROTOCOL_VERSION, Refusal, Status, ToArm};
-use powderline_shared::wire::state::{Command, State};
+use powderline_shared::wire::state::{Command, Phase, State};
 use proptest::prelude::*;
 
 fn arm_for(plan: &PlanReader<'_>) -> ArmConfig {
@@ -26,7 +27,7 @@ fn play_on(plan: &PlanReader<'_>, arm: ArmConfig) -> RunResult {
 fn fault_code(outcome: Outcome) -> Option<FaultCode> {
     match outcome {
         Outcome::Completed => None,
-        Outcome::Stopped(fault) => Some(fault.code),
+        Outcome::Stopped { fault, .. } => Some(fault.code),
     }
 }
 
@@ -119,8 +120,9 @@ fn each_limit_is_refused_by_executor_and_by_arm_independently() {
         assert_eq!(fault_code(result.outcome), Some(by_executor));
         assert!(result.violation.is_some() && result.arm.standstill);
 
-        // The plan is fine by its own limits, the arm has tighter ones.
-        let bytes = plan_bytes(&header(), &one_move());
+        // The plan is fine by its own limits, the arm has tighter ones. (The LSB is fine enough for the tightest.)
+        let lsb = Lsb { translation_nm: 10, rotation_nrad: 10 };
+        let bytes = plan_bytes(&PlanHeader { lsb, ..header() }, &one_move());
         let plan = PlanReader::new(&bytes).unwrap();
         let arm = ArmConfig { limits: tight, ..arm_for(&plan) };
         let result = play_on(&plan, arm);
@@ -160,6 +162,51 @@ fn an_arm_whose_limits_drown_in_noise_refuses_the_session() {
     let result = play_on(&plan, ArmConfig { limits, ..arm_for(&plan) });
     assert_eq!(fault_code(result.outcome), Some(FaultCode::SessionRefused));
     assert_eq!(result.refusal, Some(Refusal::Meaningless));
+}
+
+/// Asks for a stop between two ticks of the arm, and notes when the arm is seen to obey.
+#[derive(Default)]
+struct StopAtOnce {
+    asked_us: Option<u64>,
+    obeyed_us: Option<u64>,
+}
+
+impl Observer for StopAtOnce {
+    fn observe(&mut self, now_us: u64, arm: &Status) -> bool {
+        if arm.state == State::QuickStopActive {
+            self.obeyed_us.get_or_insert(now_us);
+        }
+        if arm.applied_tick >= 50 {
+            self.asked_us.get_or_insert(now_us);
+        }
+        self.asked_us.is_some()
+    }
+}
+
+#[test]
+fn a_stop_does_not_wait_for_the_next_tick() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    let mut observer = StopAtOnce::default();
+    let result = play(&plan, Config::default(), arm_for(&plan), &mut VirtualTime, &mut observer);
+    assert_eq!(fault_code(result.outcome), Some(FaultCode::OperatorStop));
+    assert!(observer.asked_us.is_some());
+    assert_eq!(observer.asked_us, observer.obeyed_us);
+}
+
+#[test]
+fn whoever_has_something_to_say_is_to_be_polled_at_once() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    let mut executor = Executor::new(0, &plan, Config::default());
+    executor.handle_message(50_000, &FromArm::Opened { session: 1 });
+    executor.handle_stop(50_000);
+    assert!(executor.poll_at().unwrap() <= 50_000);
+    assert!(matches!(
+        executor.poll(50_000),
+        Action::Send(ToArm::Control { command: Command::QuickStop, .. })
+    ));
+    assert!(executor.poll_at().unwrap() > 50_000);
 }
 
 /// Asks for a stop at a tick.
@@ -205,10 +252,122 @@ fn a_silent_arm_is_noticed() {
             Action::Finished(outcome) => break outcome,
         }
     };
-    assert_eq!(fault_code(outcome), Some(FaultCode::ArmSilent));
+    let Outcome::Stopped { fault, standstill } = outcome else { panic!("{outcome:?}") };
+    assert_eq!(fault.code, FaultCode::ArmSilent);
+    assert!(!standstill, "nobody has said so");
     // The arm has come to rest by itself, and for its own reason.
     assert!(matches!(arm.state(), State::Fault | State::QuickStopActive));
     assert_eq!(arm.fault().map(|fault| fault.code), Some(FaultCode::SetpointMissing));
+}
+
+#[test]
+fn a_stop_is_over_when_the_arm_stands_and_not_before() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    // By its limits the arm takes 0.2 s from the middle of the move.
+    let config = Config { handshake_us: 50_000, retry_us: 20_000, ..Config::default() };
+    let result = play(&plan, config, arm_for(&plan), &mut VirtualTime, &mut StopAt(60));
+    let Outcome::Stopped { fault, standstill } = result.outcome else { panic!("{:?}", result.outcome) };
+    assert_eq!(fault.code, FaultCode::OperatorStop);
+    assert!(standstill && result.arm.standstill, "given up while the arm moves");
+    let took_us = result.duration_us - 60 * 10_000;
+    assert!((100_000..500_000).contains(&took_us), "{took_us} us");
+}
+
+#[test]
+fn a_stop_that_the_arm_does_not_confirm_is_not_reported_as_one() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    let run = play(&plan, Config::default(), arm_for(&plan), &mut VirtualTime, &mut StopAt(60));
+    let report = Report::new("skill.plan", &plan, &run);
+    assert!(report.stopped_by_a_person() && report.to_string().starts_with("Stopped at tick"));
+
+    let Outcome::Stopped { fault, .. } = run.outcome else { panic!("{:?}", run.outcome) };
+    let unconfirmed = RunResult { outcome: Outcome::Stopped { fault, standstill: false }, ..run };
+    let report = Report::new("skill.plan", &plan, &unconfirmed);
+    let text = report.to_string();
+    assert!(!text.contains("Stopped") && text.contains("may be moving"), "{text}");
+    assert!(!report.stopped_by_a_person() && !report.succeeded());
+    assert_eq!(serde_json::to_value(&report).unwrap()["standstill"], false);
+}
+
+/// Executor and arm joined by a wire that may change, drop or reorder what the arm says at one moment.
+fn play_hearing(plan: &PlanReader<'_>, heard: impl Fn(Vec<FromArm>) -> Vec<FromArm>) -> Outcome {
+    let mut arm = Controller::new(arm_for(plan));
+    let mut executor = Executor::new(0, plan, Config::default());
+    let mut now_us = 0;
+    loop {
+        let said = std::iter::from_fn(|| arm.poll(now_us)).collect();
+        heard(said).iter().for_each(|message| executor.handle_message(now_us, message));
+        match executor.poll(now_us) {
+            Action::Send(message) => arm.handle_message(now_us, &message),
+            Action::Wait => now_us += 1_000,
+            Action::Finished(outcome) => return outcome,
+        }
+        assert!(now_us < 10_000_000, "the session never ends");
+    }
+}
+
+fn is_pose_of(message: &FromArm, end_tick: u32) -> bool {
+    matches!(message, FromArm::Actual { tick, .. } if *tick == end_tick)
+}
+
+#[test]
+fn completed_means_that_the_arm_stands_at_the_plans_end() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    // Translation (LSB) and rotation (LSB) by which the arm is off.
+    for (length, angle, code) in [
+        (0.0, 0.0, None),
+        (0.49, 0.49, None),
+        (0.52, 0.0, Some(FaultCode::EndElsewhere)),
+        (0.0, -0.52, Some(FaultCode::EndElsewhere)),
+        (f64::NAN, 0.0, Some(FaultCode::EndElsewhere)),
+    ] {
+        let off =
+            Displacement { translation_m: [0.0, 0.0, 1e-7 * length], rotation_rad: [1e-7 * angle, 0.0, 0.0] };
+        let moved = |message| match message {
+            FromArm::Actual { session, tick, pose } => {
+                FromArm::Actual { session, tick, pose: pose.displaced(&off) }
+            }
+            other => other,
+        };
+        let outcome = play_hearing(&plan, |said| said.into_iter().map(moved).collect());
+        assert_eq!(fault_code(outcome), code, "off by {length} and {angle} LSB");
+    }
+}
+
+#[test]
+fn an_end_that_the_arm_does_not_report_is_not_completed() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    let end_tick = plan.header().step_count;
+    let last_pose = |message: &FromArm| is_pose_of(message, end_tick);
+    let without = |mut said: Vec<FromArm>| {
+        said.retain(|message| !last_pose(message));
+        said
+    };
+    assert_eq!(fault_code(play_hearing(&plan, without)), Some(FaultCode::ArmSilent));
+}
+
+#[test]
+fn an_end_may_be_reported_after_the_arm_holds_it() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    let end_tick = plan.header().step_count;
+    let held = std::cell::Cell::new(None);
+    let late = |mut said: Vec<FromArm>| {
+        // All but the last of the reports from the end are lost, and that one comes after the last status.
+        let last_pose = said.iter().copied().find(|message| is_pose_of(message, end_tick));
+        held.set(last_pose.or(held.get()));
+        said.retain(|message| !is_pose_of(message, end_tick));
+        let holds = |message: &FromArm| matches!(message, FromArm::Status(status) if status.phase == Some(Phase::Holding));
+        if said.iter().any(holds) {
+            said.extend(held.take());
+        }
+        said
+    };
+    assert_eq!(play_hearing(&plan, late), Outcome::Completed);
 }
 
 #[test]
@@ -359,7 +518,8 @@ proptest! {
         assert_within(&header().limits, peak);
         match outcome {
             Outcome::Completed => prop_assert_eq!(arm.pose(), plan.end_pose()),
-            Outcome::Stopped(fault) => {
+            Outcome::Stopped { fault, standstill } => {
+                prop_assert!(standstill);
                 // If the very first setpoints are lost the arm never starts; the executor gives up.
                 prop_assert!(matches!(fault.code, FaultCode::SetpointMissing | FaultCode::ArmSilent), "{}", fault);
                 prop_assert!(arm.status().standstill);

@@ -76,7 +76,7 @@ fn json_is_one_object_with_the_facts() {
     let report = json(&output);
     assert_eq!(report["completed"], true);
     assert_eq!(report["within_half_lsb"], true);
-    assert_eq!(report["stop"], Value::Null);
+    assert_eq!((&report["stop"], &report["standstill"]), (&Value::Null, &Value::from(true)));
     assert_eq!(report["ticks"]["applied"], 120);
     assert_eq!(report["plan"]["predicted_transported_count"], 850);
     assert_eq!(report["final_pose"], report["plan_end_pose"]);
@@ -180,26 +180,37 @@ fn wrong_usage_is_exit_code_2() {
 
 #[test]
 #[cfg(unix)]
+fn a_standard_error_that_cannot_be_written_changes_nothing() {
+    let Ok(full) = File::options().write(true).open("/dev/full") else { return };
+    let mut command = Command::new(env!("CARGO_BIN_EXE_execute"));
+    let output = command.args(["missing.plan", "--json"]).stderr(full).output().unwrap();
+    assert_eq!((output.status.code(), &json(&output)["exit_code"]), (Some(3), &Value::from(3)));
+}
+
+#[test]
+#[cfg(unix)]
 fn ctrl_c_is_a_controlled_stop() {
+    use std::io::{BufRead, BufReader, Read};
     use std::process::Stdio;
-    use std::thread::sleep;
-    use std::time::Duration;
 
     let dir = TempDir::new().unwrap();
     let mut moves = one_move();
     moves[0].steps = 3_000;
     let plan = written(&dir, "long.plan", &plan_bytes(&header(), &moves));
-    let child = Command::new(env!("CARGO_BIN_EXE_execute"))
-        .args([&plan, "--realtime", "--json"])
+    let mut child = Command::new(env!("CARGO_BIN_EXE_execute"))
+        .args([&plan, "--realtime"])
         .stdout(Stdio::piped())
         .spawn()
         .unwrap();
-    sleep(Duration::from_millis(700));
-    let killed = Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
-    assert!(killed.success());
-    let output = child.wait_with_output().unwrap();
-    assert_eq!(output.status.code(), Some(4));
-    let report = json(&output);
-    assert_eq!(report["stop"]["code"], 501);
-    assert!(report["ticks"]["applied"].as_u64().unwrap() < 3_000);
+    let mut out = BufReader::new(child.stdout.take().unwrap());
+    let mut text = String::new();
+    while !text.lines().last().unwrap_or_default().starts_with("Playing") {
+        assert_ne!(out.read_line(&mut text).unwrap(), 0, "{text}");
+    }
+    // `kill` as a shell has it built in; a program of that name is not everywhere.
+    let process = child.id().to_string();
+    assert!(Command::new("sh").args(["-c", "kill -INT \"$0\"", &process]).status().unwrap().success());
+    out.read_to_string(&mut text).unwrap();
+    assert_eq!(child.wait().unwrap().code(), Some(4), "{text}");
+    assert!(text.contains("Stopped at tick") && text.contains("(fault 501)"), "{text}");
 }

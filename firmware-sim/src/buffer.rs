@@ -33,10 +33,10 @@ impl SetpointBuffer {
         if setpoint.tick <= applied {
             return Err(Refused::Stale);
         }
-        if setpoint.tick - applied > CAPACITY {
+        if setpoint.tick.saturating_sub(applied) > CAPACITY {
             return Err(Refused::BeyondCredit);
         }
-        let slot = &mut self.slots[Self::index(setpoint.tick)];
+        let Some(slot) = self.slot(setpoint.tick) else { return Err(Refused::BeyondCredit) };
         match slot {
             Some(kept) if *kept == setpoint => Err(Refused::Same),
             Some(kept) if kept.tick == setpoint.tick => Err(Refused::Different),
@@ -50,21 +50,25 @@ impl SetpointBuffer {
     /// The setpoint of a tick, left in place.
     #[must_use]
     pub fn peek(&self, tick: u32) -> Option<Setpoint> {
-        self.slots[Self::index(tick)].filter(|setpoint| setpoint.tick == tick)
+        let kept = self.slots.get(Self::index(tick)).copied().flatten();
+        kept.filter(|setpoint| setpoint.tick == tick)
     }
 
     /// The setpoint of a tick, taken out.
     pub fn take(&mut self, tick: u32) -> Option<Setpoint> {
-        let found = self.peek(tick)?;
-        self.slots[Self::index(tick)] = None;
-        Some(found)
+        self.slot(tick)?.take_if(|setpoint| setpoint.tick == tick)
     }
 
     /// How many wait for a tick after `applied`.
     #[must_use]
     pub fn count_after(&self, applied: u32) -> u16 {
         let waiting = self.slots.iter().flatten().filter(|setpoint| setpoint.tick > applied);
-        waiting.fold(0, |count, _| count + 1)
+        waiting.fold(0, |count: u16, _| count.saturating_add(1))
+    }
+
+    /// Where a tick's setpoint belongs; there is always such a place.
+    fn slot(&mut self, tick: u32) -> Option<&mut Option<Setpoint>> {
+        self.slots.get_mut(Self::index(tick))
     }
 
     fn index(tick: u32) -> usize {

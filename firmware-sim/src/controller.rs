@@ -7,14 +7,14 @@
 //! 3. nothing is there: the begin of a stop, for at most [`EXTRAPOLATION_TICKS`] ticks;
 //! 4. still nothing, or any limit broken: the rest of the stop, latched.
 //!
-//! Every commanded pose but those of a stop passes the limit check first; a stop keeps the limits by construction.
+//! Every commanded pose but those of a latched stop passes the limit check first. A stop keeps the limits in force, or, if
+//! they would make it take longer than [`GENTLE_STOP_US`], the arm's own ones; see [`crate::stop`] for its bound in time.
 
 use std::collections::VecDeque;
 
 use powderline_shared::displacement::{Displacement, Setpoint, pose_at};
 use powderline_shared::fault::{Fault, FaultCode, Side};
 use powderline_shared::limits::{Limits, Motion, PeakUse, Violation};
-use powderline_shared::plan::PERIOD_US_MAX;
 use powderline_shared::pose::Pose;
 use powderline_shared::wire::message::{FromArm, NO_SESSION, OpenRequest, Status, ToArm};
 use powderline_shared::wire::state::{Command, Phase, State};
@@ -23,10 +23,14 @@ use crate::arm::Arm;
 use crate::buffer::{CAPACITY, Refused};
 use crate::interpolator::Interpolator;
 use crate::session::{self, Anchored, Session};
-use crate::stop::StopProfile;
+use crate::stop::{GENTLE_STOP_US, StopProfile};
 
 /// Ticks for which a missing setpoint is bridged by decelerating before the stop is latched.
 pub const EXTRAPOLATION_TICKS: u32 = 2;
+
+/// Longest control period of a session, microseconds. What stops the arm takes effect at a tick, so this adds to the time
+/// that a stop takes.
+pub const LONGEST_PERIOD_US: u32 = 100_000;
 
 /// Ticks on the last setpoint after which velocity, acceleration and jerk are zero.
 const SETTLE_TICKS: u32 = 3;
@@ -369,14 +373,19 @@ impl Controller {
         }
     }
 
-    /// Commands a pose that the limit check accepts; stops otherwise.
+    /// Commands a pose that the limit check accepts; stops otherwise. The pose after it bends the path towards it, so it
+    /// has a say only if it will be accepted too.
     fn take(&mut self, tick_us: u64, pose: Pose, after: Option<Pose>) {
         let Some(anchored) = self.anchored_mut() else { return };
         match anchored.checker.check(pose) {
             Ok(motion) => {
+                let mut probe = anchored.checker;
+                let after = after.filter(|after| probe.check(*after).is_ok());
                 anchored.applied_tick = anchored.applied_tick.saturating_add(1);
                 let applied = anchored.applied_tick;
-                anchored.buffer.take(applied);
+                if anchored.buffer.take(applied).is_some() {
+                    anchored.received = (applied, pose);
+                }
                 self.activity = Activity::Following { bridge: None };
                 self.command_pose(tick_us, motion, after);
             }
@@ -386,8 +395,12 @@ impl Controller {
 
     /// Nothing to go by: begins, or goes on with, a stop that may still be taken back.
     fn extrapolate(&mut self, tick_us: u64, bridge: Option<(StopProfile, u32)>) {
-        let fresh = || (StopProfile::new(&self.motion, &self.limits(), self.period_us()), 0);
-        let (mut profile, ticks) = bridge.unwrap_or_else(fresh);
+        let fresh = || {
+            StopProfile::within_limits(&self.motion, &self.limits(), self.period_us()).map(|stop| (stop, 0))
+        };
+        let Some((mut profile, ticks)) = bridge.or_else(fresh) else {
+            return self.miss(tick_us, self.stop_profile());
+        };
         if ticks >= EXTRAPOLATION_TICKS {
             return self.miss(tick_us, profile);
         }
@@ -463,9 +476,10 @@ impl Controller {
 
     // --- stops ---
 
-    /// A commanded pose breaks a limit. If that is the echo of a lost setpoint, the loss is the reason.
+    /// A commanded pose breaks a limit. If that is the echo of a lost setpoint, the loss is the reason; not so if the
+    /// setpoint would have been refused without the loss as well.
     fn refuse(&mut self, tick_us: u64, violation: Violation) {
-        let echo = self.anchored().is_some_and(|anchored| violation.tick <= anchored.echo_until);
+        let echo = self.session.as_ref().is_some_and(|session| session.is_echo(&violation));
         let code =
             if echo { FaultCode::SetpointMissing } else { FaultCode::from_limit(violation.limit, Side::Arm) };
         if self.fault.is_none() {
@@ -475,9 +489,11 @@ impl Controller {
         self.brake(tick_us, self.stop_profile());
     }
 
-    /// Setpoints are missing for too long: the stop that has begun is now latched.
-    fn miss(&mut self, tick_us: u64, profile: StopProfile) {
+    /// Setpoints are missing for too long: a stop is now latched; the one that has begun, unless it would take too long.
+    fn miss(&mut self, tick_us: u64, begun: StopProfile) {
         self.latch(State::FaultReactionActive, FaultCode::SetpointMissing);
+        let soon = begun.ticks().saturating_mul(self.period_us()) <= GENTLE_STOP_US;
+        let profile = if soon { begun } else { self.stop_profile() };
         self.brake(tick_us, profile);
     }
 
@@ -493,7 +509,7 @@ impl Controller {
     }
 
     fn stop_profile(&self) -> StopProfile {
-        StopProfile::new(&self.motion, &self.limits(), self.period_us())
+        StopProfile::new(&self.motion, &self.limits(), &self.own_limits, self.period_us())
     }
 
     /// The first reason stays.
@@ -504,7 +520,7 @@ impl Controller {
     }
 
     fn period_us(&self) -> u32 {
-        self.session.as_ref().map_or(PERIOD_US_MAX, |session| session.request.period_us)
+        self.session.as_ref().map_or(LONGEST_PERIOD_US, |session| session.request.period_us)
     }
 
     // --- reports ---

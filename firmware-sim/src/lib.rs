@@ -6,6 +6,7 @@
 //!
 //! Time is an argument throughout: microseconds since any fixed moment.
 #![forbid(unsafe_code)]
+#![warn(clippy::arithmetic_side_effects, clippy::indexing_slicing)]
 
 pub mod arm;
 pub mod buffer;

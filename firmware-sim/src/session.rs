@@ -1,12 +1,18 @@
 //! What the controller knows about the executor's session, and which sessions it admits.
 
-use powderline_shared::limits::{LimitChecker, Limits};
-use powderline_shared::plan::{PERIOD_US_MAX, PERIOD_US_MIN};
-use powderline_shared::pose::Pose;
+use powderline_shared::displacement::pose_at;
+use powderline_shared::limits::{Limit, LimitChecker, Limits, Violation};
+use powderline_shared::plan::PERIOD_US_MIN;
+use powderline_shared::pose::{Pose, norm};
 use powderline_shared::wire::message::{NO_SESSION, OpenRequest, PROTOCOL_VERSION, Refusal};
 use powderline_shared::wire::state::State;
 
 use crate::buffer::{CAPACITY, SetpointBuffer};
+use crate::controller::LONGEST_PERIOD_US;
+
+/// Setpoints are rounded to an LSB that the executor chooses, and the limit check grants them what that rounding can add.
+/// This is the largest share of the arm's own limits that it may come to.
+const MAX_NOISE_SHARE: f64 = 0.2;
 
 /// An open session.
 #[derive(Clone, Debug)]
@@ -21,6 +27,29 @@ impl Session {
     pub(crate) fn new(request: &OpenRequest, own_limits: &Limits) -> Self {
         Self { request: *request, limits: own_limits.tighter(&request.limits), anchored: None }
     }
+
+    /// Whether a limit may be broken only because a setpoint was lost shortly before.
+    pub(crate) fn is_echo(&self, violation: &Violation) -> bool {
+        let Some(anchored) = &self.anchored else { return false };
+        violation.tick <= anchored.echo_until && !self.is_bad_by_itself(anchored, violation)
+    }
+
+    /// Whether the refused pose is a setpoint that lies outside the workspace, or too far from the last one that has
+    /// arrived, whatever came between.
+    fn is_bad_by_itself(&self, anchored: &Anchored, violation: &Violation) -> bool {
+        let OpenRequest { lsb, period_us, .. } = self.request;
+        let Some(setpoint) = anchored.buffer.peek(violation.tick) else { return false };
+        if matches!(violation.limit, Limit::Workspace(_)) {
+            return true;
+        }
+        let (tick, pose) = anchored.received;
+        let step = pose.displacement_to(&pose_at(&anchored.anchor, setpoint, lsb));
+        let time_s = f64::from(setpoint.tick.saturating_sub(tick)) * f64::from(period_us) / 1e6;
+        // Rounding moves both ends by up to sqrt(3) / 2 LSB.
+        let farthest = |speed: f64, lsb: f64| speed * time_s + 2.0 * lsb;
+        norm(&step.translation()) > farthest(self.limits.linear_velocity_m_s, lsb.translation_m())
+            || norm(&step.rotation()) > farthest(self.limits.angular_velocity_rad_s, lsb.rotation_rad())
+    }
 }
 
 /// What exists from enabling on.
@@ -31,6 +60,8 @@ pub(crate) struct Anchored {
     pub(crate) buffer: SetpointBuffer,
     pub(crate) applied_tick: u32,
     pub(crate) lost: u32,
+    /// The last setpoint taken that had really arrived: its tick, and where it led.
+    pub(crate) received: (u32, Pose),
     /// A limit broken up to this tick is the echo of a lost setpoint.
     pub(crate) echo_until: u32,
     /// The last setpoint has been reached; nothing more may come.
@@ -46,6 +77,7 @@ impl Anchored {
             buffer: SetpointBuffer::default(),
             applied_tick: 0,
             lost: 0,
+            received: (0, anchor),
             echo_until: 0,
             ended: false,
         }
@@ -66,7 +98,7 @@ pub(crate) fn admit(request: &OpenRequest, own_limits: &Limits, state: State) ->
     if !idle {
         return Err(Refusal::Busy);
     }
-    if !(PERIOD_US_MIN..=PERIOD_US_MAX).contains(&request.period_us) {
+    if !(PERIOD_US_MIN..=LONGEST_PERIOD_US).contains(&request.period_us) {
         return Err(Refusal::Period);
     }
     let limits = own_limits.tighter(&request.limits);
@@ -77,5 +109,11 @@ pub(crate) fn admit(request: &OpenRequest, own_limits: &Limits, state: State) ->
         && request.limits.validate().is_ok()
         && limits.validate().is_ok()
         && limits.check_resolution(request.lsb, request.period_us).is_ok();
-    if meaningful { Ok(()) } else { Err(Refusal::Meaningless) }
+    if !meaningful {
+        return Err(Refusal::Meaningless);
+    }
+    if own_limits.noise_share(request.lsb, request.period_us) > MAX_NOISE_SHARE {
+        return Err(Refusal::Coarse);
+    }
+    Ok(())
 }

@@ -10,9 +10,17 @@
 //! v(s) = (1 - 3 s^2 + 2 s^3) v0 + (s - 2 s^2 + s^3) T a0
 //! ```
 //!
-//! The shortest T is taken at which velocity, acceleration and jerk, as the differences over a tick that the limits are
-//! defined by, stay within bounds up to and beyond standstill. Where that polynomial would first exceed the speed limit
-//! (braking begins while still accelerating near it), the acceleration is taken out first, as fast as the jerk allows.
+//! Velocity, acceleration and jerk are the differences over a tick that the limits are defined by, and count up to and
+//! beyond standstill. Where the polynomial would first exceed the speed limit (braking begins while still accelerating
+//! near it), the acceleration is taken out first, as fast as the jerk allows.
+//!
+//! A stop is bounded in time, whatever limits a session asks for. Translation and rotation each take the first that works:
+//!
+//! 1. the shortest T that keeps the limits in force, if it is at most [`GENTLE_STOP_US`];
+//! 2. T = [`GENTLE_STOP_US`], within the arm's own limits on acceleration and jerk and the speed limit in force;
+//! 3. the shortest T that keeps the arm's own limits, if it is at most [`LONGEST_STOP_US`];
+//! 4. the same with the arm's own limits doubled until it works: an arm that cannot stop within its limits in
+//!    [`LONGEST_STOP_US`] had better break them than go on.
 //!
 //! The workspace box has no say here: an arm that must stop while it moves along or towards a wall of the box may pass it
 //! by its stopping distance. Whoever draws the box leaves that margin.
@@ -22,9 +30,17 @@ use powderline_shared::displacement::Displacement;
 use powderline_shared::limits::{Derivatives, Limits, Motion};
 use powderline_shared::pose::{Pose, norm};
 
-/// No stop takes more ticks. Sane limits need a few hundred; with absurd ones (no jerk to speak of) it is better to stop
-/// hard at this point than never.
-pub const MAX_STOP_TICKS: u32 = 20_000;
+/// Longest stop that a session's limits may lead to, microseconds.
+pub const GENTLE_STOP_US: u32 = 500_000;
+
+/// Longest stop of all, microseconds.
+pub const LONGEST_STOP_US: u32 = 1_000_000;
+
+/// Most ticks of a stop that is not bounded in time, [`StopProfile::within_limits`].
+const MAX_TICKS: u32 = 20_000;
+
+/// How often the arm's own limits are doubled, at the most.
+const DOUBLINGS: i32 = 64;
 
 /// Deceleration of translation and rotation, side by side.
 #[derive(Clone, Copy, Debug)]
@@ -37,20 +53,30 @@ pub struct StopProfile {
 }
 
 impl StopProfile {
-    /// Brakes from `motion`.
+    /// Brakes from `motion` in bounded time: by the limits in force if they allow it, else by the arm's own.
     #[must_use]
-    pub fn new(motion: &Motion, limits: &Limits, period_us: u32) -> Self {
+    pub fn new(motion: &Motion, in_force: &Limits, own: &Limits, period_us: u32) -> Self {
         let h = f64::from(period_us) / 1e6;
-        let linear = [limits.linear_velocity_m_s, limits.linear_acceleration_m_s2, limits.linear_jerk_m_s3];
-        let angular =
-            [limits.angular_velocity_rad_s, limits.angular_acceleration_rad_s2, limits.angular_jerk_rad_s3];
         Self {
             pose: motion.pose,
-            linear: Ramp::shortest(&motion.linear, linear, h),
-            angular: Ramp::shortest(&motion.angular, angular, h),
+            linear: Ramp::bounded(&motion.linear, linear(in_force), linear(own), period_us),
+            angular: Ramp::bounded(&motion.angular, angular(in_force), angular(own), period_us),
             tick: 0,
             h,
         }
+    }
+
+    /// Brakes from `motion` within `limits`, as long as that may take; `None` beyond any reasonable time.
+    #[must_use]
+    pub fn within_limits(motion: &Motion, limits: &Limits, period_us: u32) -> Option<Self> {
+        let h = f64::from(period_us) / 1e6;
+        Some(Self {
+            pose: motion.pose,
+            linear: Ramp::shortest(&motion.linear, linear(limits), h, MAX_TICKS)?,
+            angular: Ramp::shortest(&motion.angular, angular(limits), h, MAX_TICKS)?,
+            tick: 0,
+            h,
+        })
     }
 
     /// The pose one tick later; `None` at rest.
@@ -58,7 +84,7 @@ impl StopProfile {
         if self.tick >= self.ticks() {
             return None;
         }
-        self.tick += 1;
+        self.tick = self.tick.saturating_add(1);
         self.pose = self.pose.displaced(&Displacement {
             translation_m: (self.linear.velocity(self.tick) * self.h).into(),
             rotation_rad: (self.angular.velocity(self.tick) * self.h).into(),
@@ -66,11 +92,27 @@ impl StopProfile {
         Some(self.pose)
     }
 
-    /// Length of the whole stop.
+    /// Length of the whole stop in ticks.
     #[must_use]
     pub fn ticks(&self) -> u32 {
         self.linear.ticks().max(self.angular.ticks())
     }
+}
+
+/// Bounds on velocity, acceleration and jerk.
+type Bounds = [f64; 3];
+
+fn linear(limits: &Limits) -> Bounds {
+    [limits.linear_velocity_m_s, limits.linear_acceleration_m_s2, limits.linear_jerk_m_s3]
+}
+
+fn angular(limits: &Limits) -> Bounds {
+    [limits.angular_velocity_rad_s, limits.angular_acceleration_rad_s2, limits.angular_jerk_rad_s3]
+}
+
+/// Whole periods in a time, at least one.
+fn ticks_in(time_us: u32, period_us: u32) -> u32 {
+    time_us.checked_div(period_us).unwrap_or(time_us).max(1)
 }
 
 /// First `ease` ticks in which the acceleration goes to zero, then `brake` ticks of the polynomial.
@@ -84,30 +126,83 @@ struct Ramp {
 }
 
 impl Ramp {
-    fn shortest(from: &Derivatives, bounds: [f64; 3], h: f64) -> Self {
-        let [velocity, acceleration, jerk] = bounds;
-        // What is beyond a limit already (by quantisation) need not get worse.
-        let (v0, a0) = (from.velocity, from.acceleration);
-        let bounds = [velocity.max(norm(&v0)), acceleration.max(norm(&a0)), jerk];
-        let direct = Self { v0, a0, ease: 0, brake: 0, h };
-        let ease = ticks_up(norm(&a0) / (jerk * h));
-        let eased = Self { ease, ..direct };
+    /// See the head of this file.
+    fn bounded(from: &Derivatives, in_force: Bounds, own: Bounds, period_us: u32) -> Self {
+        let h = f64::from(period_us) / 1e6;
+        let (soon, latest) = (ticks_in(GENTLE_STOP_US, period_us), ticks_in(LONGEST_STOP_US, period_us));
+        let doubled = |times| own.map(|bound| bound * 2.0_f64.powi(times));
+        let [_, acceleration, jerk] = own;
+        Self::shortest(from, in_force, h, soon)
+            .or_else(|| Self::of_length(from, [in_force[0], acceleration, jerk], h, soon))
+            .or_else(|| (0..DOUBLINGS).find_map(|times| Self::shortest(from, doubled(times), h, latest)))
+            .unwrap_or(Self { brake: latest, ..Self::direct(from, h) })
+    }
+
+    /// The shortest that keeps the bounds; `None` if that is more than `longest` ticks.
+    fn shortest(from: &Derivatives, bounds: Bounds, h: f64, longest: u32) -> Option<Self> {
+        let direct = Self::direct(from, h);
+        let bounds = direct.attainable(bounds);
+        let [_, acceleration, jerk] = bounds;
+        let eased = direct.eased(jerk);
         direct
-            .with_shortest_brake(bounds)
-            .or_else(|| eased.with_shortest_brake(bounds))
-            .or_else(|| eased.with_shortest_brake([f64::INFINITY, bounds[1], jerk]))
-            .unwrap_or(Self { brake: MAX_STOP_TICKS, ..direct })
+            .with_shortest_brake(bounds, longest)
+            .or_else(|| eased.with_shortest_brake(bounds, longest))
+            .or_else(|| eased.with_shortest_brake([f64::INFINITY, acceleration, jerk], longest))
     }
 
-    fn with_shortest_brake(self, bounds: [f64; 3]) -> Option<Self> {
-        let shortest = u32::from(self.v0 != Vector3::zeros() || self.a0 != Vector3::zeros());
-        (shortest..=MAX_STOP_TICKS).map(|brake| Self { brake, ..self }).find(|ramp| ramp.keeps(bounds))
+    /// The one of `length` ticks, if it keeps the bounds.
+    fn of_length(from: &Derivatives, bounds: Bounds, h: f64, length: u32) -> Option<Self> {
+        let direct = Self::direct(from, h);
+        let bounds = direct.attainable(bounds);
+        let [_, _, jerk] = bounds;
+        let fits = |ramp: Self| {
+            let brake = length.checked_sub(ramp.ease).filter(|brake| *brake > 0)?;
+            Some(Self { brake, ..ramp }).filter(|ramp| ramp.keeps(bounds))
+        };
+        fits(direct).or_else(|| fits(direct.eased(jerk)))
     }
 
-    fn keeps(&self, bounds: [f64; 3]) -> bool {
+    fn direct(from: &Derivatives, h: f64) -> Self {
+        Self { v0: from.velocity, a0: from.acceleration, ease: 0, brake: 0, h }
+    }
+
+    fn eased(self, jerk: f64) -> Self {
+        Self { ease: ticks_up(norm(&self.a0) / (jerk * self.h)), ..self }
+    }
+
+    /// What is beyond a limit already (by quantisation) need not get worse.
+    fn attainable(&self, bounds: Bounds) -> Bounds {
+        let [velocity, acceleration, jerk] = bounds;
+        [velocity.max(norm(&self.v0)), acceleration.max(norm(&self.a0)), jerk]
+    }
+
+    /// Lengths that grow by a quarter until one keeps the bounds, then bisection: the shortest, or one close to it where
+    /// a longer stop may break a bound that a shorter one keeps.
+    fn with_shortest_brake(self, bounds: Bounds, longest: u32) -> Option<Self> {
+        if self.v0 == Vector3::zeros() && self.a0 == Vector3::zeros() {
+            return Some(self);
+        }
+        let longest = longest.checked_sub(self.ease).filter(|ticks| *ticks > 0)?;
+        let keeps = |brake| Self { brake, ..self }.keeps(bounds);
+        let (mut too_short, mut brake) = (0, 1);
+        while !keeps(brake) {
+            if brake >= longest {
+                return None;
+            }
+            too_short = brake;
+            brake = brake.saturating_add(brake / 4).saturating_add(1).min(longest);
+        }
+        while brake.saturating_sub(too_short) > 1 {
+            let middle = too_short.midpoint(brake);
+            if keeps(middle) { brake = middle } else { too_short = middle }
+        }
+        Some(Self { brake, ..self })
+    }
+
+    fn keeps(&self, bounds: Bounds) -> bool {
         let mut last = Derivatives { velocity: self.v0, acceleration: self.a0, jerk: Vector3::zeros() };
         // Two ticks beyond the end, until acceleration and jerk have come to zero as well.
-        (1..=self.ticks() + 2).all(|tick| {
+        (1..=self.ticks().saturating_add(2)).all(|tick| {
             let velocity = self.velocity(tick);
             let acceleration = (velocity - last.velocity) / self.h;
             let jerk = (acceleration - last.acceleration) / self.h;
@@ -118,7 +213,7 @@ impl Ramp {
     }
 
     fn ticks(&self) -> u32 {
-        self.ease + self.brake
+        self.ease.saturating_add(self.brake)
     }
 
     fn velocity(&self, tick: u32) -> Vector3<f64> {
@@ -134,7 +229,7 @@ impl Ramp {
         } else {
             (self.easing_velocity(self.ease), Vector3::zeros())
         };
-        let s = f64::from(tick - self.ease) / f64::from(self.brake);
+        let s = f64::from(tick.saturating_sub(self.ease)) / f64::from(self.brake);
         let length_s = f64::from(self.brake) * self.h;
         v1 * ((1.0 - s) * (1.0 - s) * (1.0 + 2.0 * s)) + a1 * (length_s * s * (1.0 - s) * (1.0 - s))
     }
@@ -149,14 +244,15 @@ impl Ramp {
     }
 }
 
-/// Rounded up, at least 1 if above zero, at most [`MAX_STOP_TICKS`].
+/// Rounded up, at least 1 if above zero, at most [`MAX_TICKS`].
 fn ticks_up(value: f64) -> u32 {
     #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "bounded from both sides")]
-    let ticks = value.ceil().clamp(0.0, f64::from(MAX_STOP_TICKS)) as u32;
+    let ticks = value.ceil().clamp(0.0, f64::from(MAX_TICKS)) as u32;
     ticks
 }
 
 #[cfg(test)]
+#[expect(clippy::arithmetic_side_effects, reason = "a test may stop at the first surprise")]
 mod tests {
     use super::*;
     use proptest::prelude::*;
@@ -185,7 +281,10 @@ mod tests {
 
     /// Largest |v|, |a|, |j| of translation and rotation on the way to rest, and the ticks it takes.
     fn peaks(motion: Motion, limits: &Limits, period_us: u32) -> ([f64; 6], u32) {
-        let mut profile = StopProfile::new(&motion, limits, period_us);
+        peaks_of(StopProfile::new(&motion, limits, limits, period_us), motion, period_us)
+    }
+
+    fn peaks_of(mut profile: StopProfile, motion: Motion, period_us: u32) -> ([f64; 6], u32) {
         let (mut motion, mut peak, mut ticks) = (motion, [0.0_f64; 6], 0);
         let mut raise = |motion: &Motion| {
             for (peak, value) in peak.iter_mut().zip(motion.norms()) {
@@ -220,11 +319,61 @@ mod tests {
         assert!(f64::from(ticks) / 1e3 < 1.3 * shortest_s, "{ticks} ms for {shortest_s} s");
     }
 
+    /// A research arm's, which a session's limits may not go beyond.
+    fn own() -> Limits {
+        Limits {
+            linear_velocity_m_s: 3.0,
+            linear_acceleration_m_s2: 9.0,
+            linear_jerk_m_s3: 4_500.0,
+            angular_velocity_rad_s: core::f64::consts::TAU,
+            angular_acceleration_rad_s2: 50.0,
+            angular_jerk_rad_s3: 8_500.0,
+            ..limits(1.0)
+        }
+    }
+
+    fn ms(ticks: u32, period_us: u32) -> u32 {
+        ticks * period_us / 1_000
+    }
+
     #[test]
-    fn absurd_limits_still_lead_to_rest() {
+    fn limits_that_allow_hardly_any_braking_do_not_make_a_stop_long() {
+        let slow = Limits { linear_acceleration_m_s2: 0.01, angular_jerk_rad_s3: 0.1, ..limits(40.0) };
+        let motion = moving(Vector3::x() * 0.25, Vector3::zeros(), Vector3::z() * 1.0, Vector3::zeros());
+        for period_us in [100, 1_000, 10_000, 100_000] {
+            let (peak, ticks) =
+                peaks_of(StopProfile::new(&motion, &slow, &own(), period_us), motion, period_us);
+            assert_eq!(ms(ticks, period_us), 500);
+            // Not harder than half a second asks for: 1.5 v / T, and the first tick's step in acceleration.
+            assert!(peak[1] < 1.6 * 0.25 / 0.5 && peak[4] < 1.6 * 1.0 / 0.5, "{peak:?}");
+        }
+    }
+
+    #[test]
+    fn from_its_top_speed_an_arm_stops_by_its_own_limits() {
+        let own = own();
+        let [v, a, w, alpha] =
+            [3.0 * Vector3::x(), 9.0 * Vector3::y(), 6.2 * Vector3::z(), 50.0 * Vector3::x()];
+        let motion = moving(v, a, w, alpha);
+        for period_us in [1_000, 10_000] {
+            let slow = Limits { linear_acceleration_m_s2: 0.01, angular_jerk_rad_s3: 0.1, ..own };
+            let (peak, ticks) =
+                peaks_of(StopProfile::new(&motion, &slow, &own, period_us), motion, period_us);
+            assert!((500..700).contains(&ms(ticks, period_us)), "{} ms", ms(ticks, period_us));
+            for ((limit, bound), value) in own.derivative_bounds().into_iter().zip(peak) {
+                assert!(value <= bound * (1.0 + 1e-6), "{limit}: {value} > {bound}");
+            }
+        }
+    }
+
+    #[test]
+    fn absurd_limits_still_lead_to_rest_in_bounded_time() {
         let motion = moving(Vector3::x() * 0.5, Vector3::zeros(), Vector3::zeros(), Vector3::zeros());
-        let (_, ticks) = peaks(motion, &limits(1e-9), 10_000);
-        assert_eq!(ticks, MAX_STOP_TICKS);
+        for jerk in [1e-9, 1e-300] {
+            let (_, ticks) = peaks(motion, &limits(jerk), 10_000);
+            assert!((500..=1_000).contains(&ms(ticks, 10_000)), "{ticks} ticks");
+        }
+        assert!(StopProfile::within_limits(&motion, &limits(1e-9), 10_000).is_none());
     }
 
     fn direction() -> impl Strategy<Value = Vector3<f64>> {
@@ -253,6 +402,27 @@ mod tests {
             for ((limit, bound), value) in limits.derivative_bounds().into_iter().zip(peak) {
                 prop_assert!(value <= bound * (1.0 + 1e-6), "{limit}: {value} > {bound}");
             }
+        }
+
+        /// Whatever a session's limits and the state of the arm within its own.
+        #[test]
+        fn no_stop_takes_longer_than_the_bound(
+            (d1, d2, d3, d4) in (direction(), direction(), direction(), direction()),
+            (v, a, w, alpha) in (0.0..3.0, 0.0..9.0, 0.0..6.2, 0.0..50.0),
+            tightness in [-6.0..0.0, -6.0..0.0, -6.0..0.0, -6.0..0.0f64],
+            period_us in prop::sample::select(vec![100, 1_000, 10_000, 100_000]),
+        ) {
+            let [t0, t1, t2, t3] = tightness.map(|exponent| 10.0_f64.powf(exponent));
+            let session = Limits {
+                linear_acceleration_m_s2: 9.0 * t0,
+                linear_jerk_m_s3: 4_500.0 * t1,
+                angular_acceleration_rad_s2: 50.0 * t2,
+                angular_jerk_rad_s3: 8_500.0 * t3,
+                ..own()
+            };
+            let motion = moving(d1 * v, d2 * a, d3 * w, d4 * alpha);
+            let (_, ticks) = peaks_of(StopProfile::new(&motion, &session, &own(), period_us), motion, period_us);
+            prop_assert!(ticks * period_us <= LONGEST_STOP_US, "{ticks} ticks of {period_us} us");
         }
     }
 }

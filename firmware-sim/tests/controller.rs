@@ -2,7 +2,8 @@
 
 use nalgebra::Vector3;
 use powderline_firmware_sim::buffer::CAPACITY;
-use powderline_firmware_sim::controller::{ArmConfig, Controller, EXTRAPOLATION_TICKS};
+use powderline_firmware_sim::controller::{ArmConfig, Controller, EXTRAPOLATION_TICKS, LONGEST_PERIOD_US};
+use powderline_firmware_sim::stop::GENTLE_STOP_US;
 use powderline_shared::displacement::{Displacement, Lsb, Setpoint, pose_at};
 use powderline_shared::fault::FaultCode;
 use powderline_shared::limits::{Limits, Motion};
@@ -212,6 +213,7 @@ fn sessions_that_do_not_fit_are_refused() {
     let cases = [
         (OpenRequest { version: 2, ..fine }, Refusal::Version { arm: PROTOCOL_VERSION }),
         (OpenRequest { period_us: 1, ..fine }, Refusal::Period),
+        (OpenRequest { period_us: LONGEST_PERIOD_US + 1, ..fine }, Refusal::Period),
         (OpenRequest { session: 0, ..fine }, Refusal::Meaningless),
         (OpenRequest { end_tick: 0, ..fine }, Refusal::Meaningless),
         (OpenRequest { start_level: 0, ..fine }, Refusal::Meaningless),
@@ -223,6 +225,26 @@ fn sessions_that_do_not_fit_are_refused() {
         let mut bench = Bench::new();
         bench.tell(ToArm::Open(request));
         assert_eq!(bench.messages.last(), Some(&FromArm::Refused { session: request.session, reason }));
+    }
+}
+
+/// At 10 ms rounding to q adds 4 sqrt(3) q / h^3 = 6.93 q / us^3 to the jerk; a fifth of 40 m/s^3 is reached at 1.143 um, a
+/// fifth of 200 rad/s^3 at 5.716 urad.
+#[test]
+fn an_lsb_that_would_stretch_the_arms_own_limits_by_more_than_a_fifth_is_refused() {
+    let opened = FromArm::Opened { session: SESSION };
+    let refused = FromArm::Refused { session: SESSION, reason: Refusal::Coarse };
+    let cases = [
+        (Lsb { translation_nm: 1_140, rotation_nrad: 100 }, opened),
+        (Lsb { translation_nm: 1_146, rotation_nrad: 100 }, refused),
+        (Lsb { translation_nm: 100, rotation_nrad: 5_710 }, opened),
+        (Lsb { translation_nm: 100, rotation_nrad: 5_720 }, refused),
+    ];
+    for (lsb, answer) in cases {
+        // The session's own limits are what they may be; only the arm's count here.
+        let mut bench = Bench::new();
+        bench.tell(ToArm::Open(OpenRequest { lsb, ..request() }));
+        assert!(bench.messages.contains(&answer), "{lsb:?}: {:?}", bench.messages);
     }
 }
 
@@ -265,6 +287,28 @@ fn a_single_lost_setpoint_heals_with_the_next() {
         assert_eq!(bench.fault(), None, "lost {lost}");
         assert_eq!(bench.arm.status().lost, 1);
         assert_eq!(bench.arm.pose(), pose_at(&start(), setpoint(END), Lsb::default()));
+        bench.assert_limits_kept();
+    }
+}
+
+/// Tick 40 is lost; the setpoint two ticks after it is off by so many counts along x.
+#[test]
+fn a_loss_does_not_excuse_a_bad_setpoint_after_it() {
+    let cases = [
+        (1_000_000, FaultCode::ArmLinearVelocity),
+        (4_000_000, FaultCode::ArmWorkspace),
+        // Half a millimetre: too hard, but that may be the loss.
+        (5_000, FaultCode::SetpointMissing),
+    ];
+    for (off, code) in cases {
+        let mut bench = Bench::enabled();
+        bench.stream(END, |tick| {
+            let mut setpoint = setpoint(tick);
+            setpoint.counts[0] += if tick == 42 { off } else { 0 };
+            (tick != 40).then_some(setpoint)
+        });
+        bench.rest();
+        assert_eq!(bench.fault(), Some(code), "{off} counts");
         bench.assert_limits_kept();
     }
 }
@@ -351,6 +395,59 @@ fn a_commanded_stop_keeps_limits_at_any_moment() {
     }
 }
 
+const SLOW_END: u32 = 1_000;
+
+/// A session that hardly accelerates, and hardly brakes.
+fn slow_request() -> OpenRequest {
+    let slow = Limits { linear_acceleration_m_s2: 0.015, linear_jerk_m_s3: 1.0, ..limits() };
+    OpenRequest { limits: slow, end_tick: SLOW_END, ..request() }
+}
+
+/// 0.2 m in `SLOW_END` ticks.
+fn slow_setpoint(tick: u32) -> Setpoint {
+    let translation_m = [0.2 * smooth(f64::from(tick) / f64::from(SLOW_END)), 0.0, 0.0];
+    let cumulative = Displacement { translation_m, ..Displacement::default() };
+    Setpoint::from_cumulative(tick, &cumulative, Lsb::default()).unwrap()
+}
+
+#[test]
+fn a_slow_session_does_not_make_a_slow_stop() {
+    let nonsense = Setpoint { tick: SLOW_END + 1, counts: [0; 6] };
+    for code in [FaultCode::StopCommanded, FaultCode::SetpointPastEnd, FaultCode::SetpointMissing] {
+        let mut bench = Bench::enabled_with(slow_request());
+        (1..=4).for_each(|tick| bench.set(slow_setpoint(tick)));
+        for tick in 5..500 {
+            bench.period();
+            bench.set(slow_setpoint(tick));
+        }
+        assert!(bench.arm.motion().linear.velocity.norm() > 0.03);
+        match code {
+            FaultCode::StopCommanded => bench.command(Command::QuickStop),
+            FaultCode::SetpointPastEnd => bench.set(nonsense),
+            _ => {}
+        }
+        while bench.arm.state() == State::OperationEnabled {
+            bench.period();
+        }
+        let latched_us = bench.now_us;
+        while !bench.arm.status().standstill {
+            bench.period();
+        }
+        assert_eq!(bench.fault(), Some(code));
+        let took_us = bench.now_us - latched_us;
+        assert!(took_us <= u64::from(GENTLE_STOP_US + PERIOD_US), "{code:?}: {took_us} us");
+        bench.assert_limits_kept();
+    }
+}
+
+/// Nor does it make the arm give up at the first setpoint that is lost.
+#[test]
+fn two_setpoints_lost_in_a_slow_session_heal() {
+    let mut bench = Bench::enabled_with(slow_request());
+    bench.stream(SLOW_END, |tick| (!(300..302).contains(&tick)).then(|| slow_setpoint(tick)));
+    assert_eq!((bench.fault(), bench.arm.status().lost), (None, 2));
+}
+
 #[test]
 fn setpoints_without_sense_stop_the_arm() {
     let turned = Setpoint { tick: 6, counts: [0, 0, 0, 0, 31_500_000, 0] };
@@ -400,6 +497,32 @@ fn between_ticks_the_arm_moves_without_jumps() {
     }
 }
 
+#[test]
+fn a_setpoint_that_will_be_refused_does_not_bend_the_path_before_it() {
+    const BAD: u32 = 40;
+    // A jump of 0.1 m among setpoints that are all within limits.
+    let sent = |tick| {
+        let mut setpoint = setpoint(tick);
+        setpoint.counts[0] += if tick == BAD { 1_000_000 } else { 0 };
+        setpoint
+    };
+    let mut bench = Bench::enabled();
+    (1..=CAPACITY).for_each(|tick| bench.set(sent(tick)));
+    let mut last = bench.arm.pose();
+    for tick in 1..END {
+        for _ in 0..10 {
+            bench.now_us += u64::from(PERIOD_US) / 10;
+            while bench.arm.poll(bench.now_us).is_some() {}
+            let moved = last.displacement_to(&bench.arm.pose()).translation().norm();
+            assert!(moved <= 0.5 * 1e-3, "{moved} m in a tenth of tick {tick}");
+            last = bench.arm.pose();
+        }
+        bench.set(sent((tick + CAPACITY).min(END)));
+    }
+    assert_eq!((bench.fault(), bench.arm.state()), (Some(FaultCode::ArmLinearVelocity), State::Fault));
+    assert_eq!(bench.arm.fault().map(|fault| fault.tick), Some(BAD - 1));
+}
+
 /// The controller's own transitions against the table that all share.
 #[test]
 fn states_follow_the_table() {
@@ -422,9 +545,13 @@ fn states_follow_the_table() {
         }
         for moving in [false, true] {
             let mut stopping = Bench::enabled();
-            stopping.stream(50, |tick| (tick <= 20).then(|| setpoint(tick)));
+            (1..=CAPACITY).for_each(|tick| stopping.set(setpoint(tick)));
+            (0..10).for_each(|_| stopping.period());
+            stopping.set(Setpoint { tick: END + 1, counts: [0; 6] });
+            assert_eq!(stopping.arm.state(), State::FaultReactionActive);
             if !moving {
                 stopping.rest();
+                assert_eq!(stopping.arm.state(), State::Fault);
             }
             assert_obeys(&mut stopping, command);
 
@@ -432,6 +559,7 @@ fn states_follow_the_table() {
             (1..=CAPACITY).for_each(|tick| running.set(setpoint(tick)));
             (0..10).for_each(|_| running.period());
             running.command(Command::QuickStop);
+            assert!(!running.arm.status().standstill);
             if !moving {
                 running.rest();
             }

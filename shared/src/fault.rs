@@ -90,11 +90,12 @@ fault_codes! {
     ArmAngularAcceleration = 306, "The arm refused a setpoint that breaks its limit on angular acceleration.";
     ArmAngularJerk = 307, "The arm refused a setpoint that breaks its limit on angular jerk.";
 
-    SessionRefused = 401, "The arm refused the session: its version, period, length or limits do not fit.";
+    SessionRefused = 401, "The arm refused the session: its version, period, length, LSB or limits do not fit.";
     AnchorElsewhere = 402, "The arm stands too far from the start pose of the plan.";
     StateUnexpected = 403, "The arm left the state that the session needs.";
     HandshakeTimeout = 404, "The arm did not take the next step of the handshake in time.";
     StopCommanded = 405, "The executor asked the arm for a quick stop.";
+    EndElsewhere = 406, "The arm came to rest elsewhere than at the end of the plan.";
 
     OperatorStop = 501, "A person stopped the motion.";
 }
@@ -172,7 +173,7 @@ mod tests {
     fn numbers_are_pinned_and_sentences_are_sentences() {
         let numbers = [
             101, 102, 103, 104, 105, 111, 121, 201, 202, 203, 204, 205, 206, 207, 301, 302, 303, 304, 305,
-            306, 307, 401, 402, 403, 404, 405, 501,
+            306, 307, 401, 402, 403, 404, 405, 406, 501,
         ];
         assert!(FaultCode::ALL.iter().map(|code| code.number()).eq(numbers));
         for code in FaultCode::ALL {

@@ -5,8 +5,8 @@
 //! ([`displacement`]), motion limits ([`limits`]), fault codes ([`fault`]), the plan file ([`plan`]) and what executor
 //! and arm say to each other ([`wire`]).
 //!
-//! No `std`, no allocation, no unsafe code and no panic: the same crate runs on the host and on a microcontroller, and
-//! `libm` gives both the same bits.
+//! No `std`, no allocation, no unsafe code: the same crate runs on the host and on a microcontroller, and `libm` gives both
+//! the same bits. Nothing here is meant to panic; the lints below keep out what can be seen to, which is no proof.
 #![no_std]
 #![forbid(unsafe_code)]
 #![warn(

@@ -109,6 +109,15 @@ impl Limits {
         Ok(())
     }
 
+    /// The largest share of any limit that quantisation noise may add to it (1 = as much again).
+    #[must_use]
+    pub fn noise_share(&self, lsb: Lsb, period_us: u32) -> f64 {
+        let noises = QuantisationNoise::new(lsb, period_us).as_array();
+        let shares =
+            self.derivative_bounds().into_iter().zip(noises).map(|((_, bound), noise)| noise / bound);
+        shares.fold(0.0, libm::fmax)
+    }
+
     /// The tighter of two limits, one by one.
     #[must_use]
     pub fn tighter(&self, other: &Self) -> Self {
@@ -610,6 +619,15 @@ mod tests {
         assert_eq!(limits().check_resolution(Lsb::default(), PERIOD_US), Ok(()));
         let at_1_khz = limits().check_resolution(Lsb::default(), 1_000);
         assert!(matches!(at_1_khz, Err(LimitsError::DrownsInNoise { limit: Limit::LinearJerk, .. })));
+    }
+
+    #[test]
+    fn the_share_of_the_noise_is_that_of_the_limit_it_harms_most() {
+        // 4 sqrt(3) 0.1 um / (10 ms)^3 is 0.69 m/s^3, and one per cent more.
+        let share = limits().noise_share(Lsb::default(), PERIOD_US);
+        assert!((share - 1.01 * 0.692_82 / 40.0).abs() < 1e-6, "{share}");
+        let coarse = Lsb { rotation_nrad: 1_000, ..Lsb::default() };
+        assert!((limits().noise_share(coarse, PERIOD_US) / share - 2.0).abs() < 1e-9);
     }
 
     proptest! {

@@ -4,7 +4,7 @@ use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 use std::process::{Child, ChildStderr, Command};
 use std::thread::sleep;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use crate::programs::{OPTIMISE, Place, assert_same_bits, bytes, command, metrics, run, wait};
 
@@ -23,24 +23,32 @@ fn started_until(line: &str, scene: &str, folder: &str) -> (Child, BufReader<Chi
     (child, err)
 }
 
-/// A good part of an epoch's duration, so that a signal comes in its middle.
-fn into_the_epoch() {
-    sleep(Duration::from_millis(150));
+/// A whole run, and a third of what one of its epochs takes here: a signal after that comes in the middle of one.
+fn whole_run(place: &Place) -> (String, Duration) {
+    let begin = Instant::now();
+    let folder = place.tiny_run("whole", EPOCHS);
+    (folder, begin.elapsed() / (3 * (EPOCHS + 1)))
+}
+
+/// `kill` as a shell has it built in; a program of that name is not everywhere.
+#[cfg(unix)]
+fn send(signal: &str, child: &Child) {
+    let arguments = ["-c", "kill -\"$1\" \"$0\"", &child.id().to_string(), signal];
+    assert!(Command::new("sh").args(arguments).status().unwrap().success());
 }
 
 #[cfg(unix)]
 #[test]
 fn a_run_stopped_in_the_middle_of_an_epoch_goes_on_to_the_same_bits() {
     let place = Place::new();
-    let whole = place.tiny_run("whole", EPOCHS);
+    let (whole, part_of_an_epoch) = whole_run(&place);
     for (signal, line, saved) in
         [("INT", "tiny: seed", 0), ("INT", "epoch   1/3", 2), ("TERM", "epoch   0/3", 1)]
     {
         let folder = place.path(&format!("stopped-{signal}-{saved}"));
         let (mut child, mut err) = started_until(line, &place.tiny(), &folder);
-        into_the_epoch();
-        let sent = Command::new("kill").args([&format!("-{signal}"), &child.id().to_string()]).status();
-        assert!(sent.unwrap().success());
+        sleep(part_of_an_epoch);
+        send(signal, &child);
         let mut said = String::new();
         err.read_to_string(&mut said).unwrap();
         assert_eq!(child.wait().unwrap().code(), Some(130), "{said}");
@@ -49,9 +57,9 @@ fn a_run_stopped_in_the_middle_of_an_epoch_goes_on_to_the_same_bits() {
             last.contains("stopped on request") && last.ends_with(&format!("--resume {folder}")),
             "{said}"
         );
-        // No epoch came to its end after the signal.
+        // No epoch came to its end after the signal, but for one that did at the same moment.
         let evaluated = Path::new(&folder).join("metrics.jsonl").exists().then(|| metrics(&folder).len());
-        assert_eq!(evaluated.unwrap_or(0), saved, "{said}");
+        assert!((saved..=saved + 1).contains(&evaluated.unwrap_or(0)), "{said}");
         assert!(!Path::new(&folder).join("skill.plan").exists());
         run(OPTIMISE, &["--resume", &folder]).succeeded();
         assert_same_bits(&folder, &whole);
@@ -61,10 +69,10 @@ fn a_run_stopped_in_the_middle_of_an_epoch_goes_on_to_the_same_bits() {
 #[test]
 fn a_run_that_was_killed_goes_on_to_the_same_bits() {
     let place = Place::new();
-    let whole = place.tiny_run("whole", EPOCHS);
+    let (whole, part_of_an_epoch) = whole_run(&place);
     let folder = place.path("killed");
     let (mut child, _err) = started_until("epoch   0/3", &place.tiny(), &folder);
-    into_the_epoch();
+    sleep(part_of_an_epoch);
     child.kill().unwrap();
     child.wait().unwrap();
     run(OPTIMISE, &["--resume", &folder]).succeeded();

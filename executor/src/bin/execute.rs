@@ -31,7 +31,7 @@ const PROGRESS_EVERY_US: u64 = 100_000;
     version,
     after_help = "Exit codes:\n  \
     0  the arm performed the whole plan and stands at its end\n  \
-    1  the arm was stopped by a fault, or does not stand at the plan's end\n  \
+    1  the arm was stopped by a fault, does not stand at the plan's end, or has not reported standstill\n  \
     2  wrong usage\n  \
     3  the plan file cannot be read, is damaged, or breaks its own limits\n  \
     4  a person stopped the arm (Ctrl-C)\n  \
@@ -59,7 +59,7 @@ fn main() -> ExitCode {
 /// Says what went wrong, once on standard error and, if wanted, as JSON; the exit code.
 fn fail(arguments: &Arguments, error: &anyhow::Error) -> u8 {
     let code = if error.is::<LoadError>() { EXIT_BAD_PLAN } else { EXIT_OTHER };
-    eprintln!("execute: {error:#}");
+    tell(&format!("execute: {error:#}\n"));
     if arguments.json {
         let object = serde_json::json!({ "error": format!("{error:#}"), "exit_code": code });
         // There is no one left to tell if this fails too.
@@ -72,11 +72,13 @@ fn run(arguments: &Arguments) -> anyhow::Result<ExitCode> {
     let bytes = read_plan_file(&arguments.plan)?;
     let plan = check_plan(&arguments.plan, &bytes)?;
     let file = arguments.plan.display().to_string();
+    // From here on Ctrl-C is a controlled stop; only then is the motion announced.
+    let mut person = Person::attend(arguments, plan.header().step_count)?;
     if !arguments.json {
         let clock = if arguments.realtime { "wall clock" } else { "virtual time" };
         say(&format!("{}Playing on the simulated arm, {clock}.\n", PlanFacts::new(&file, &plan)))?;
     }
-    let result = perform(arguments, &plan)?;
+    let result = perform(arguments, &plan, &mut person);
     let report = Report::new(&file, &plan, &result);
     if arguments.json {
         say(&format!("{}\n", serde_json::to_string(&report)?))?;
@@ -90,17 +92,16 @@ fn run(arguments: &Arguments) -> anyhow::Result<ExitCode> {
     })
 }
 
-fn perform(arguments: &Arguments, plan: &PlanReader<'_>) -> anyhow::Result<RunResult> {
-    let mut person = Person::attend(arguments, plan.header().step_count)?;
+fn perform(arguments: &Arguments, plan: &PlanReader<'_>, person: &mut Person) -> RunResult {
     let arm = ArmConfig::bench(plan.header().start_pose());
     let config = Config::default();
     let result = if arguments.realtime {
-        play(plan, config, arm, &mut WallClock::start(), &mut person)
+        play(plan, config, arm, &mut WallClock::start(), person)
     } else {
-        play(plan, config, arm, &mut VirtualTime, &mut person)
+        play(plan, config, arm, &mut VirtualTime, person)
     };
     person.finish();
-    Ok(result)
+    result
 }
 
 /// Whoever sits in front of the terminal: sees progress, may press Ctrl-C.
@@ -123,7 +124,7 @@ impl Person {
 
     fn finish(&self) {
         if self.shows_progress {
-            eprint!("\r\x1b[K");
+            tell("\r\x1b[K");
         }
     }
 }
@@ -133,16 +134,23 @@ impl Observer for Person {
         if self.shows_progress && now_us >= self.next_update_us {
             self.next_update_us = now_us.saturating_add(PROGRESS_EVERY_US);
             let percent = 100.0 * f64::from(arm.applied_tick) / f64::from(self.step_count);
-            eprint!(
+            tell(&format!(
                 "\r\x1b[K  tick {} of {} ({percent:.0} %), {}, {} buffered",
                 arm.applied_tick,
                 self.step_count,
                 arm.state.name(),
                 arm.buffered
-            );
+            ));
         }
         self.wants_stop.load(Ordering::Relaxed)
     }
+}
+
+/// Writes to standard error. Where that fails, as on a terminal that has been closed, nobody is left to be told; the arm
+/// is still to be stopped as it should.
+fn tell(text: &str) {
+    let mut err = io::stderr().lock();
+    let _ = err.write_all(text.as_bytes()).and_then(|()| err.flush());
 }
 
 /// Writes to standard output. A reader that went away (`| head`) is no error of ours.

@@ -26,6 +26,8 @@ pub struct Report {
     pub completed: bool,
     /// Why not.
     pub stop: Option<Stop>,
+    /// Whether the arm has reported that it stands still; if not, it may be moving yet.
+    pub standstill: bool,
     /// What was played.
     pub ticks: Ticks,
     /// Begin to end, seconds of the arm's time.
@@ -117,7 +119,11 @@ impl Report {
             completed: run.outcome == Outcome::Completed,
             stop: match run.outcome {
                 Outcome::Completed => None,
-                Outcome::Stopped(fault) => Some(Stop::new(fault, run)),
+                Outcome::Stopped { fault, .. } => Some(Stop::new(fault, run)),
+            },
+            standstill: match run.outcome {
+                Outcome::Completed => true,
+                Outcome::Stopped { standstill, .. } => standstill,
             },
             ticks: Ticks { planned: header.step_count, applied: run.arm.applied_tick, lost: run.arm.lost },
             duration_s: seconds(run.duration_us),
@@ -136,10 +142,11 @@ impl Report {
         self.completed && self.within_half_lsb
     }
 
-    /// Whether a person stopped it.
+    /// Whether a person stopped it, and it stands.
     #[must_use]
     pub fn stopped_by_a_person(&self) -> bool {
-        self.stop.as_ref().is_some_and(|stop| stop.code == FaultCode::OperatorStop.number())
+        self.standstill
+            && self.stop.as_ref().is_some_and(|stop| stop.code == FaultCode::OperatorStop.number())
     }
 }
 
@@ -229,7 +236,11 @@ impl fmt::Display for Report {
         match &self.stop {
             None => writeln!(f, "Completed: {applied} of {planned} ticks in {:.3} s", self.duration_s)?,
             Some(stop) => {
-                writeln!(f, "Stopped at tick {applied} of {planned}, after {:.3} s", self.duration_s)?;
+                let what = if self.standstill { "Stopped" } else { "Given up" };
+                writeln!(f, "{what} at tick {applied} of {planned}, after {:.3} s", self.duration_s)?;
+                if !self.standstill {
+                    writeln!(f, "  arm       has not reported standstill: it may be moving yet")?;
+                }
                 writeln!(f, "  reason    {} (fault {})", stop.reason, stop.code)?;
                 stop.detail.iter().try_for_each(|detail| writeln!(f, "            {detail}"))?;
             }

@@ -80,8 +80,8 @@ pub fn play(
             executor.handle_stop(now_us);
         }
         let next = [executor.poll_at(), arm.poll_at()].into_iter().flatten().min();
-        // Nobody waits for anything only if a stop has just been asked for: exchange again at once.
-        let next_us = next.unwrap_or(now_us);
+        // What is due already, such as the message of a stop that has just been asked for, is exchanged at once.
+        let next_us = next.unwrap_or(now_us).max(now_us);
         pace.wait_until(next_us);
         clock.advance_to(next_us);
     }

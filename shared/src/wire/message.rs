@@ -120,6 +120,8 @@ pub enum Refusal {
     Period,
     /// Session number, LSB, end tick, start level or limits have no meaning.
     Meaningless,
+    /// One count is worth so much that rounding to counts would go far beyond the arm's own limits.
+    Coarse,
 }
 
 impl core::fmt::Display for Refusal {
@@ -131,6 +133,9 @@ impl core::fmt::Display for Refusal {
             Self::Busy => f.write_str("the arm is in another session or has a fault latched"),
             Self::Period => f.write_str("the arm cannot keep the plan's control period"),
             Self::Meaningless => f.write_str("the session's numbers have no meaning to the arm"),
+            Self::Coarse => {
+                f.write_str("the plan's LSB is too coarse for the arm's limits at this control period")
+            }
         }
     }
 }

@@ -1,6 +1,6 @@
 //! The arm's states, with the names and transition numbers of CiA 402.
 //!
-//! The table is data: the executor follows it, the tests hold the arm's own, independent state machine against it.
+//! The table is data: tests hold the executor's way up and the arm's own, independent state machine against it.
 //! It is CiA 402-style, not a claim of conformance. Two deliberate restrictions: transition 16 (quick stop back to
 //! operation) does not exist, since a stop is latched; and power is never taken from a moving arm, so transitions that
 //! leave operation enabled other than by a stop need standstill.
