@@ -105,7 +105,7 @@ pub struct Powder {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Time {
-    /// Control period, microseconds (one control step, one tick on the wire); 100 to 1,000,000, typically
+    /// Control period, microseconds (one control step, one tick on the wire); 100 to 100,000, typically
     /// 10,000.
     pub control_period_us: u32,
     /// MPM substeps in one control step; 1 to 10,000, typically 20. The CFL number sets the lower end.

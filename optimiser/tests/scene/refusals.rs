@@ -265,7 +265,7 @@ const SINGLE_FIELDS: &[Case] = &[
     (
         "control_period_us = 10000",
         "control_period_us = 0",
-        ": time.control_period_us is 0, but it must be from 100 to 1000000",
+        ": time.control_period_us is 0, but it must be from 100 to 100000",
     ),
     (
         "substeps = 20",

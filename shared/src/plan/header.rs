@@ -10,8 +10,8 @@ use crate::pose::Pose;
 
 /// Shortest control period, microseconds.
 pub const PERIOD_US_MIN: u32 = 100;
-/// Longest control period, microseconds.
-pub const PERIOD_US_MAX: u32 = 1_000_000;
+/// Longest control period, microseconds; a stop begins at a tick, so a longer one would delay it.
+pub const PERIOD_US_MAX: u32 = 100_000;
 /// Most steps of a plan: almost three hours at 100 Hz.
 pub const MAX_STEPS: u32 = 1_000_000;
 

@@ -6,6 +6,7 @@ use crate::scene::{
     Amount, Container, ContainerShape, Domain, Limits, Objective, Observation, Optimiser, Powder, Scene,
     Skill, Time, Tool, ToolShape,
 };
+use powderline_shared::plan::{PERIOD_US_MAX, PERIOD_US_MIN};
 
 const FRICTION: Range = Range::closed(0.0, 2.0);
 const WORLD_M: Range = Range::closed(-10.0, 10.0);
@@ -48,7 +49,7 @@ fn powder(checker: &Checker<'_>, powder: &Powder) -> Checked {
 }
 
 fn time(checker: &Checker<'_>, time: &Time) -> Checked {
-    checker.count("time.control_period_us", time.control_period_us, 100, 1_000_000)?;
+    checker.count("time.control_period_us", time.control_period_us, PERIOD_US_MIN, PERIOD_US_MAX)?;
     checker.count("time.substeps", time.substeps, 1, 10_000)?;
     checker.count("time.horizon_steps", time.horizon_steps, 1, 100_000)?;
     checker.number("time.settle_s", time.settle_s, Range::closed(0.0, 60.0))
