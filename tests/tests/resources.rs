@@ -46,7 +46,7 @@ fn a_memory_budget_that_cannot_do_is_refused_before_anything_is_written() {
     let place = Place::new();
     let folder = place.path("run");
     let done = run(OPTIMISE, &["run", "bench-small", "--memory", "16MiB", "--out", &folder]);
-    done.ended(2, "a memory budget of 16 MiB is too little: this scene needs 48 MiB for a gradient");
+    done.ended(2, "a memory budget of 16 MiB is too little: this scene needs 45 MiB for a gradient");
     assert!(!Path::new(&folder).exists());
 }
 
