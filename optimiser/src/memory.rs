@@ -11,11 +11,14 @@ use powderline_shared::plan::Precision;
 pub const PARTICLE_SCALARS: u64 = 22;
 
 /// Executable, stacks and allocator of the running program, bytes, generously.
-pub const PROCESS_BYTES: u64 = 36 << 20;
+pub const PROCESS_BYTES: u64 = 40 << 20;
 
 /// States that a rollout holds beside the kept ones: the settled one, the one at work and the one at the end, the
 /// cotangents, what particles send to the grid, and scratch.
 pub const STANDING_STATES: u64 = 7;
+
+/// States of rollouts side by side at a time: the probes of one epoch, and two at work.
+pub const BRANCHES: u64 = 13;
 
 /// Passes over a substep for which the need is estimated.
 pub const PASSES: [u32; 4] = [1, 2, 3, 4];
@@ -55,7 +58,8 @@ pub fn memory_needs(scene: &Scene, precision: Precision) -> [Need; 4] {
     // Identity and origin of each particle; a tenth for lanes that hold none.
     let state_bytes = particles * (PARTICLE_SCALARS * scalar_bytes + 2 * size_of::<u32>() as u64) * 11 / 10;
     let steps = u64::from(scene.time.horizon_steps) * u64::from(scene.time.substeps);
-    let standing_bytes = fixed_bytes(scene) + STANDING_STATES * state_bytes + grid_bytes(scene, scalar_bytes);
+    let standing_bytes =
+        fixed_bytes(scene) + (STANDING_STATES + BRANCHES) * state_bytes + 3 * grid_bytes(scene, scalar_bytes);
     PASSES.map(|passes| {
         let kept_states = fewest_states(steps, passes);
         Need { passes, kept_states, bytes: standing_bytes + kept_states * state_bytes / 9 * 10 }

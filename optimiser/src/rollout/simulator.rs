@@ -3,7 +3,7 @@
 use powderline_shared::displacement::Displacement;
 use powderline_shared::pose::Pose;
 
-use crate::memory::{STANDING_STATES, fixed_bytes};
+use crate::memory::{BRANCHES, STANDING_STATES, fixed_bytes};
 use crate::mpm::Model;
 use crate::mpm::contact::MotionBar;
 use crate::mpm::layout::Lost;
@@ -35,6 +35,9 @@ pub struct Simulator<T: Real> {
     workspace: Workspace<T>,
     /// Settled powder; computed by the first rollout.
     settled: Option<State<T>>,
+    /// States that earlier gradients kept. They stay: what one thread frees, the allocator keeps for that thread,
+    /// and the next gradient may be run by another.
+    spare: Vec<State<T>>,
     packing: Vec<[f64; 3]>,
     pool: rayon::ThreadPool,
     memory_bytes: u64,
@@ -56,6 +59,7 @@ impl<T: Real> Simulator<T> {
             model: Model::new(scene),
             workspace: Workspace::new(),
             settled: None,
+            spare: Vec::new(),
             packing,
             pool,
             memory_bytes,
@@ -125,9 +129,11 @@ impl<T: Real> Simulator<T> {
     /// Threads for rollouts side by side: as many workers as there are threads, motions, and memory for.
     fn worker_pools(&self, motions: usize, state: &State<T>) -> Result<Vec<rayon::ThreadPool>, RolloutError> {
         let threads = self.pool.current_num_threads();
-        let states = slots(&self.scene, self.memory_bytes, state, &self.workspace);
+        let kept = self.spare.len();
+        let free = slots(&self.scene, self.memory_bytes, state, &self.workspace).saturating_sub(kept);
         let per_worker = 2 + self.workspace.bytes() / state.bytes().max(1);
-        let workers = threads.min(motions).min(states.saturating_sub(motions) / per_worker).max(1);
+        // Memory for two is set aside.
+        let workers = threads.min(motions).min(2 + free / per_worker);
         (0..workers).map(|_| thread_pool(threads / workers)).collect()
     }
 
@@ -143,6 +149,7 @@ impl<T: Real> Simulator<T> {
             model: &self.model,
             workspace: &mut self.workspace,
             settled: &mut self.settled,
+            spare: &mut self.spare,
             packing: &self.packing,
             memory_bytes: self.memory_bytes,
             progress: SendProgress(progress),
@@ -247,6 +254,7 @@ struct Rollout<'a, T: Real> {
     model: &'a Model<T>,
     workspace: &'a mut Workspace<T>,
     settled: &'a mut Option<State<T>>,
+    spare: &'a mut Vec<State<T>>,
     packing: &'a [[f64; 3]],
     memory_bytes: u64,
     progress: SendProgress<'a>,
@@ -311,7 +319,6 @@ impl<T: Real> Rollout<'_, T> {
         let mut at = 0;
         let mut working = start.clone();
         let mut kept = vec![(0, start)];
-        let mut spare: Vec<State<T>> = Vec::new();
         for action in schedule(path.len(), slots) {
             match action {
                 Action::Restore => {
@@ -329,11 +336,11 @@ impl<T: Real> Rollout<'_, T> {
                 }
                 Action::Keep => {
                     // Memory of dropped states is used again: fresh pages cost more than the copy.
-                    let mut state = spare.pop().unwrap_or_else(|| working.clone());
+                    let mut state = self.spare.pop().unwrap_or_else(|| working.clone());
                     state.clone_from(&working);
                     kept.push((at, state));
                 }
-                Action::Drop => spare.extend(kept.pop().map(|(_, state)| state)),
+                Action::Drop => self.spare.extend(kept.pop().map(|(_, state)| state)),
                 Action::Reverse(step) => {
                     let (evaluation, bar) = match end.take() {
                         Some(end) => end,
@@ -349,6 +356,7 @@ impl<T: Real> Rollout<'_, T> {
                 }
             }
         }
+        self.spare.extend(kept.into_iter().map(|(_, state)| state));
         let evaluation = match end {
             Some((evaluation, _)) => evaluation,
             None => self.end_of(path, working)?.0,
@@ -400,7 +408,9 @@ impl<T: Real> Rollout<'_, T> {
 /// Kept states that a memory budget allows.
 fn slots<T: Real>(scene: &Scene, memory_bytes: u64, state: &State<T>, workspace: &Workspace<T>) -> usize {
     let per_state = state.bytes() as u64;
-    let fixed = fixed_bytes(scene) + STANDING_STATES * per_state + workspace.bytes() as u64;
+    // Beside the kept states live those of rollouts side by side, and two workers' workspaces.
+    let side_by_side = BRANCHES * per_state + 2 * workspace.bytes() as u64;
+    let fixed = fixed_bytes(scene) + STANDING_STATES * per_state + workspace.bytes() as u64 + side_by_side;
     // A tenth in reserve: states grow a little as the powder spreads over more blocks.
     let free = memory_bytes.saturating_sub(fixed) / 10 * 9;
     ((free / per_state.max(1)) as usize).max(2)
