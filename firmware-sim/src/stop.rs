@@ -255,6 +255,7 @@ fn ticks_up(value: f64) -> u32 {
 #[expect(clippy::arithmetic_side_effects, reason = "a test may stop at the first surprise")]
 mod tests {
     use super::*;
+    use crate::controller::ArmConfig;
     use proptest::prelude::*;
 
     fn limits(jerk: f64) -> Limits {
@@ -319,17 +320,9 @@ mod tests {
         assert!(f64::from(ticks) / 1e3 < 1.3 * shortest_s, "{ticks} ms for {shortest_s} s");
     }
 
-    /// A research arm's, which a session's limits may not go beyond.
+    /// The simulated arm's, which a session's limits may not go beyond.
     fn own() -> Limits {
-        Limits {
-            linear_velocity_m_s: 3.0,
-            linear_acceleration_m_s2: 9.0,
-            linear_jerk_m_s3: 4_500.0,
-            angular_velocity_rad_s: core::f64::consts::TAU,
-            angular_acceleration_rad_s2: 50.0,
-            angular_jerk_rad_s3: 8_500.0,
-            ..limits(1.0)
-        }
+        ArmConfig::bench(Pose::identity()).limits
     }
 
     fn ms(ticks: u32, period_us: u32) -> u32 {

@@ -134,6 +134,17 @@ impl Bench {
         assert!(self.arm.status().standstill);
     }
 
+    /// One period in tenths; in none of them the arm may move more than half a millimetre.
+    fn tick_without_jumps(&mut self, tick: u32) {
+        for _ in 0..10 {
+            let before = self.arm.pose();
+            self.now_us += u64::from(PERIOD_US) / 10;
+            while self.arm.poll(self.now_us).is_some() {}
+            let moved = before.displacement_to(&self.arm.pose()).translation().norm();
+            assert!(moved <= 0.5 * 1e-3, "{moved} m in a tenth of tick {tick}");
+        }
+    }
+
     fn assert_limits_kept(&self) {
         // What rounding to the LSB can add, see `limits`.
         let noise = [2e-5, 4e-3, 0.7, 2e-5, 4e-3, 0.7];
@@ -482,15 +493,8 @@ fn a_motion_that_ends_without_coming_to_rest_is_stopped() {
 fn between_ticks_the_arm_moves_without_jumps() {
     let mut bench = Bench::enabled();
     (1..=CAPACITY).for_each(|tick| bench.set(setpoint(tick)));
-    let mut last = bench.arm.pose();
     for tick in 1..END {
-        for _ in 0..10 {
-            bench.now_us += u64::from(PERIOD_US) / 10;
-            while bench.arm.poll(bench.now_us).is_some() {}
-            let moved = last.displacement_to(&bench.arm.pose()).translation().norm();
-            assert!(moved <= 0.5 * 1e-3, "{moved}");
-            last = bench.arm.pose();
-        }
+        bench.tick_without_jumps(tick);
         if tick + CAPACITY <= END {
             bench.set(setpoint(tick + CAPACITY));
         }
@@ -508,15 +512,8 @@ fn a_setpoint_that_will_be_refused_does_not_bend_the_path_before_it() {
     };
     let mut bench = Bench::enabled();
     (1..=CAPACITY).for_each(|tick| bench.set(sent(tick)));
-    let mut last = bench.arm.pose();
     for tick in 1..END {
-        for _ in 0..10 {
-            bench.now_us += u64::from(PERIOD_US) / 10;
-            while bench.arm.poll(bench.now_us).is_some() {}
-            let moved = last.displacement_to(&bench.arm.pose()).translation().norm();
-            assert!(moved <= 0.5 * 1e-3, "{moved} m in a tenth of tick {tick}");
-            last = bench.arm.pose();
-        }
+        bench.tick_without_jumps(tick);
         bench.set(sent((tick + CAPACITY).min(END)));
     }
     assert_eq!((bench.fault(), bench.arm.state()), (Some(FaultCode::ArmLinearVelocity), State::Fault));

@@ -152,7 +152,7 @@ impl<T: Real> Simulator<T> {
             spare: &mut self.spare,
             packing: &self.packing,
             memory_bytes: self.memory_bytes,
-            progress: SendProgress(progress),
+            progress,
         };
         self.pool.install(|| job(&mut rollout))
     }
@@ -244,9 +244,6 @@ fn lost_error<T: Real>(scene: &Scene, substep: usize, lost: Lost, state: Option<
     }
 }
 
-/// The progress callback is only ever called from one thread at a time: the one that runs the rollout.
-struct SendProgress<'a>(Progress<'a>);
-
 /// Borrowed parts of a simulator during one rollout.
 struct Rollout<'a, T: Real> {
     scene: &'a Scene,
@@ -257,12 +254,12 @@ struct Rollout<'a, T: Real> {
     spare: &'a mut Vec<State<T>>,
     packing: &'a [[f64; 3]],
     memory_bytes: u64,
-    progress: SendProgress<'a>,
+    progress: Progress<'a>,
 }
 
 impl<T: Real> Rollout<'_, T> {
     fn report(&mut self, done: u64, total: u64) -> Result<(), RolloutError> {
-        if (self.progress.0)(done, total) { Ok(()) } else { Err(RolloutError::Stopped) }
+        if (self.progress)(done, total) { Ok(()) } else { Err(RolloutError::Stopped) }
     }
 
     /// The powder at rest under the tool's start pose.

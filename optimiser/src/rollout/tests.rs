@@ -71,6 +71,24 @@ fn skills_evaluated_side_by_side_have_the_bits_of_skills_evaluated_alone() {
 }
 
 #[test]
+fn a_worker_that_panics_ends_the_others() {
+    let scene = Scene::load("bench-small").expect("shipped");
+    let settings =
+        SimulatorSettings { seed: 1, precision: Precision::F32, threads: Some(2), memory_bytes: 1 << 30 };
+    let mut s = simulator::<f32>(&scene, &settings).expect("threads");
+    let skills = [0.1, -0.1, 0.2].map(|depth| [depth, 0.0, 0.0, 0.0, 0.0]);
+    let mut calls = 0;
+    let panicked = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
+        s.evaluate_all(&skills, &mut |_, _| {
+            calls += 1;
+            assert!(calls < 30, "on purpose");
+            true
+        })
+    }));
+    assert!(panicked.is_err());
+}
+
+#[test]
 fn the_gradient_of_a_scoop_agrees_with_central_differences() {
     let scene = Scene::load("bench-small").expect("shipped");
     let settings =
