@@ -59,6 +59,12 @@ impl<T> Drop for Alarm<'_, '_, T> {
     }
 }
 
+/// Workers for so many threads and motions, if there is memory for `free` states beside what is set aside for two
+/// workers, and one more takes `per_worker` states.
+pub(crate) fn worker_count(threads: usize, motions: usize, free: usize, per_worker: usize) -> usize {
+    threads.min(motions).min(2 + free / per_worker)
+}
+
 /// The states at the ends of all paths, in order. `pools` are the workers' threads, at least one.
 pub(crate) fn run<T: Real>(
     family: &Family<'_, T>,
@@ -202,5 +208,18 @@ impl<T: Real> Family<'_, T> {
         let end = self.parting(from, members);
         let rest = if end == self.length() { Vec::new() } else { self.groups(end, members) };
         (end - from) as u64 + rest.iter().map(|group| self.steps(end, group)).sum::<u64>()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn workers_are_bounded_by_threads_motions_and_memory() {
+        assert_eq!(worker_count(4, 11, 1000, 5), 4);
+        assert_eq!(worker_count(16, 7, 1000, 5), 7);
+        assert_eq!(worker_count(16, 11, 14, 5), 4);
+        assert_eq!(worker_count(16, 11, 0, 5), 2);
     }
 }

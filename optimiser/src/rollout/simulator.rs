@@ -132,8 +132,7 @@ impl<T: Real> Simulator<T> {
         let kept = self.spare.len();
         let free = slots(&self.scene, self.memory_bytes, state, &self.workspace).saturating_sub(kept);
         let per_worker = 2 + self.workspace.bytes() / state.bytes().max(1);
-        // Memory for two is set aside.
-        let workers = threads.min(motions).min(2 + free / per_worker);
+        let workers = branches::worker_count(threads, motions, free, per_worker);
         (0..workers).map(|_| thread_pool(threads / workers)).collect()
     }
 
