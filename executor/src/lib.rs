@@ -9,7 +9,7 @@
 //! plan -> player -> guard -> schedule -> session -> (wire) -> arm
 //! ```
 //!
-//! The feature `std` adds the module `host` and the program `execute`.
+//! The program `execute` is in `cli/`.
 #![no_std]
 #![forbid(unsafe_code)]
 #![warn(
@@ -23,12 +23,10 @@
 )]
 #![cfg_attr(test, expect(clippy::unwrap_used, reason = "a test may stop at the first surprise"))]
 
-#[cfg(any(feature = "std", test))]
+#[cfg(test)]
 extern crate std;
 
 pub mod guard;
-#[cfg(feature = "std")]
-pub mod host;
 pub mod player;
 pub mod schedule;
 pub mod session;

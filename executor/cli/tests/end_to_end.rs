@@ -3,10 +3,10 @@
 mod common;
 
 use common::{Move, header, one_move, plan_bytes};
-use powderline_executor::host::pace::VirtualTime;
-use powderline_executor::host::report::Report;
-use powderline_executor::host::run::{Observer, RunResult, Unattended, play};
 use powderline_executor::{Action, Config, Executor, Outcome};
+use powderline_executor_cli::pace::VirtualTime;
+use powderline_executor_cli::report::Report;
+use powderline_executor_cli::run::{Observer, RunResult, Unattended, play};
 use powderline_firmware_sim::controller::{ArmConfig, Controller};
 use powderline_shared::displacement::{Displacement, Lsb};
 use powderline_shared::fault::FaultCode;

@@ -1,8 +1,6 @@
 //! What a run has to say, for people and for programs.
 
 use core::fmt::{self, Write as _};
-use std::format;
-use std::string::{String, ToString};
 
 use powderline_shared::displacement::Lsb;
 use powderline_shared::fault::{Fault, FaultCode};
@@ -11,8 +9,8 @@ use powderline_shared::plan::{PlanReader, Precision, SKILL_PARAMETERS, StartPose
 use powderline_shared::pose::Pose;
 use serde::Serialize;
 
-use super::run::RunResult;
-use crate::session::Outcome;
+use crate::run::RunResult;
+use powderline_executor::Outcome;
 
 /// Largest accepted difference between the final pose and the plan's end, LSB.
 const HALF_LSB: f64 = 0.5;

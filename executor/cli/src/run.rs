@@ -10,8 +10,8 @@ use powderline_shared::plan::PlanReader;
 use powderline_shared::pose::Pose;
 use powderline_shared::wire::message::{Refusal, Status};
 
-use super::pace::Pace;
-use crate::session::{Action, Config, Executor, Outcome};
+use crate::pace::Pace;
+use powderline_executor::{Action, Config, Executor, Outcome};
 
 /// What there is to know after a run.
 #[derive(Clone, Copy, Debug)]

@@ -4,7 +4,6 @@ use core::fmt;
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
-use std::vec::Vec;
 
 use powderline_shared::limits::Violation;
 use powderline_shared::plan::{MAX_FILE_BYTES, PlanError, PlanReader};

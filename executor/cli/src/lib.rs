@@ -1,0 +1,6 @@
+//! The program `execute`: reads a plan, plays it with the executor's core, says what came of it.
+
+pub mod load;
+pub mod pace;
+pub mod report;
+pub mod run;
