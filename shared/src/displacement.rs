@@ -13,6 +13,7 @@
 //! [`pose_at`] and [`displacement_between`] are the only way back; optimiser and arm both use them, so what was
 //! simulated is what is performed, bit for bit.
 
+use core::cmp::Ordering;
 use core::f64::consts::PI;
 use core::fmt;
 
@@ -202,6 +203,29 @@ impl Setpoint {
         }
         self.check_continuity(previous, lsb)?;
         Ok(step)
+    }
+
+    /// The same displacement in counts of another LSB, rounded to the nearest, halves to the even one.
+    ///
+    /// # Errors
+    /// A counter overflows, or rounding takes the rotation to pi.
+    pub fn rescaled(self, from: Lsb, to: Lsb) -> Result<Self, SetpointError> {
+        if from == to {
+            return Ok(self);
+        }
+        let mut counts = [0; 6];
+        for ((count, old), axis) in counts.iter_mut().zip(self.counts).zip(Axis::ALL) {
+            let nano = i64::from(old).saturating_mul(i64::from(from.nano_of(axis)));
+            let rounded = divided_to_nearest(nano, i64::from(to.nano_of(axis)));
+            *count = rounded.and_then(|rounded| i32::try_from(rounded).ok()).ok_or({
+                #[expect(clippy::cast_precision_loss, reason = "for a message")]
+                let value = nano as f64 / f64::from(to.nano_of(axis));
+                SetpointError::OutOfRange { tick: self.tick, axis, value }
+            })?;
+        }
+        let setpoint = Self { tick: self.tick, counts };
+        setpoint.validate(to)?;
+        Ok(setpoint)
     }
 
     /// Cumulative displacement (T_k, R_k) from the anchor.
@@ -404,6 +428,20 @@ fn round_to_counts(tick: u32, axis: Axis, value: f64, lsb: Lsb) -> Result<i32, S
 }
 
 /// Neumaier's sum: adds `term` to `high + low`, the rounding error going to `low`.
+/// Halves go to the even number; `None` for a divisor that is not positive.
+fn divided_to_nearest(value: i64, divisor: i64) -> Option<i64> {
+    if divisor <= 0 {
+        return None;
+    }
+    let (floor, rest) = (value.checked_div_euclid(divisor)?, value.checked_rem_euclid(divisor)?);
+    let up = match rest.saturating_mul(2).cmp(&divisor) {
+        Ordering::Less => false,
+        Ordering::Greater => true,
+        Ordering::Equal => floor & 1 == 1,
+    };
+    floor.checked_add(i64::from(up))
+}
+
 fn compensated_sum(
     high: &Vector3<f64>,
     low: &Vector3<f64>,
@@ -443,6 +481,18 @@ mod tests {
             quantiser.push(&step).unwrap();
         }
         assert_eq!(quantiser.setpoint(), Setpoint { tick: 30_000, counts: [10_000, 0, 0, 0, 0, 0] });
+    }
+
+    #[test]
+    fn counts_of_another_lsb_are_the_nearest() {
+        let (fine, coarse) = (Lsb::default(), Lsb { translation_nm: 1_000, rotation_nrad: 10_000 });
+        let setpoint = Setpoint { tick: 9, counts: [15, 25, -25, 149, -150, -151] };
+        let found = setpoint.rescaled(fine, coarse).unwrap();
+        assert_eq!(found, Setpoint { tick: 9, counts: [2, 2, -2, 1, -2, -2] });
+        assert_eq!(setpoint.rescaled(fine, fine), Ok(setpoint));
+        assert_eq!(found.rescaled(coarse, fine).unwrap().counts, [20, 20, -20, 100, -200, -200]);
+        let far = Setpoint { tick: 9, counts: [i32::MAX, 0, 0, 0, 0, 0] };
+        assert!(matches!(far.rescaled(coarse, fine), Err(SetpointError::OutOfRange { axis: Axis::X, .. })));
     }
 
     #[test]

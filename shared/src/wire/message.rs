@@ -1,19 +1,23 @@
-//! Messages between executor and arm, as values.
+//! Messages between executor and arm, as values; `PROTOCOL.md` has them as bytes.
 //!
 //! | from     | message                | when                                                                    |
 //! |----------|------------------------|-------------------------------------------------------------------------|
 //! | executor | [`ToArm::Open`]        | first: which plan, at which period, how long, within which limits       |
 //! | arm      | [`FromArm::Opened`]    | the session is accepted ([`FromArm::Refused`]: it is not, and why)      |
-//! | executor | [`ToArm::Control`]     | to walk through the [`state`](super::state)s                            |
+//! | executor | [`ToArm::Control`]     | to walk through the [`state`](super::state)s; each is answered by a status |
 //! | arm      | [`FromArm::Anchored`]  | operation enabled: the pose X0 that all setpoints start from            |
 //! | executor | [`ToArm::Setpoint`]    | each cumulative, each with the tick it belongs to, as credit allows     |
-//! | arm      | [`FromArm::Status`]    | on every change and at every tick                                       |
-//! | arm      | [`FromArm::Actual`]    | at every tick: the pose reached                                         |
+//! | arm      | [`FromArm::Status`]    | on every change, at every tick, and with every heartbeat                |
+//! | arm      | [`FromArm::Actual`]    | at every tick, and with every heartbeat: where it really is             |
+//! | arm      | [`FromArm::Fault`]     | when a fault is latched, and with every heartbeat while it is           |
+//! | both     | `Heartbeat`            | every [`HEARTBEAT_US`]                                                  |
+//! | anybody  | [`ToArm::Stop`]        | to stop the arm, whoever moves it                                       |
 //!
 //! # Ticks
 //! The arm starts its clock, tick 0, when `start_level` setpoints are there. It takes setpoint k at tick k - 1 and reaches
-//! it at tick k. A setpoint may be sent while its tick is at most [`Status::credit_until`]; that number is absolute, so
-//! neither loss nor repetition of a report can inflate it.
+//! it at tick k. A setpoint may be sent while its tick is at most [`Status::credit_until`], which is absolute, so that
+//! neither loss nor repetition of a report can inflate it. [`Status::have`] tells which setpoints are there: one that was
+//! sent and is not there is sent again, in time.
 
 use serde::{Deserialize, Serialize};
 
@@ -24,10 +28,16 @@ use crate::limits::Limits;
 use crate::pose::Pose;
 
 /// Version of the messages; both ends must have the same.
-pub const PROTOCOL_VERSION: u16 = 1;
+pub const PROTOCOL_VERSION: u16 = 2;
 
 /// Session number that stands for no session.
 pub const NO_SESSION: u16 = 0;
+
+/// Setpoints after the one taken last that an arm has room for: one for each bit of [`Status::have`].
+pub const DEPTH: u32 = 16;
+
+/// Time between two heartbeats of either end, microseconds.
+pub const HEARTBEAT_US: u64 = 100_000;
 
 /// From executor to arm.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -36,7 +46,7 @@ pub enum ToArm {
     Open(OpenRequest),
     /// Asks for a state.
     Control {
-        /// Session it belongs to.
+        /// Session it belongs to; [`NO_SESSION`] will do to leave a latched stop.
         session: u16,
         /// What is asked.
         command: Command,
@@ -48,6 +58,13 @@ pub enum ToArm {
         /// Tick and cumulative displacement from the anchor.
         setpoint: Setpoint,
     },
+    /// The executor is alive.
+    Heartbeat {
+        /// Its session.
+        session: u16,
+    },
+    /// Stop, as fast as the arm can. No session is asked for: whoever sees a reason may send it.
+    Stop,
 }
 
 /// What the executor is about to play.
@@ -63,7 +80,7 @@ pub struct OpenRequest {
     pub period_us: u32,
     /// Tick of the last setpoint.
     pub end_tick: u32,
-    /// What one count is worth.
+    /// What one count is worth on the wire.
     pub lsb: Lsb,
     /// Limits of the plan; the arm keeps the tighter of these and its own.
     pub limits: Limits,
@@ -99,11 +116,18 @@ pub enum FromArm {
     Actual {
         /// Session.
         session: u16,
-        /// Setpoint that it has just been due to reach.
-        tick: u32,
-        /// Measured pose.
-        pose: Pose,
+        /// The tick that it has just been due to reach; displacement from the anchor, rounded to the LSB of the wire.
+        reached: Setpoint,
     },
+    /// A fault is latched.
+    Fault {
+        /// Session in which it was found, or [`NO_SESSION`].
+        session: u16,
+        /// Which.
+        fault: Fault,
+    },
+    /// The arm is alive.
+    Heartbeat(Heartbeat),
 }
 
 /// Why an arm does not open a session.
@@ -114,8 +138,13 @@ pub enum Refusal {
         /// Version of the arm.
         arm: u16,
     },
-    /// A session is open, or a fault is latched.
+    /// Another session is open.
     Busy,
+    /// A stop or a fault is latched.
+    Latched {
+        /// Which.
+        fault: Fault,
+    },
     /// The control period is outside the arm's range.
     Period,
     /// Session number, LSB, end tick, start level or limits have no meaning.
@@ -130,18 +159,21 @@ impl core::fmt::Display for Refusal {
             Self::Version { arm } => {
                 write!(f, "the arm speaks protocol version {arm}, the executor version {PROTOCOL_VERSION}")
             }
-            Self::Busy => f.write_str("the arm is in another session or has a fault latched"),
+            Self::Busy => f.write_str("the arm is in another session"),
+            Self::Latched { fault } => {
+                write!(f, "the arm has stopped and needs to be reset by a person first ({fault})")
+            }
             Self::Period => f.write_str("the arm cannot keep the plan's control period"),
             Self::Meaningless => f.write_str("the session's numbers have no meaning to the arm"),
-            Self::Coarse => {
-                f.write_str("the plan's LSB is too coarse for the arm's limits at this control period")
-            }
+            Self::Coarse => f.write_str(
+                "one count on this wire is too coarse for the arm's limits at this control period",
+            ),
         }
     }
 }
 
 /// Progress and state of the arm.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Status {
     /// Open session, or [`NO_SESSION`].
     pub session: u16,
@@ -153,14 +185,33 @@ pub struct Status {
     pub standstill: bool,
     /// Last setpoint taken.
     pub applied_tick: u32,
+    /// Bit i: the setpoint of tick `applied_tick + 1 + i` is there.
+    pub have: u16,
+    /// Counts the reports, so that an old one is known as such.
+    pub counter: u8,
+}
+
+impl Status {
+    /// Last tick for which the arm has room; none before it is anchored.
+    #[must_use]
+    pub fn credit_until(&self) -> u32 {
+        self.phase.map_or(0, |_| self.applied_tick.saturating_add(DEPTH))
+    }
+
     /// Setpoints waiting.
-    pub buffered: u16,
-    /// Last tick for which the arm has room.
-    pub credit_until: u32,
-    /// Setpoints that were not there when they were needed.
-    pub lost: u32,
-    /// Messages dropped: stale, repeated, or of another session.
-    pub dropped: u32,
-    /// The latched fault.
-    pub fault: Option<Fault>,
+    #[must_use]
+    pub fn buffered(&self) -> u32 {
+        self.have.count_ones()
+    }
+}
+
+/// Sign of life of the arm, with counts that nobody needs in a hurry.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Heartbeat {
+    /// Open session, or [`NO_SESSION`].
+    pub session: u16,
+    /// Setpoints of the session that were not there when they were needed; stays at its largest value.
+    pub lost: u16,
+    /// Messages dropped since power on: stale, repeated, of another session or damaged; stays at its largest value.
+    pub dropped: u16,
 }

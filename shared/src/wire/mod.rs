@@ -1,4 +1,6 @@
-//! What executor and arm say to each other: [`message`]s, and the [`state`]s they speak about.
+//! What executor and arm say to each other: [`message`]s, the [`state`]s they speak about, and the [`frame`]s that carry
+//! them.
 
+pub mod frame;
 pub mod message;
 pub mod state;

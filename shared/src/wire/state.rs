@@ -75,18 +75,28 @@ pub enum Phase {
 pub enum Command {
     /// Towards ready to switch on.
     Shutdown,
-    /// Towards switched on.
+    /// Towards switched on, from either side: CiA 402's "switch on" and "disable operation" are one and the same.
     SwitchOn,
     /// Towards operation enabled.
     EnableOperation,
-    /// Back to switched on.
-    DisableOperation,
     /// Back to switch on disabled.
     DisableVoltage,
     /// Decelerate and stand.
     QuickStop,
     /// Leave the latched fault.
     FaultReset,
+}
+
+impl Command {
+    /// All commands.
+    pub const ALL: [Self; 6] = [
+        Self::Shutdown,
+        Self::SwitchOn,
+        Self::EnableOperation,
+        Self::DisableVoltage,
+        Self::QuickStop,
+        Self::FaultReset,
+    ];
 }
 
 /// What makes a state change.
@@ -124,7 +134,7 @@ pub const TRANSITIONS: [Transition; 16] = {
         line(2, S::SwitchOnDisabled, Event::Command(C::Shutdown), S::ReadyToSwitchOn),
         line(3, S::ReadyToSwitchOn, Event::Command(C::SwitchOn), S::SwitchedOn),
         line(4, S::SwitchedOn, Event::Command(C::EnableOperation), S::OperationEnabled),
-        still(5, S::OperationEnabled, Event::Command(C::DisableOperation), S::SwitchedOn),
+        still(5, S::OperationEnabled, Event::Command(C::SwitchOn), S::SwitchedOn),
         line(6, S::SwitchedOn, Event::Command(C::Shutdown), S::ReadyToSwitchOn),
         line(7, S::ReadyToSwitchOn, Event::Command(C::DisableVoltage), S::SwitchOnDisabled),
         line(7, S::ReadyToSwitchOn, Event::Command(C::QuickStop), S::SwitchOnDisabled),
@@ -166,16 +176,6 @@ fn fault_transition(from: State) -> Option<Transition> {
 mod tests {
     use super::*;
 
-    const COMMANDS: [Command; 7] = [
-        Command::Shutdown,
-        Command::SwitchOn,
-        Command::EnableOperation,
-        Command::DisableOperation,
-        Command::DisableVoltage,
-        Command::QuickStop,
-        Command::FaultReset,
-    ];
-
     #[test]
     fn numbers_rise_and_no_line_is_ambiguous() {
         assert!(TRANSITIONS.windows(2).all(|pair| matches!(pair, [a, b] if a.number <= b.number)));
@@ -187,7 +187,7 @@ mod tests {
     #[test]
     fn operation_is_reached_through_switched_on_only() {
         for from in State::ALL {
-            for command in COMMANDS {
+            for command in Command::ALL {
                 let to = transition(from, Event::Command(command)).map(|line| line.to);
                 assert_eq!(
                     to == Some(State::OperationEnabled),
@@ -203,7 +203,7 @@ mod tests {
             assert!(TRANSITIONS.iter().any(|line| line.from == from), "{}", from.name());
         }
         let out_of_fault =
-            COMMANDS.map(|command| transition(State::Fault, Event::Command(command)).is_some());
+            Command::ALL.map(|command| transition(State::Fault, Event::Command(command)).is_some());
         assert_eq!(out_of_fault.iter().filter(|found| **found).count(), 1);
         assert!(transition(State::Fault, Event::Command(Command::FaultReset)).is_some());
         assert_eq!(transition(State::Fault, Event::FaultFound), None);
