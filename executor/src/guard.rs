@@ -1,8 +1,11 @@
 //! The last look at a setpoint before it leaves: limits, from where the arm really stands.
 
-use powderline_shared::displacement::{Lsb, Setpoint, pose_at};
+use core::fmt;
+
+use powderline_shared::displacement::{Axis, Lsb, Setpoint, SetpointError, pose_at};
 use powderline_shared::fault::{Fault, FaultCode, Side};
 use powderline_shared::limits::{LimitChecker, Limits, PeakUse, Violation};
+use powderline_shared::plan::PlanReader;
 use powderline_shared::pose::Pose;
 
 /// Checks setpoints in the order of their ticks.
@@ -47,6 +50,86 @@ impl Guard {
     }
 }
 
+/// Why a plan cannot be played over a wire.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Unplayable {
+    /// Rounded to the counts of the wire, it breaks a limit.
+    Limit(Violation),
+    /// A setpoint does not fit the counters of the wire.
+    Setpoint(SetpointError),
+    /// It moves further than the wire can tell.
+    TooFar {
+        /// Along which component.
+        axis: Axis,
+        /// Tick at which it has moved so far.
+        tick: u32,
+        /// Counts within [`LOSSES_BRIDGED`] ticks and one.
+        counts: u32,
+        /// Most counts that the wire can tell.
+        span: u32,
+    },
+}
+
+impl fmt::Display for Unplayable {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Limit(violation) => write!(f, "rounded to the counts of this wire, {violation}"),
+            Self::Setpoint(error) => error.fmt(f),
+            Self::TooFar { axis, tick, counts, span } => write!(
+                f,
+                "at tick {tick} it moves by {counts} counts of this wire along {axis} within {} ticks, but the wire tells \
+                 {span} at most; use CAN FD or a serial line",
+                LOSSES_BRIDGED.saturating_add(1)
+            ),
+        }
+    }
+}
+
+impl core::error::Error for Unplayable {}
+
+/// Setpoints in a row that may be lost without the next one being misunderstood.
+pub const LOSSES_BRIDGED: u32 = 2;
+
+/// Looks through a whole plan as it would be sent: rounded to `lsb`, one setpoint every `period_us`, on a wire that can
+/// tell apart positions within `span` counts of each other (`None`: any).
+///
+/// # Errors
+/// The first reason why it cannot be played so.
+pub fn rehearse(
+    plan: &PlanReader<'_>,
+    lsb: Lsb,
+    period_us: u32,
+    span: Option<u32>,
+) -> Result<PeakUse, Unplayable> {
+    let header = plan.header();
+    let mut guard = Guard::new(header.start_pose(), header.limits, lsb, period_us, header.step_count);
+    let mut last = [Setpoint::ANCHOR; LOSSES_BRIDGED as usize + 1];
+    for planned in plan.setpoints() {
+        let setpoint = planned.rescaled(header.lsb, lsb).map_err(Unplayable::Setpoint)?;
+        guard.check(setpoint).map_err(Unplayable::Limit)?;
+        span.map_or(Ok(()), |span| check_span(last, setpoint, span))?;
+        let [_, b, c] = last;
+        last = [b, c, setpoint];
+    }
+    Ok(guard.peak_use())
+}
+
+fn check_span(
+    last: [Setpoint; LOSSES_BRIDGED as usize + 1],
+    setpoint: Setpoint,
+    span: u32,
+) -> Result<(), Unplayable> {
+    for before in last {
+        for ((new, old), axis) in setpoint.counts.into_iter().zip(before.counts).zip(Axis::ALL) {
+            let counts = new.abs_diff(old);
+            if counts > span {
+                return Err(Unplayable::TooFar { axis, tick: setpoint.tick, counts, span });
+            }
+        }
+    }
+    Ok(())
+}
+
 /// The fault that a broken limit is.
 #[must_use]
 pub fn fault_of(violation: &Violation) -> Fault {
@@ -56,7 +139,6 @@ pub fn fault_of(violation: &Violation) -> Fault {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use powderline_shared::displacement::Axis;
     use powderline_shared::limits::Limit;
 
     const PERIOD_US: u32 = 10_000;

@@ -30,5 +30,8 @@ pub mod guard;
 pub mod player;
 pub mod schedule;
 pub mod session;
+pub mod telemetry;
+pub mod window;
 
 pub use session::{Action, Config, Executor, Outcome};
+pub use telemetry::Telemetry;

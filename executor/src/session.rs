@@ -11,20 +11,25 @@
 //! Stopping goes on for as long as the arm reports that it moves; only an arm that falls silent is given up, and the
 //! outcome then says that nobody knows whether it stands.
 //!
-//! Whatever is asked of the arm is asked again after [`Config::retry_us`] until it is done or the time for it is over.
+//! Whatever is asked of the arm is asked again after [`Config::retry_us`] until it is done or the time for it is over. A
+//! setpoint that the arm does not report as there is sent again, at most one in each control period.
 
 use heapless::Deque;
-use nalgebra::Vector3;
+use powderline_shared::displacement::{Lsb, Setpoint};
 use powderline_shared::fault::{Fault, FaultCode};
 use powderline_shared::limits::{PeakUse, Violation};
 use powderline_shared::plan::{PlanHeader, PlanReader};
 use powderline_shared::pose::{Pose, norm};
-use powderline_shared::wire::message::{FromArm, OpenRequest, PROTOCOL_VERSION, Refusal, Status, ToArm};
+use powderline_shared::wire::message::{
+    FromArm, HEARTBEAT_US, NO_SESSION, OpenRequest, PROTOCOL_VERSION, Refusal, Status, ToArm,
+};
 use powderline_shared::wire::state::{Command, Phase, State};
 
 use crate::guard::{Guard, fault_of};
 use crate::player::Player;
 use crate::schedule::{DEFAULT_LOOK_AHEAD, Schedule};
+use crate::telemetry::Telemetry;
+use crate::window::Window;
 
 /// Commands that lead from standing without power to operation enabled: in which state, which command.
 pub const WAY_UP: [(State, Command); 3] = [
@@ -39,14 +44,17 @@ const OUTBOX_CAPACITY: usize = 4;
 /// Periods without a report after which the arm is silent, at the least.
 const SILENT_PERIODS: u64 = 4;
 
-/// Largest difference between where the arm holds and the last setpoint, LSB; the excess over one half is for rounding.
-const END_TOLERANCE_LSB: f64 = 0.5 * 1.01;
-
 /// What may differ from arm to arm. Times in microseconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Config {
-    /// Number of the session, not 0.
+    /// Number of the session, not 0; best a random one, so that nothing left over from an earlier session passes for ours.
     pub session: u16,
+    /// What one count is worth on the wire; the plan's own if `None`. Setpoints are rounded to it before they are checked.
+    pub lsb: Option<Lsb>,
+    /// Control period to play at, microseconds; the plan's own if `None`.
+    pub period_us: Option<u32>,
+    /// Whether an arm with a latched stop is to be reset first. Somebody has looked at it and says so.
+    pub reset: bool,
     /// Setpoints ahead of the arm's clock.
     pub look_ahead: u16,
     /// Largest distance of the anchor from the plan's start pose, metres.
@@ -65,6 +73,9 @@ impl Default for Config {
     fn default() -> Self {
         Self {
             session: 1,
+            lsb: None,
+            period_us: None,
+            reset: false,
             look_ahead: DEFAULT_LOOK_AHEAD,
             anchor_tolerance_m: 0.5e-3,
             anchor_tolerance_rad: 5e-3,
@@ -116,79 +127,110 @@ pub struct Executor<'a> {
     config: Config,
     header: PlanHeader,
     plan_hash: u64,
+    lsb: Lsb,
+    period_us: u32,
     player: Player<'a>,
     schedule: Schedule,
+    window: Window,
     guard: Option<Guard>,
     stage: Stage,
     outbox: Deque<ToArm, OUTBOX_CAPACITY>,
     arm: Option<Status>,
-    /// The pose that the arm has reported, with the tick that it belongs to.
-    actual: Option<(u32, Pose)>,
+    /// Where the arm has reported to be, as a displacement from the anchor.
+    reached: Option<Setpoint>,
     fault: Option<Fault>,
     violation: Option<Violation>,
     refusal: Option<Refusal>,
+    telemetry: Telemetry,
+    /// Whether to stop as fast as the arm can.
+    hard: bool,
     heard_us: u64,
+    reported_us: u64,
+    asked_us: u64,
     retry_at_us: u64,
     give_up_at_us: u64,
+    heartbeat_at_us: u64,
+    resend_at_us: u64,
 }
 
 impl<'a> Executor<'a> {
     /// Opens a session with the next poll.
     #[must_use]
     pub fn new(now_us: u64, plan: &PlanReader<'a>, config: Config) -> Self {
+        let header = *plan.header();
+        let period_us = config.period_us.unwrap_or(header.control_period_us);
         Self {
             config,
-            header: *plan.header(),
+            header,
             plan_hash: plan.content_hash(),
+            lsb: config.lsb.unwrap_or(header.lsb),
+            period_us,
             player: Player::new(plan),
-            schedule: Schedule::new(config.look_ahead),
+            schedule: Schedule::new(config.look_ahead, period_us),
+            window: Window::default(),
             guard: None,
             stage: Stage::Opening,
             outbox: Deque::new(),
             arm: None,
-            actual: None,
+            reached: None,
             fault: None,
             violation: None,
             refusal: None,
+            telemetry: Telemetry::default(),
+            hard: false,
             heard_us: now_us,
+            reported_us: now_us,
+            asked_us: now_us,
             retry_at_us: now_us,
             give_up_at_us: now_us.saturating_add(config.handshake_us),
+            heartbeat_at_us: now_us.saturating_add(HEARTBEAT_US),
+            resend_at_us: now_us,
         }
     }
 
     /// Takes in one message of the arm.
     pub fn handle_message(&mut self, now_us: u64, message: &FromArm) {
         match *message {
-            FromArm::Opened { session } if self.is_ours(session) => {
-                self.heard_us = now_us;
-                if self.stage == Stage::Opening {
-                    self.enter(now_us, Stage::Enabling);
-                }
-            }
-            FromArm::Refused { session, reason } if self.is_ours(session) => {
-                if self.stage == Stage::Opening {
-                    self.refusal = Some(reason);
-                    self.end_untouched(Fault { code: FaultCode::SessionRefused, tick: 0 });
-                }
-            }
+            FromArm::Opened { session } if self.is_ours(session) => self.opened(now_us),
+            FromArm::Refused { session, reason } if self.is_ours(session) => self.refused(&reason),
             FromArm::Anchored { session, pose } if self.is_ours(session) => self.anchored(now_us, &pose),
-            FromArm::Actual { session, tick, pose } if self.is_ours(session) => {
+            FromArm::Actual { session, reached } if self.is_ours(session) => self.actual(now_us, reached),
+            FromArm::Fault { session, fault } if self.is_ours(session) => self.arm_fault(now_us, fault),
+            FromArm::Heartbeat(heartbeat) if self.is_ours(heartbeat.session) => {
                 self.heard_us = now_us;
-                self.actual = Some((tick, pose));
-                self.leave_at_end(now_us);
+                self.telemetry.lost = heartbeat.lost;
+                self.telemetry.dropped = heartbeat.dropped;
             }
-            FromArm::Status(status) => self.status(now_us, &status),
-            // Of another session: no business of ours.
+            FromArm::Status(status) if self.is_news(&status) => self.status(now_us, &status),
+            // Of another session, or older than what is known: no business of ours.
             FromArm::Opened { .. }
             | FromArm::Refused { .. }
             | FromArm::Anchored { .. }
-            | FromArm::Actual { .. } => {}
+            | FromArm::Actual { .. }
+            | FromArm::Fault { .. }
+            | FromArm::Heartbeat(_)
+            | FromArm::Status(_) => {}
         }
     }
 
     /// A person wants the arm to stop.
     pub fn handle_stop(&mut self, now_us: u64) {
         self.stop(now_us, FaultCode::OperatorStop);
+    }
+
+    /// A person wants the arm to stop as fast as it can.
+    pub fn handle_hard_stop(&mut self, now_us: u64) {
+        self.hard = true;
+        self.stop(now_us, FaultCode::OperatorStop);
+        // A stop that has begun is asked to be a hard one.
+        if self.stage == Stage::Stopping {
+            self.ask(now_us);
+        }
+    }
+
+    /// The wire is gone. The arm, which hears nothing any more, stops by itself.
+    pub fn handle_link_lost(&mut self, now_us: u64) {
+        self.stop(now_us, FaultCode::LinkLost);
     }
 
     /// What to do now. Call until it says [`Action::Wait`] or [`Action::Finished`].
@@ -198,8 +240,10 @@ impl<'a> Executor<'a> {
             return Action::Send(message);
         }
         match self.stage {
-            Stage::Streaming => self.next_setpoint(now_us),
             Stage::Done(outcome) => Action::Finished(outcome),
+            Stage::Streaming => {
+                self.resend(now_us).or_else(|| self.next_setpoint(now_us)).unwrap_or(Action::Wait)
+            }
             Stage::Opening | Stage::Enabling | Stage::Leaving | Stage::Stopping => Action::Wait,
         }
     }
@@ -211,13 +255,19 @@ impl<'a> Executor<'a> {
         if !self.outbox.is_empty() {
             return Some(0);
         }
-        match self.stage {
-            Stage::Done(_) => None,
-            Stage::Streaming => Some(self.silent_at_us()),
-            Stage::Opening | Stage::Enabling | Stage::Leaving | Stage::Stopping => {
-                Some(self.retry_at_us.min(self.give_up_at_us))
+        let soonest = match self.stage {
+            Stage::Done(_) => return None,
+            Stage::Streaming => {
+                let setpoint_us = self.player.peek().and_then(|next| self.schedule.due_us(next.tick));
+                let resend_us = self.missing().map(|_| self.resend_at_us);
+                let due = [setpoint_us, resend_us].into_iter().flatten();
+                due.fold(self.silent_at_us(), u64::min)
             }
-        }
+            Stage::Opening | Stage::Enabling | Stage::Leaving | Stage::Stopping => {
+                self.retry_at_us.min(self.give_up_at_us)
+            }
+        };
+        Some(soonest.min(self.heartbeat_at_us))
     }
 
     /// The arm's last report.
@@ -226,10 +276,37 @@ impl<'a> Executor<'a> {
         self.arm.as_ref()
     }
 
-    /// The arm's last reported pose.
+    /// The pose that the arm has reported last, exact to half an LSB of the wire.
     #[must_use]
     pub fn actual_pose(&self) -> Option<Pose> {
-        self.actual.map(|(_, pose)| pose)
+        Some(self.guard.as_ref()?.pose_at(self.reached?))
+    }
+
+    /// What has been counted and measured.
+    #[must_use]
+    pub fn telemetry(&self) -> Telemetry {
+        Telemetry {
+            round_trip_us: self.telemetry.round_trip_us.max(self.schedule.round_trip_us()),
+            ..self.telemetry
+        }
+    }
+
+    /// The last setpoint that has left, if it is not too long ago.
+    #[must_use]
+    pub fn last_sent(&self) -> Option<Setpoint> {
+        self.window.setpoint(self.telemetry.sent)
+    }
+
+    /// Number of the session.
+    #[must_use]
+    pub fn session(&self) -> u16 {
+        self.config.session
+    }
+
+    /// Content hash of the plan.
+    #[must_use]
+    pub fn plan_hash(&self) -> u64 {
+        self.plan_hash
     }
 
     /// The numbers behind a limit fault of our own.
@@ -256,34 +333,90 @@ impl<'a> Executor<'a> {
 
     // --- what the arm says ---
 
+    /// Reports are counted, so that one that was delayed does not undo what is known since. An arm that was switched off
+    /// and on begins to count anew; it may seem silent for a while, which is not far from the truth.
+    fn is_news(&self, status: &Status) -> bool {
+        // Half of the numbers are ahead of any number, the other half behind.
+        self.arm.is_none_or(|known| (1..128).contains(&status.counter.wrapping_sub(known.counter)))
+    }
+
+    fn opened(&mut self, now_us: u64) {
+        self.heard_us = now_us;
+        if self.stage == Stage::Opening {
+            self.answered(now_us);
+            self.enter(now_us, Stage::Enabling);
+        }
+    }
+
+    fn refused(&mut self, reason: &Refusal) {
+        if self.stage != Stage::Opening {
+            return;
+        }
+        self.refusal = Some(*reason);
+        match reason {
+            // A session whose executor is gone is closed by the arm before we give up.
+            Refusal::Busy => {}
+            Refusal::Latched { .. } if self.config.reset => self.reset(),
+            _ => self.end_untouched(Fault { code: FaultCode::SessionRefused, tick: 0 }),
+        }
+    }
+
+    /// One of the two is what the arm needs, the other has no meaning to it in that state.
+    fn reset(&mut self) {
+        for command in [Command::FaultReset, Command::DisableVoltage] {
+            self.queue(ToArm::Control { session: NO_SESSION, command });
+        }
+    }
+
     fn anchored(&mut self, now_us: u64, anchor: &Pose) {
         self.heard_us = now_us;
         if self.stage != Stage::Enabling {
             return;
         }
+        self.answered(now_us);
         let off = self.header.start_pose().displacement_to(anchor);
         let near = norm(&off.translation()) <= self.config.anchor_tolerance_m
             && norm(&off.rotation()) <= self.config.anchor_tolerance_rad;
         if !near {
             return self.stop(now_us, FaultCode::AnchorElsewhere);
         }
-        let PlanHeader { limits, lsb, control_period_us, step_count, .. } = self.header;
-        self.guard = Some(Guard::new(*anchor, limits, lsb, control_period_us, step_count));
-        self.actual = Some((0, *anchor));
+        let PlanHeader { limits, step_count, .. } = self.header;
+        self.guard = Some(Guard::new(*anchor, limits, self.lsb, self.period_us, step_count));
+        self.reached = Some(Setpoint::ANCHOR);
         self.enter(now_us, Stage::Streaming);
+    }
+
+    fn actual(&mut self, now_us: u64, reached: Setpoint) {
+        self.heard_us = now_us;
+        if self.reached.is_some_and(|known| known.tick > reached.tick) {
+            return;
+        }
+        self.reached = Some(reached);
+        if let Some(sent) = self.window.setpoint(reached.tick).filter(|_| self.stage == Stage::Streaming) {
+            self.telemetry.handle_tracking(sent, reached, self.lsb);
+        }
+        self.leave_at_end(now_us);
+    }
+
+    /// The arm tells why it stopped. If all that was known is that it left its state, this is the reason.
+    fn arm_fault(&mut self, now_us: u64, fault: Fault) {
+        self.heard_us = now_us;
+        self.latch(now_us, fault);
+        if let Some(known) = &mut self.fault
+            && known.code == FaultCode::StateUnexpected
+        {
+            *known = fault;
+        }
     }
 
     fn status(&mut self, now_us: u64, status: &Status) {
         let ours = self.is_ours(status.session);
         if ours {
             self.heard_us = now_us;
-            self.schedule.handle_progress(status.applied_tick, status.credit_until);
+            self.progress(now_us, status);
         }
         let news = self.arm.is_none_or(|known| known.state != status.state);
         self.arm = Some(*status);
-        if let (true, Some(fault)) = (ours, status.fault) {
-            self.latch(now_us, fault);
-        }
         match self.stage {
             Stage::Enabling if news => self.ask(now_us),
             Stage::Streaming => self.watch(now_us, ours, status),
@@ -295,6 +428,14 @@ impl<'a> Executor<'a> {
         }
     }
 
+    fn progress(&mut self, now_us: u64, status: &Status) {
+        self.reported_us = now_us;
+        let running = matches!(status.phase, Some(Phase::Streaming | Phase::Completing));
+        self.schedule.handle_progress(now_us, status.applied_tick, status.credit_until(), running);
+        let round_trip_us = self.window.arrived(now_us, status.applied_tick, status.have);
+        round_trip_us.into_iter().for_each(|time_us| self.telemetry.handle_round_trip(time_us));
+    }
+
     fn watch(&mut self, now_us: u64, ours: bool, status: &Status) {
         if !ours || status.state != State::OperationEnabled {
             return self.stop(now_us, FaultCode::StateUnexpected);
@@ -304,30 +445,25 @@ impl<'a> Executor<'a> {
 
     /// Goes on once the arm has reported both that it holds the last setpoint and where that is, in whatever order.
     fn leave_at_end(&mut self, now_us: u64) {
-        let end_tick = self.player.end().tick;
+        let Some(end) = self.end_setpoint() else { return };
         let holds = self.arm.is_some_and(|arm| {
-            self.is_ours(arm.session) && arm.phase == Some(Phase::Holding) && arm.applied_tick == end_tick
+            self.is_ours(arm.session) && arm.phase == Some(Phase::Holding) && arm.applied_tick == end.tick
         });
         if self.stage != Stage::Streaming || !holds {
             return;
         }
-        match self.stands_at_end() {
-            Some(true) => self.enter(now_us, Stage::Leaving),
-            Some(false) => self.stop(now_us, FaultCode::EndElsewhere),
-            // Its last poses have been lost. Should none follow, the arm is silent.
+        match self.reached.filter(|reached| reached.tick == end.tick) {
+            // Equal counts: the arm stands within half an LSB of the setpoint.
+            Some(reached) if reached == end => self.enter(now_us, Stage::Leaving),
+            Some(_) => self.stop(now_us, FaultCode::EndElsewhere),
+            // Its last poses have been lost; they are repeated. Should none follow, the arm is silent.
             None => {}
         }
     }
 
-    /// Whether the pose that the arm reports for the last tick is that of the last setpoint; `None` before it has.
-    fn stands_at_end(&self) -> Option<bool> {
-        let end = self.player.end();
-        let (_, actual) = self.actual.filter(|(tick, _)| *tick == end.tick)?;
-        let off = self.guard.as_ref()?.pose_at(end).displacement_to(&actual);
-        let lsb = self.header.lsb;
-        // Asked as "is it near", so that NaN fails.
-        let near = |off: Vector3<f64>, lsb: f64| off.iter().all(|x| x.abs() <= END_TOLERANCE_LSB * lsb);
-        Some(near(off.translation(), lsb.translation_m()) && near(off.rotation(), lsb.rotation_rad()))
+    /// The plan's last setpoint in counts of the wire.
+    fn end_setpoint(&self) -> Option<Setpoint> {
+        self.player.end().rescaled(self.header.lsb, self.lsb).ok()
     }
 
     fn watch_stop(&mut self, now_us: u64, ours: bool, status: &Status) {
@@ -344,50 +480,93 @@ impl<'a> Executor<'a> {
 
     // --- what we say ---
 
-    fn next_setpoint(&mut self, now_us: u64) -> Action {
-        let Some(setpoint) = self.player.peek().filter(|next| self.schedule.allows(next.tick)) else {
-            return Action::Wait;
+    /// A setpoint that should have arrived long ago, by what the arm last said.
+    fn missing(&self) -> Option<Setpoint> {
+        let wait_us = self.telemetry.quickest_us.saturating_add(u64::from(self.period_us) / 2);
+        self.window.missing(self.reported_us, wait_us)
+    }
+
+    fn resend(&mut self, now_us: u64) -> Option<Action> {
+        if now_us < self.resend_at_us {
+            return None;
+        }
+        let setpoint = self.missing()?;
+        self.resend_at_us = now_us.saturating_add(u64::from(self.period_us));
+        self.telemetry.resent = self.telemetry.resent.saturating_add(1);
+        Some(self.send_setpoint(now_us, setpoint))
+    }
+
+    fn next_setpoint(&mut self, now_us: u64) -> Option<Action> {
+        let planned = self.player.peek().filter(|next| self.schedule.allows(now_us, next.tick))?;
+        let guard = self.guard.as_mut()?;
+        let Ok(setpoint) = planned.rescaled(self.header.lsb, self.lsb) else {
+            return Some(self.stop_instead(now_us, FaultCode::PlanUnreadable));
         };
-        let Some(guard) = self.guard.as_mut() else { return Action::Wait };
         if let Err(violation) = guard.check(setpoint) {
             self.violation = Some(violation);
             self.latch(now_us, fault_of(&violation));
-            return self.outbox.pop_front().map_or(Action::Wait, Action::Send);
+            return Some(self.pop());
         }
         self.player.advance();
-        if self.player.peek().is_none() && setpoint != self.player.end() {
+        if self.player.peek().is_none() && planned != self.player.end() {
             // The plan was read to its end when it was opened; its memory must have changed.
-            self.stop(now_us, FaultCode::PlanUnreadable);
-            return self.outbox.pop_front().map_or(Action::Wait, Action::Send);
+            return Some(self.stop_instead(now_us, FaultCode::PlanUnreadable));
         }
+        self.telemetry.sent = setpoint.tick;
+        Some(self.send_setpoint(now_us, setpoint))
+    }
+
+    fn send_setpoint(&mut self, now_us: u64, setpoint: Setpoint) -> Action {
+        self.window.sent(now_us, setpoint);
         Action::Send(ToArm::Setpoint { session: self.config.session, setpoint })
+    }
+
+    fn stop_instead(&mut self, now_us: u64, code: FaultCode) -> Action {
+        self.stop(now_us, code);
+        self.pop()
+    }
+
+    fn pop(&mut self) -> Action {
+        self.outbox.pop_front().map_or(Action::Wait, Action::Send)
     }
 
     /// Asks the arm for whatever the present stage needs.
     fn ask(&mut self, now_us: u64) {
+        self.asked_us = now_us;
         self.retry_at_us = now_us.saturating_add(self.config.retry_us);
-        let state = self.arm.map(|arm| arm.state);
         match self.stage {
             Stage::Opening => self.queue(ToArm::Open(self.open_request())),
-            Stage::Enabling => {
-                let next = WAY_UP.iter().find(|(from, _)| Some(*from) == state);
-                next.into_iter().for_each(|(_, command)| self.command(*command));
-            }
+            Stage::Enabling => self.next_step_up().into_iter().for_each(|command| self.command(command)),
             Stage::Leaving => self.command(Command::Shutdown),
+            Stage::Stopping if self.hard => self.queue(ToArm::Stop),
             Stage::Stopping => self.command(Command::QuickStop),
             Stage::Streaming | Stage::Done(_) => {}
         }
     }
 
+    /// An arm that is enabled and whose anchor has not arrived is asked again: it then repeats it.
+    fn next_step_up(&self) -> Option<Command> {
+        let arm = self.arm.filter(|arm| self.is_ours(arm.session))?;
+        let step = WAY_UP.iter().find(|(from, _)| *from == arm.state).map(|(_, command)| *command);
+        step.or((arm.state == State::OperationEnabled).then_some(Command::EnableOperation))
+    }
+
+    /// The arm has done what it was asked for.
+    fn answered(&mut self, now_us: u64) {
+        let time_us = now_us.saturating_sub(self.asked_us);
+        self.schedule.handle_round_trip(time_us);
+        self.telemetry.handle_round_trip(time_us);
+    }
+
     fn open_request(&self) -> OpenRequest {
-        let PlanHeader { control_period_us, step_count, lsb, limits, .. } = self.header;
+        let PlanHeader { step_count, limits, .. } = self.header;
         OpenRequest {
             version: PROTOCOL_VERSION,
             session: self.config.session,
             plan_hash: self.plan_hash,
-            period_us: control_period_us,
+            period_us: self.period_us,
             end_tick: step_count,
-            lsb,
+            lsb: self.lsb,
             limits,
             start_level: self.schedule.look_ahead(),
         }
@@ -444,6 +623,10 @@ impl<'a> Executor<'a> {
     // --- time ---
 
     fn check_time(&mut self, now_us: u64) {
+        if now_us >= self.heartbeat_at_us && !matches!(self.stage, Stage::Done(_)) {
+            self.heartbeat_at_us = now_us.saturating_add(HEARTBEAT_US);
+            self.queue(ToArm::Heartbeat { session: self.config.session });
+        }
         match self.stage {
             Stage::Done(_) => {}
             Stage::Streaming => {
@@ -455,6 +638,7 @@ impl<'a> Executor<'a> {
                 if now_us >= self.give_up_at_us {
                     self.give_up(now_us);
                 } else if now_us >= self.retry_at_us {
+                    self.telemetry.retries = self.telemetry.retries.saturating_add(1);
                     self.ask(now_us);
                 }
             }
@@ -464,12 +648,15 @@ impl<'a> Executor<'a> {
     fn give_up(&mut self, now_us: u64) {
         match (self.stage, self.fault) {
             (Stage::Stopping, Some(fault)) => self.end(fault, false),
+            (Stage::Opening, _) if self.refusal.is_some() => {
+                self.end_untouched(Fault { code: FaultCode::SessionRefused, tick: 0 });
+            }
             _ => self.stop(now_us, FaultCode::HandshakeTimeout),
         }
     }
 
     fn silent_at_us(&self) -> u64 {
-        let periods = u64::from(self.header.control_period_us).saturating_mul(SILENT_PERIODS);
+        let periods = u64::from(self.period_us).saturating_mul(SILENT_PERIODS);
         self.heard_us.saturating_add(self.config.silence_us.max(periods))
     }
 }

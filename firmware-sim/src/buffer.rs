@@ -1,9 +1,7 @@
 //! Setpoints that wait for their tick.
 
 use powderline_shared::displacement::Setpoint;
-
-/// How many ticks ahead the arm has room for.
-pub const CAPACITY: u32 = 16;
+use powderline_shared::wire::message::DEPTH;
 
 /// Why a setpoint is not kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -18,10 +16,10 @@ pub enum Refused {
     BeyondCredit,
 }
 
-/// One slot for each of the next [`CAPACITY`] ticks.
+/// One slot for each of the next [`DEPTH`] ticks.
 #[derive(Clone, Debug, Default)]
 pub struct SetpointBuffer {
-    slots: [Option<Setpoint>; CAPACITY as usize],
+    slots: [Option<Setpoint>; DEPTH as usize],
 }
 
 impl SetpointBuffer {
@@ -33,7 +31,7 @@ impl SetpointBuffer {
         if setpoint.tick <= applied {
             return Err(Refused::Stale);
         }
-        if setpoint.tick.saturating_sub(applied) > CAPACITY {
+        if setpoint.tick.saturating_sub(applied) > DEPTH {
             return Err(Refused::BeyondCredit);
         }
         let Some(slot) = self.slot(setpoint.tick) else { return Err(Refused::BeyondCredit) };
@@ -66,13 +64,23 @@ impl SetpointBuffer {
         waiting.fold(0, |count: u16, _| count.saturating_add(1))
     }
 
+    /// Bit i: the setpoint of tick `applied + 1 + i` is there.
+    #[must_use]
+    pub fn have_after(&self, applied: u32) -> u16 {
+        let bits = (0..DEPTH).map(|ahead| {
+            let tick = applied.saturating_add(1).saturating_add(ahead);
+            u16::from(self.peek(tick).is_some()) << ahead
+        });
+        bits.fold(0, |mask, bit| mask | bit)
+    }
+
     /// Where a tick's setpoint belongs; there is always such a place.
     fn slot(&mut self, tick: u32) -> Option<&mut Option<Setpoint>> {
         self.slots.get_mut(Self::index(tick))
     }
 
     fn index(tick: u32) -> usize {
-        (tick % CAPACITY) as usize
+        (tick % DEPTH) as usize
     }
 }
 
@@ -91,7 +99,7 @@ mod tests {
             assert_eq!(buffer.insert(setpoint(tick, 5), 0), Ok(()));
             assert_eq!(buffer.insert(setpoint(tick, 5), 0), Err(Refused::Same));
         }
-        assert_eq!(buffer.count_after(0), 3);
+        assert_eq!((buffer.count_after(0), buffer.have_after(0), buffer.have_after(1)), (3, 0b111, 0b11));
         assert_eq!(buffer.take(1), Some(setpoint(1, 5)));
         assert_eq!(buffer.take(1), None);
         assert_eq!(buffer.insert(setpoint(1, 5), 1), Err(Refused::Stale));
@@ -102,8 +110,8 @@ mod tests {
         let mut buffer = SetpointBuffer::default();
         buffer.insert(setpoint(1, 5), 0).unwrap();
         assert_eq!(buffer.insert(setpoint(1, 6), 0), Err(Refused::Different));
-        assert_eq!(buffer.insert(setpoint(CAPACITY, 0), 0), Ok(()));
-        assert_eq!(buffer.insert(setpoint(CAPACITY + 1, 0), 0), Err(Refused::BeyondCredit));
+        assert_eq!(buffer.insert(setpoint(DEPTH, 0), 0), Ok(()));
+        assert_eq!(buffer.insert(setpoint(DEPTH + 1, 0), 0), Err(Refused::BeyondCredit));
         assert_eq!(buffer.insert(setpoint(u32::MAX, 0), 0), Err(Refused::BeyondCredit));
     }
 
@@ -111,8 +119,8 @@ mod tests {
     fn what_was_never_taken_makes_room_in_the_next_round() {
         let mut buffer = SetpointBuffer::default();
         buffer.insert(setpoint(1, 5), 0).unwrap();
-        buffer.insert(setpoint(1 + CAPACITY, 7), 1).unwrap();
+        buffer.insert(setpoint(1 + DEPTH, 7), 1).unwrap();
         assert_eq!(buffer.peek(1), None);
-        assert_eq!(buffer.take(1 + CAPACITY), Some(setpoint(1 + CAPACITY, 7)));
+        assert_eq!(buffer.take(1 + DEPTH), Some(setpoint(1 + DEPTH, 7)));
     }
 }

@@ -7,6 +7,10 @@
 //! 3. nothing is there: the begin of a stop, for at most [`EXTRAPOLATION_TICKS`] ticks;
 //! 4. still nothing, or any limit broken: the rest of the stop, latched.
 //!
+//! Nobody is trusted to be there: a session that is not heard of for [`ArmConfig::watchdog_us`] is over, with a latched fault if
+//! operation is enabled, moving or not. A controller that was itself held up for more than [`OVERRUN_TICKS`] while it moved
+//! does not make up for lost time, it stops.
+//!
 //! Every commanded pose but those of a latched stop passes the limit check first. A stop keeps the limits in force, or, if
 //! they would make it take longer than [`GENTLE_STOP_US`], the arm's own ones; see [`crate::stop`] for its bound in time.
 
@@ -16,11 +20,13 @@ use powderline_shared::displacement::{Displacement, Setpoint, pose_at};
 use powderline_shared::fault::{Fault, FaultCode, Side};
 use powderline_shared::limits::{Limits, Motion, PeakUse, Violation};
 use powderline_shared::pose::Pose;
-use powderline_shared::wire::message::{FromArm, NO_SESSION, OpenRequest, Status, ToArm};
+use powderline_shared::wire::message::{
+    FromArm, HEARTBEAT_US, Heartbeat, NO_SESSION, OpenRequest, Refusal, Status, ToArm,
+};
 use powderline_shared::wire::state::{Command, Phase, State};
 
 use crate::arm::Arm;
-use crate::buffer::{CAPACITY, Refused};
+use crate::buffer::Refused;
 use crate::interpolator::Interpolator;
 use crate::session::{self, Anchored, Session};
 use crate::stop::{GENTLE_STOP_US, StopProfile};
@@ -31,6 +37,9 @@ pub const EXTRAPOLATION_TICKS: u32 = 2;
 /// Longest control period of a session, microseconds. What stops the arm takes effect at a tick, so this adds to the time
 /// that a stop takes.
 pub const LONGEST_PERIOD_US: u32 = 100_000;
+
+/// Ticks that a controller may be late before it gives up and stops.
+pub const OVERRUN_TICKS: u64 = 2;
 
 /// Ticks on the last setpoint after which velocity, acceleration and jerk are zero.
 const SETTLE_TICKS: u32 = 3;
@@ -48,7 +57,12 @@ pub struct ArmConfig {
     pub limits: Limits,
     /// Where it stands at power on.
     pub pose: Pose,
+    /// When a session that is not heard of is over, microseconds.
+    pub watchdog_us: u64,
 }
+
+/// When a session that is not heard of is over, unless the configuration says otherwise, microseconds.
+pub const DEFAULT_WATCHDOG_US: u64 = 3 * HEARTBEAT_US;
 
 impl ArmConfig {
     /// An arm standing at `pose` that is about as quick as research arms are: linear limits as published for the Franka
@@ -65,7 +79,7 @@ impl ArmConfig {
             angular_acceleration_rad_s2: 50.0,
             angular_jerk_rad_s3: 8_500.0,
         };
-        Self { limits, pose }
+        Self { limits, pose, watchdog_us: DEFAULT_WATCHDOG_US }
     }
 }
 
@@ -73,6 +87,7 @@ impl ArmConfig {
 #[derive(Clone, Debug)]
 pub struct Controller {
     own_limits: Limits,
+    watchdog_us: u64,
     state: State,
     session: Option<Session>,
     arm: Arm,
@@ -82,7 +97,11 @@ pub struct Controller {
     next_tick_us: Option<u64>,
     fault: Option<Fault>,
     violation: Option<Violation>,
-    dropped: u32,
+    dropped: u16,
+    /// Of the next status.
+    counter: u8,
+    heard_us: u64,
+    heartbeat_at_us: u64,
     outbox: VecDeque<FromArm>,
 }
 
@@ -105,6 +124,7 @@ impl Controller {
     pub fn new(config: ArmConfig) -> Self {
         let mut controller = Self {
             own_limits: config.limits,
+            watchdog_us: config.watchdog_us,
             state: State::SwitchOnDisabled,
             session: None,
             arm: Arm::new(config.pose),
@@ -115,6 +135,10 @@ impl Controller {
             fault: None,
             violation: None,
             dropped: 0,
+            counter: 0,
+            heard_us: 0,
+            // Now: the first thing that it does is to say that it is there.
+            heartbeat_at_us: 0,
             outbox: VecDeque::new(),
         };
         controller.report();
@@ -125,14 +149,26 @@ impl Controller {
     pub fn handle_message(&mut self, now_us: u64, message: &ToArm) {
         self.advance(now_us);
         match *message {
-            ToArm::Open(request) => self.open(&request),
-            ToArm::Control { session, command } if self.is_current(session) => self.command(command),
+            ToArm::Open(request) => self.open(now_us, &request),
+            ToArm::Control { session, command } if self.is_current(session) => {
+                self.heard_us = now_us;
+                self.command(command);
+            }
+            ToArm::Control { session: NO_SESSION, command } => self.leave_latched(command),
             ToArm::Setpoint { session, setpoint } if self.is_current(session) => {
+                self.heard_us = now_us;
                 self.setpoint(now_us, setpoint);
             }
-            ToArm::Control { .. } | ToArm::Setpoint { .. } => self.drop_one(),
+            ToArm::Heartbeat { session } if self.is_current(session) => self.heard_us = now_us,
+            ToArm::Stop => self.hard_stop(),
+            ToArm::Control { .. } | ToArm::Setpoint { .. } | ToArm::Heartbeat { .. } => self.drop_one(),
         }
         self.advance(now_us);
+    }
+
+    /// A message that could not be understood.
+    pub fn handle_rejected(&mut self) {
+        self.drop_one();
     }
 
     /// Lets time pass; then the next message to the executor, if any. Call until `None`.
@@ -141,10 +177,11 @@ impl Controller {
         self.outbox.pop_front()
     }
 
-    /// When to poll next, at the latest; `None` while nothing moves.
+    /// When to poll next, at the latest.
     #[must_use]
-    pub fn poll_at(&self) -> Option<u64> {
-        self.next_tick_us
+    pub fn poll_at(&self) -> u64 {
+        let due = [self.next_tick_us, self.session_ends_us()].into_iter().flatten();
+        due.fold(self.heartbeat_at_us, u64::min)
     }
 
     /// Where the tool is, as of the last poll.
@@ -207,18 +244,40 @@ impl Controller {
 
     // --- session and states ---
 
-    fn open(&mut self, request: &OpenRequest) {
+    fn open(&mut self, now_us: u64, request: &OpenRequest) {
         let session = request.session;
-        // A repeated request is answered again: the answer may have been lost.
-        let same =
-            self.session.as_ref().is_some_and(|open| open.request == *request && open.anchored.is_none());
-        if !same && let Err(reason) = session::admit(request, &self.own_limits, self.state) {
+        if let Err(reason) = self.admit(request) {
             self.send(FromArm::Refused { session, reason });
             return;
         }
+        self.heard_us = now_us;
         self.session = Some(Session::new(request, &self.own_limits));
         self.send(FromArm::Opened { session });
         self.report();
+    }
+
+    /// A repeated request is answered again, for the answer may have been lost; once operation is enabled it is too late.
+    fn admit(&self, request: &OpenRequest) -> Result<(), Refusal> {
+        let other = self.session.as_ref().is_some_and(|open| open.request.session != request.session);
+        match (self.fault, self.state) {
+            (Some(fault), _) => Err(Refusal::Latched { fault }),
+            (None, State::SwitchOnDisabled | State::ReadyToSwitchOn | State::SwitchedOn) if !other => {
+                session::admit(request, &self.own_limits)
+            }
+            _ => Err(Refusal::Busy),
+        }
+    }
+
+    /// Any session, or none, may take a standing arm out of a latched stop: who latched it may be gone.
+    fn leave_latched(&mut self, command: Command) {
+        match (self.state, command) {
+            (State::Fault, Command::FaultReset) | (State::QuickStopActive, Command::DisableVoltage)
+                if self.is_still() =>
+            {
+                self.leave_operation(State::SwitchOnDisabled);
+            }
+            _ => self.drop_one(),
+        }
     }
 
     fn command(&mut self, command: Command) {
@@ -232,7 +291,9 @@ impl Controller {
             (S::ReadyToSwitchOn | S::SwitchedOn, Command::DisableVoltage | Command::QuickStop) => {
                 self.enter(S::SwitchOnDisabled);
             }
-            (S::OperationEnabled, Command::DisableOperation) if still => self.leave_operation(S::SwitchedOn),
+            (S::OperationEnabled, Command::SwitchOn) if still => self.leave_operation(S::SwitchedOn),
+            // Asked again, for the anchor may have been lost.
+            (S::OperationEnabled, Command::EnableOperation) => self.repeat_anchor(),
             (S::OperationEnabled, Command::Shutdown) if still => self.leave_operation(S::ReadyToSwitchOn),
             (S::OperationEnabled | S::QuickStopActive, Command::DisableVoltage) if still => {
                 self.leave_operation(S::SwitchOnDisabled);
@@ -240,7 +301,7 @@ impl Controller {
             // A moving arm keeps its power until it stands, whatever is asked.
             (
                 S::OperationEnabled,
-                Command::QuickStop | Command::DisableOperation | Command::Shutdown | Command::DisableVoltage,
+                Command::QuickStop | Command::SwitchOn | Command::Shutdown | Command::DisableVoltage,
             ) => self.stop(S::QuickStopActive, FaultCode::StopCommanded),
             (S::Fault, Command::FaultReset) => self.leave_operation(S::SwitchOnDisabled),
             _ => {
@@ -258,12 +319,19 @@ impl Controller {
     fn enable(&mut self) {
         let anchor = self.arm.pose();
         let Some(session) = self.session.as_mut() else { return self.drop_one() };
-        let number = session.request.session;
         session.anchored = Some(Anchored::new(session, anchor));
         self.motion = Motion::at_rest(anchor);
         self.path = Interpolator::hold(anchor);
-        self.enter(State::OperationEnabled);
-        self.send(FromArm::Anchored { session: number, pose: anchor });
+        self.state = State::OperationEnabled;
+        self.repeat_anchor();
+    }
+
+    fn repeat_anchor(&mut self) {
+        let Some(session) = &self.session else { return };
+        let Some(anchored) = &session.anchored else { return };
+        let (session, pose) = (session.request.session, anchored.anchor);
+        self.report();
+        self.send(FromArm::Anchored { session, pose });
     }
 
     /// Closes the session: the next motion needs a new one, with a new anchor.
@@ -303,7 +371,12 @@ impl Controller {
             }
         };
         match found {
-            Ok(true) => self.start_if_filled(now_us),
+            Ok(true) if self.is_still() => {
+                self.start_if_filled(now_us);
+                // Until the clock runs nothing else would say what has arrived.
+                self.report();
+            }
+            Ok(true) => {}
             Ok(false) => self.drop_one(),
             Err(code) => self.stop(State::FaultReactionActive, code),
         }
@@ -322,6 +395,7 @@ impl Controller {
     // --- the clock ---
 
     fn advance(&mut self, now_us: u64) {
+        self.check_overrun(now_us);
         while let Some(tick_us) = self.next_tick_us.filter(|tick_us| *tick_us <= now_us) {
             let period_us = self.period_us();
             self.next_tick_us = Some(tick_us.saturating_add(u64::from(period_us)));
@@ -334,6 +408,40 @@ impl Controller {
             self.report();
         }
         self.arm.follow(self.path.pose_at(now_us));
+        if self.session_ends_us().is_some_and(|end_us| end_us <= now_us) {
+            self.lose_session();
+        }
+        if self.heartbeat_at_us <= now_us {
+            self.heartbeat_at_us = now_us.saturating_add(HEARTBEAT_US);
+            self.beat();
+        }
+    }
+
+    /// What should have happened while nobody looked is not made up for at a stroke: the stop begins where the arm is now.
+    fn check_overrun(&mut self, now_us: u64) {
+        let late = self.next_tick_us.map_or(0, |tick_us| now_us.saturating_sub(tick_us));
+        if late <= OVERRUN_TICKS.saturating_mul(u64::from(self.period_us())) {
+            return;
+        }
+        self.next_tick_us = Some(now_us);
+        if !matches!(self.activity, Activity::Stopping(_)) {
+            self.stop(State::FaultReactionActive, FaultCode::ArmOverrun);
+        }
+    }
+
+    /// When the session is over if nothing more is heard of it. A latched stop is not a session's any more.
+    fn session_ends_us(&self) -> Option<u64> {
+        let latched =
+            matches!(self.state, State::QuickStopActive | State::FaultReactionActive | State::Fault);
+        self.session.as_ref().filter(|_| !latched).map(|_| self.heard_us.saturating_add(self.watchdog_us))
+    }
+
+    fn lose_session(&mut self) {
+        if self.state == State::OperationEnabled {
+            return self.stop(State::FaultReactionActive, FaultCode::ExecutorSilent);
+        }
+        self.session = None;
+        self.enter(State::SwitchOnDisabled);
     }
 
     fn tick(&mut self, tick_us: u64) {
@@ -508,6 +616,19 @@ impl Controller {
         self.report();
     }
 
+    /// Whoever asks, from whatever state: as hard as the arm itself allows.
+    fn hard_stop(&mut self) {
+        match self.state {
+            State::OperationEnabled => self.stop(State::QuickStopActive, FaultCode::SoftwareStop),
+            State::ReadyToSwitchOn | State::SwitchedOn => self.enter(State::SwitchOnDisabled),
+            _ => self.report(),
+        }
+        if !self.is_still() {
+            let own = &self.own_limits;
+            self.activity = Activity::Stopping(StopProfile::new(&self.motion, own, own, self.period_us()));
+        }
+    }
+
     fn stop_profile(&self) -> StopProfile {
         StopProfile::new(&self.motion, &self.limits(), &self.own_limits, self.period_us())
     }
@@ -516,7 +637,10 @@ impl Controller {
     fn latch(&mut self, state: State, code: FaultCode) {
         self.state = state;
         let tick = self.anchored().map_or(0, |anchored| anchored.applied_tick);
-        self.fault.get_or_insert(Fault { code, tick });
+        if self.fault.is_none() {
+            self.fault = Some(Fault { code, tick });
+            self.report_fault();
+        }
     }
 
     fn period_us(&self) -> u32 {
@@ -544,28 +668,72 @@ impl Controller {
         let anchored = self.anchored();
         let applied_tick = anchored.map_or(0, |anchored| anchored.applied_tick);
         Status {
-            session: self.session.as_ref().map_or(NO_SESSION, |session| session.request.session),
+            session: self.session_number(),
             state: self.state,
             phase: self.phase(),
             standstill: self.is_still(),
             applied_tick,
-            buffered: anchored.map_or(0, |anchored| anchored.buffer.count_after(applied_tick)),
-            credit_until: anchored.map_or(0, |_| applied_tick.saturating_add(CAPACITY)),
-            lost: anchored.map_or(0, |anchored| anchored.lost),
-            dropped: self.dropped,
-            fault: self.fault,
+            have: anchored.map_or(0, |anchored| anchored.buffer.have_after(applied_tick)),
+            counter: self.counter,
         }
+    }
+
+    /// Setpoints that were not there when they were needed.
+    #[must_use]
+    pub fn lost(&self) -> u32 {
+        self.anchored().map_or(0, |anchored| anchored.lost)
+    }
+
+    /// Messages dropped since power on.
+    #[must_use]
+    pub fn dropped(&self) -> u16 {
+        self.dropped
+    }
+
+    /// The open session with the hash of its plan.
+    #[must_use]
+    pub fn session(&self) -> Option<(u16, u64)> {
+        self.session.as_ref().map(|session| (session.request.session, session.request.plan_hash))
+    }
+
+    fn session_number(&self) -> u16 {
+        self.session().map_or(NO_SESSION, |(number, _)| number)
     }
 
     fn report(&mut self) {
         self.send(FromArm::Status(self.status()));
+        self.counter = self.counter.wrapping_add(1);
     }
 
     fn report_actual(&mut self) {
         let Some(session) = &self.session else { return };
         let Some(anchored) = &session.anchored else { return };
-        let (session, tick, pose) = (session.request.session, anchored.applied_tick, self.arm.pose());
-        self.send(FromArm::Actual { session, tick, pose });
+        let from_anchor = anchored.anchor.displacement_to(&self.arm.pose());
+        // An arm that was stopped half a turn from its anchor has nothing to say.
+        let Ok(reached) = Setpoint::from_cumulative(anchored.applied_tick, &from_anchor, session.request.lsb)
+        else {
+            return;
+        };
+        let session = session.request.session;
+        self.send(FromArm::Actual { session, reached });
+    }
+
+    fn report_fault(&mut self) {
+        if let Some(fault) = self.fault {
+            self.send(FromArm::Fault { session: self.session_number(), fault });
+        }
+    }
+
+    /// Everything that somebody may have missed.
+    fn beat(&mut self) {
+        let lost = u16::try_from(self.lost()).unwrap_or(u16::MAX);
+        let heartbeat = Heartbeat { session: self.session_number(), lost, dropped: self.dropped };
+        self.send(FromArm::Heartbeat(heartbeat));
+        self.report_fault();
+        if self.is_still() {
+            self.report_actual();
+        }
+        self.report();
     }
 
     fn send(&mut self, message: FromArm) {

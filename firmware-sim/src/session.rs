@@ -4,10 +4,9 @@ use powderline_shared::displacement::pose_at;
 use powderline_shared::limits::{Limit, LimitChecker, Limits, Violation};
 use powderline_shared::plan::PERIOD_US_MIN;
 use powderline_shared::pose::{Pose, norm};
-use powderline_shared::wire::message::{NO_SESSION, OpenRequest, PROTOCOL_VERSION, Refusal};
-use powderline_shared::wire::state::State;
+use powderline_shared::wire::message::{DEPTH, NO_SESSION, OpenRequest, PROTOCOL_VERSION, Refusal};
 
-use crate::buffer::{CAPACITY, SetpointBuffer};
+use crate::buffer::SetpointBuffer;
 use crate::controller::LONGEST_PERIOD_US;
 
 /// Setpoints are rounded to an LSB that the executor chooses, and the limit check grants them what that rounding can add.
@@ -89,14 +88,10 @@ impl Anchored {
     }
 }
 
-/// Whether an arm in `state` opens the session.
-pub(crate) fn admit(request: &OpenRequest, own_limits: &Limits, state: State) -> Result<(), Refusal> {
+/// Whether an arm that is idle opens the session.
+pub(crate) fn admit(request: &OpenRequest, own_limits: &Limits) -> Result<(), Refusal> {
     if request.version != PROTOCOL_VERSION {
         return Err(Refusal::Version { arm: PROTOCOL_VERSION });
-    }
-    let idle = matches!(state, State::SwitchOnDisabled | State::ReadyToSwitchOn | State::SwitchedOn);
-    if !idle {
-        return Err(Refusal::Busy);
     }
     if !(PERIOD_US_MIN..=LONGEST_PERIOD_US).contains(&request.period_us) {
         return Err(Refusal::Period);
@@ -105,7 +100,7 @@ pub(crate) fn admit(request: &OpenRequest, own_limits: &Limits, state: State) ->
     let meaningful = request.session != NO_SESSION
         && request.lsb.is_valid()
         && request.end_tick > 0
-        && (1..=CAPACITY).contains(&u32::from(request.start_level))
+        && (1..=DEPTH).contains(&u32::from(request.start_level))
         && request.limits.validate().is_ok()
         && limits.validate().is_ok()
         && limits.check_resolution(request.lsb, request.period_us).is_ok();

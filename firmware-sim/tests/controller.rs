@@ -1,14 +1,17 @@
 //! The controller on its own, driven by hand: no line of the executor is involved.
 
 use nalgebra::Vector3;
-use powderline_firmware_sim::buffer::CAPACITY;
-use powderline_firmware_sim::controller::{ArmConfig, Controller, EXTRAPOLATION_TICKS, LONGEST_PERIOD_US};
+use powderline_firmware_sim::controller::{
+    ArmConfig, Controller, DEFAULT_WATCHDOG_US, EXTRAPOLATION_TICKS, LONGEST_PERIOD_US,
+};
 use powderline_firmware_sim::stop::GENTLE_STOP_US;
 use powderline_shared::displacement::{Displacement, Lsb, Setpoint, pose_at};
 use powderline_shared::fault::FaultCode;
 use powderline_shared::limits::{Limits, Motion};
 use powderline_shared::pose::Pose;
-use powderline_shared::wire::message::{FromArm, OpenRequest, PROTOCOL_VERSION, Refusal, ToArm};
+use powderline_shared::wire::message::{
+    DEPTH, FromArm, NO_SESSION, OpenRequest, PROTOCOL_VERSION, Refusal, ToArm,
+};
 use powderline_shared::wire::state::{Command, Event, Phase, State, transition};
 
 const PERIOD_US: u32 = 10_000;
@@ -70,12 +73,21 @@ struct Bench {
     seen: Motion,
     peak: [f64; 6],
     messages: Vec<FromArm>,
+    /// Whether the executor sends signs of life.
+    alive: bool,
 }
 
 impl Bench {
     fn new() -> Self {
-        let arm = Controller::new(ArmConfig { limits: limits(), pose: start() });
-        Self { arm, now_us: 0, seen: Motion::at_rest(start()), peak: [0.0; 6], messages: Vec::new() }
+        let arm = Controller::new(ArmConfig { limits: limits(), ..ArmConfig::bench(start()) });
+        Self {
+            arm,
+            now_us: 0,
+            seen: Motion::at_rest(start()),
+            peak: [0.0; 6],
+            messages: Vec::new(),
+            alive: true,
+        }
     }
 
     fn enabled() -> Self {
@@ -108,6 +120,9 @@ impl Bench {
     /// One period passes; the observer takes note.
     fn period(&mut self) {
         self.now_us += u64::from(PERIOD_US);
+        if self.alive {
+            self.arm.handle_message(self.now_us, &ToArm::Heartbeat { session: SESSION });
+        }
         self.messages.extend(std::iter::from_fn(|| self.arm.poll(self.now_us)));
         self.seen = self.seen.moved_to(self.arm.pose(), PERIOD_US);
         for (peak, value) in self.peak.iter_mut().zip(self.seen.norms()) {
@@ -171,7 +186,7 @@ fn a_whole_motion_ends_on_its_last_setpoint() {
     bench.stream(END, |tick| Some(setpoint(tick)));
     assert_eq!(bench.arm.pose(), pose_at(&start(), setpoint(END), Lsb::default()));
     let status = bench.arm.status();
-    assert_eq!((status.phase, status.applied_tick, status.lost), (Some(Phase::Holding), END, 0));
+    assert_eq!((status.phase, status.applied_tick, bench.arm.lost()), (Some(Phase::Holding), END, 0));
     assert_eq!(bench.fault(), None);
     bench.assert_limits_kept();
     bench.command(Command::Shutdown);
@@ -200,7 +215,7 @@ fn nothing_moves_without_a_session_and_enabled_operation() {
     (1..10).for_each(|tick| bench.set(setpoint(tick)));
     bench.rest();
     assert_eq!(bench.arm.pose(), start());
-    assert_eq!(bench.arm.status().dropped, 10);
+    assert_eq!(bench.arm.dropped(), 10);
 }
 
 #[test]
@@ -222,7 +237,7 @@ fn sessions_that_do_not_fit_are_refused() {
     let fine = request();
     let no_limits = Limits { linear_jerk_m_s3: f64::NAN, ..limits() };
     let cases = [
-        (OpenRequest { version: 2, ..fine }, Refusal::Version { arm: PROTOCOL_VERSION }),
+        (OpenRequest { version: PROTOCOL_VERSION + 1, ..fine }, Refusal::Version { arm: PROTOCOL_VERSION }),
         (OpenRequest { period_us: 1, ..fine }, Refusal::Period),
         (OpenRequest { period_us: LONGEST_PERIOD_US + 1, ..fine }, Refusal::Period),
         (OpenRequest { session: 0, ..fine }, Refusal::Meaningless),
@@ -235,7 +250,7 @@ fn sessions_that_do_not_fit_are_refused() {
     for (request, reason) in cases {
         let mut bench = Bench::new();
         bench.tell(ToArm::Open(request));
-        assert_eq!(bench.messages.last(), Some(&FromArm::Refused { session: request.session, reason }));
+        assert!(bench.messages.contains(&FromArm::Refused { session: request.session, reason }));
     }
 }
 
@@ -276,7 +291,10 @@ fn each_limit_is_kept_by_the_arm_alone() {
         for own in [false, true] {
             let session = if own { fine } else { tight };
             let mut bench = Bench::new();
-            bench.arm = Controller::new(ArmConfig { limits: if own { tight } else { fine }, pose: start() });
+            bench.arm = Controller::new(ArmConfig {
+                limits: if own { tight } else { fine },
+                ..ArmConfig::bench(start())
+            });
             bench.tell(ToArm::Open(OpenRequest { limits: session, ..request() }));
             for command in [Command::Shutdown, Command::SwitchOn, Command::EnableOperation] {
                 bench.command(command);
@@ -296,7 +314,7 @@ fn a_single_lost_setpoint_heals_with_the_next() {
         let mut bench = Bench::enabled();
         bench.stream(END, |tick| (tick != lost).then(|| setpoint(tick)));
         assert_eq!(bench.fault(), None, "lost {lost}");
-        assert_eq!(bench.arm.status().lost, 1);
+        assert_eq!(bench.arm.lost(), 1);
         assert_eq!(bench.arm.pose(), pose_at(&start(), setpoint(END), Lsb::default()));
         bench.assert_limits_kept();
     }
@@ -352,7 +370,7 @@ fn a_setpoint_that_is_late_at_rest_does_no_harm() {
     (6..=20).for_each(|tick| bench.set(dwell(tick)));
     bench.period();
     let status = bench.arm.status();
-    assert_eq!((status.state, status.lost, status.dropped), (State::OperationEnabled, 2, 2));
+    assert_eq!((status.state, bench.arm.lost(), bench.arm.dropped()), (State::OperationEnabled, 2, 2));
 }
 
 #[test]
@@ -381,17 +399,16 @@ fn a_latched_stop_needs_reset_new_session_and_new_anchor() {
 fn a_commanded_stop_keeps_limits_at_any_moment() {
     for after in (1..END).step_by(3) {
         let mut bench = Bench::enabled();
-        (1..=CAPACITY).for_each(|tick| bench.set(setpoint(tick)));
+        (1..=DEPTH).for_each(|tick| bench.set(setpoint(tick)));
         for tick in 1..=after {
             bench.period();
-            let ahead = tick + CAPACITY;
+            let ahead = tick + DEPTH;
             if ahead <= END {
                 bench.set(setpoint(ahead));
             }
         }
         // Whatever takes power away from a moving arm is a quick stop first.
-        let commands =
-            [Command::QuickStop, Command::DisableVoltage, Command::Shutdown, Command::DisableOperation];
+        let commands = [Command::QuickStop, Command::DisableVoltage, Command::Shutdown, Command::SwitchOn];
         bench.command(commands[after as usize % 4]);
         assert_eq!(bench.arm.state(), State::QuickStopActive);
         bench.command(Command::EnableOperation);
@@ -456,7 +473,7 @@ fn a_slow_session_does_not_make_a_slow_stop() {
 fn two_setpoints_lost_in_a_slow_session_heal() {
     let mut bench = Bench::enabled_with(slow_request());
     bench.stream(SLOW_END, |tick| (!(300..302).contains(&tick)).then(|| slow_setpoint(tick)));
-    assert_eq!((bench.fault(), bench.arm.status().lost), (None, 2));
+    assert_eq!((bench.fault(), bench.arm.lost()), (None, 2));
 }
 
 #[test]
@@ -465,7 +482,7 @@ fn setpoints_without_sense_stop_the_arm() {
     let changed = Setpoint { counts: [1; 6], ..setpoint(4) };
     let cases = [
         (changed, FaultCode::SetpointRepeated),
-        (setpoint(CAPACITY + 3), FaultCode::SetpointBeyondCredit),
+        (setpoint(DEPTH + 3), FaultCode::SetpointBeyondCredit),
         (Setpoint { tick: END + 1, counts: [0; 6] }, FaultCode::SetpointPastEnd),
         (turned, FaultCode::SetpointNotRepresentable),
     ];
@@ -492,11 +509,11 @@ fn a_motion_that_ends_without_coming_to_rest_is_stopped() {
 #[test]
 fn between_ticks_the_arm_moves_without_jumps() {
     let mut bench = Bench::enabled();
-    (1..=CAPACITY).for_each(|tick| bench.set(setpoint(tick)));
+    (1..=DEPTH).for_each(|tick| bench.set(setpoint(tick)));
     for tick in 1..END {
         bench.tick_without_jumps(tick);
-        if tick + CAPACITY <= END {
-            bench.set(setpoint(tick + CAPACITY));
+        if tick + DEPTH <= END {
+            bench.set(setpoint(tick + DEPTH));
         }
     }
 }
@@ -511,10 +528,10 @@ fn a_setpoint_that_will_be_refused_does_not_bend_the_path_before_it() {
         setpoint
     };
     let mut bench = Bench::enabled();
-    (1..=CAPACITY).for_each(|tick| bench.set(sent(tick)));
+    (1..=DEPTH).for_each(|tick| bench.set(sent(tick)));
     for tick in 1..END {
         bench.tick_without_jumps(tick);
-        bench.set(sent((tick + CAPACITY).min(END)));
+        bench.set(sent((tick + DEPTH).min(END)));
     }
     assert_eq!((bench.fault(), bench.arm.state()), (Some(FaultCode::ArmLinearVelocity), State::Fault));
     assert_eq!(bench.arm.fault().map(|fault| fault.tick), Some(BAD - 1));
@@ -523,17 +540,8 @@ fn a_setpoint_that_will_be_refused_does_not_bend_the_path_before_it() {
 /// The controller's own transitions against the table that all share.
 #[test]
 fn states_follow_the_table() {
-    const COMMANDS: [Command; 7] = [
-        Command::Shutdown,
-        Command::SwitchOn,
-        Command::EnableOperation,
-        Command::DisableOperation,
-        Command::DisableVoltage,
-        Command::QuickStop,
-        Command::FaultReset,
-    ];
     let up = [Command::Shutdown, Command::SwitchOn, Command::EnableOperation];
-    for command in COMMANDS {
+    for command in Command::ALL {
         for steps in 0..=3 {
             let mut bench = Bench::new();
             bench.tell(ToArm::Open(request()));
@@ -542,7 +550,7 @@ fn states_follow_the_table() {
         }
         for moving in [false, true] {
             let mut stopping = Bench::enabled();
-            (1..=CAPACITY).for_each(|tick| stopping.set(setpoint(tick)));
+            (1..=DEPTH).for_each(|tick| stopping.set(setpoint(tick)));
             (0..10).for_each(|_| stopping.period());
             stopping.set(Setpoint { tick: END + 1, counts: [0; 6] });
             assert_eq!(stopping.arm.state(), State::FaultReactionActive);
@@ -553,7 +561,7 @@ fn states_follow_the_table() {
             assert_obeys(&mut stopping, command);
 
             let mut running = Bench::enabled();
-            (1..=CAPACITY).for_each(|tick| running.set(setpoint(tick)));
+            (1..=DEPTH).for_each(|tick| running.set(setpoint(tick)));
             (0..10).for_each(|_| running.period());
             running.command(Command::QuickStop);
             assert!(!running.arm.status().standstill);
@@ -570,4 +578,175 @@ fn assert_obeys(bench: &mut Bench, command: Command) {
     let line = transition(from, Event::Command(command)).filter(|line| still || !line.at_standstill);
     bench.command(command);
     assert_eq!(bench.arm.state(), line.map_or(from, |line| line.to), "{} on {command:?}", from.name());
+}
+
+#[test]
+fn a_session_that_is_not_heard_of_is_over() {
+    // Standing with power, armed: a fault. Without power: the session is closed, and another may come.
+    for steps in 0..=3 {
+        let mut bench = Bench::new();
+        bench.alive = false;
+        bench.tell(ToArm::Open(request()));
+        let up = [Command::Shutdown, Command::SwitchOn, Command::EnableOperation];
+        up[..steps].iter().for_each(|command| bench.command(*command));
+        (0..29).for_each(|_| bench.period());
+        assert_eq!((bench.arm.session(), bench.fault()), (Some((SESSION, 1)), None));
+        bench.period();
+        if steps == 3 {
+            assert_eq!((bench.arm.state(), bench.fault()), (State::Fault, Some(FaultCode::ExecutorSilent)));
+            continue;
+        }
+        assert_eq!((bench.arm.state(), bench.arm.session()), (State::SwitchOnDisabled, None));
+        bench.tell(ToArm::Open(OpenRequest { session: SESSION + 1, ..request() }));
+        assert!(bench.messages.contains(&FromArm::Opened { session: SESSION + 1 }));
+    }
+}
+
+#[test]
+fn an_executor_that_falls_silent_stops_the_arm_though_it_has_setpoints_left() {
+    let mut bench = Bench::enabled_with(OpenRequest { period_us: 100_000, end_tick: 20, ..request() });
+    bench.alive = false;
+    let setpoint = |tick| Setpoint { tick, counts: [(tick * tick * 400) as i32, 0, 0, 0, 0, 0] };
+    (1..=DEPTH).for_each(|tick| bench.set(setpoint(tick)));
+    let silent_us = bench.now_us;
+    while bench.arm.state() == State::OperationEnabled {
+        bench.now_us += 1_000;
+        bench.arm.poll(bench.now_us);
+    }
+    assert_eq!(bench.fault(), Some(FaultCode::ExecutorSilent));
+    assert_eq!(bench.now_us - silent_us, DEFAULT_WATCHDOG_US);
+}
+
+#[test]
+fn holding_at_the_end_without_an_executor_is_a_fault_too() {
+    let mut bench = Bench::enabled();
+    bench.stream(END, |tick| Some(setpoint(tick)));
+    assert_eq!(bench.arm.status().phase, Some(Phase::Holding));
+    bench.alive = false;
+    bench.rest();
+    assert_eq!((bench.arm.state(), bench.fault()), (State::Fault, Some(FaultCode::ExecutorSilent)));
+}
+
+#[test]
+fn a_latched_stop_is_left_by_an_explicit_reset_at_standstill_only_and_by_any_session() {
+    let stops = [
+        (ToArm::Stop, State::QuickStopActive, Command::DisableVoltage),
+        (
+            ToArm::Setpoint { session: SESSION, setpoint: Setpoint { tick: END + 1, counts: [0; 6] } },
+            State::Fault,
+            Command::FaultReset,
+        ),
+    ];
+    for (stop, latched, reset) in stops {
+        let mut bench = Bench::enabled();
+        (1..=DEPTH).for_each(|tick| bench.set(setpoint(tick)));
+        (0..10).for_each(|_| bench.period());
+        bench.tell(stop);
+        let without_session = |command| ToArm::Control { session: NO_SESSION, command };
+        bench.tell(without_session(reset));
+        assert!(bench.arm.fault().is_some() && !bench.arm.status().standstill);
+        bench.rest();
+        assert_eq!(bench.arm.state(), latched);
+        bench.tell(ToArm::Open(OpenRequest { session: SESSION + 1, ..request() }));
+        let fault = bench.arm.fault().unwrap();
+        let refused = FromArm::Refused { session: SESSION + 1, reason: Refusal::Latched { fault } };
+        assert!(bench.messages.contains(&refused));
+        for command in Command::ALL.into_iter().filter(|command| *command != reset) {
+            bench.tell(without_session(command));
+            assert_eq!(bench.arm.state(), latched);
+        }
+        bench.tell(without_session(reset));
+        assert_eq!((bench.arm.state(), bench.arm.fault()), (State::SwitchOnDisabled, None));
+        // The old session is gone; a new one starts from where the arm is.
+        bench.command(Command::Shutdown);
+        assert_eq!(bench.arm.state(), State::SwitchOnDisabled);
+        bench.tell(ToArm::Open(OpenRequest { session: SESSION + 1, ..request() }));
+        assert!(bench.messages.contains(&FromArm::Opened { session: SESSION + 1 }));
+    }
+}
+
+#[test]
+fn a_stop_frame_stops_harder_than_a_quick_stop() {
+    let ticks_to_rest = |stop: ToArm| {
+        let slow = Limits { linear_acceleration_m_s2: 1.5, angular_acceleration_rad_s2: 4.0, ..limits() };
+        let mut bench = Bench::new();
+        let own = limits();
+        bench.arm = Controller::new(ArmConfig { limits: own, ..ArmConfig::bench(start()) });
+        bench.tell(ToArm::Open(OpenRequest { limits: slow, ..request() }));
+        [Command::Shutdown, Command::SwitchOn, Command::EnableOperation]
+            .iter()
+            .for_each(|command| bench.command(*command));
+        (1..=DEPTH).for_each(|tick| bench.set(setpoint(tick)));
+        for tick in 1..30 {
+            bench.period();
+            bench.set(setpoint(tick + DEPTH));
+        }
+        bench.tell(stop);
+        let begun_us = bench.now_us;
+        while !bench.arm.status().standstill {
+            bench.period();
+        }
+        bench.assert_limits_kept();
+        (bench.now_us - begun_us) / u64::from(PERIOD_US)
+    };
+    let (soft, hard) = (
+        ticks_to_rest(ToArm::Control { session: SESSION, command: Command::QuickStop }),
+        ticks_to_rest(ToArm::Stop),
+    );
+    assert!(hard < soft, "{hard} ticks, {soft} by quick stop");
+}
+
+#[test]
+fn a_controller_that_was_held_up_stops_instead_of_catching_up() {
+    for held_up_us in [20_000, 20_001, 150_000] {
+        let mut bench = Bench::enabled();
+        (1..=DEPTH).for_each(|tick| bench.set(setpoint(tick)));
+        for tick in 1..30 {
+            bench.period();
+            bench.set(setpoint(tick + DEPTH));
+        }
+        let before = bench.arm.pose();
+        bench.now_us += held_up_us + u64::from(PERIOD_US);
+        bench.arm.handle_message(bench.now_us, &ToArm::Heartbeat { session: SESSION });
+        if held_up_us <= 20_000 {
+            assert_eq!(bench.fault(), None);
+            continue;
+        }
+        assert_eq!(bench.fault(), Some(FaultCode::ArmOverrun));
+        let jump = before.displacement_to(&bench.arm.pose()).translation().norm();
+        assert!(jump < 5e-3, "{jump}");
+        bench.rest();
+        assert_eq!(bench.arm.state(), State::Fault);
+    }
+}
+
+#[test]
+fn an_armed_arm_says_what_it_has_and_repeats_its_anchor() {
+    let mut bench = Bench::enabled();
+    bench.messages.clear();
+    bench.set(setpoint(1));
+    bench.set(setpoint(3));
+    assert!(matches!(bench.messages.last(), Some(FromArm::Status(status)) if status.have == 0b101));
+    bench.messages.clear();
+    bench.command(Command::EnableOperation);
+    assert!(bench.messages.contains(&FromArm::Anchored { session: SESSION, pose: start() }));
+    assert_eq!(bench.arm.status().have, 0b101);
+}
+
+#[test]
+fn at_rest_the_arm_repeats_all_that_may_have_been_missed() {
+    let mut bench = Bench::enabled();
+    bench.stream(END, |tick| Some(setpoint(tick)));
+    bench.messages.clear();
+    (0..10).for_each(|_| bench.period());
+    let end = setpoint(END);
+    assert!(bench.messages.contains(&FromArm::Actual { session: SESSION, reached: end }));
+    assert!(bench.messages.iter().any(|message| matches!(message, FromArm::Heartbeat(_))));
+    let holding = |message: &FromArm| matches!(message, FromArm::Status(status) if status.phase == Some(Phase::Holding));
+    assert!(bench.messages.iter().any(holding));
+    bench.tell(ToArm::Stop);
+    bench.messages.clear();
+    (0..10).for_each(|_| bench.period());
+    let fault = bench.arm.fault().unwrap();
+    assert!(bench.messages.contains(&FromArm::Fault { session: SESSION, fault }));
 }

@@ -1,0 +1,103 @@
+//! The setpoints on their way: sent, and not yet taken by the arm.
+
+use powderline_shared::displacement::Setpoint;
+use powderline_shared::wire::message::DEPTH;
+
+/// One setpoint on its way.
+#[derive(Clone, Copy, Debug)]
+struct Sent {
+    setpoint: Setpoint,
+    at_us: u64,
+    arrived: bool,
+}
+
+/// One slot for each tick that the arm can have room for.
+#[derive(Clone, Debug, Default)]
+pub struct Window {
+    slots: [Option<Sent>; DEPTH as usize],
+}
+
+impl Window {
+    /// A setpoint leaves, for the first time or again.
+    pub fn sent(&mut self, now_us: u64, setpoint: Setpoint) {
+        let slot = (setpoint.tick % DEPTH) as usize;
+        if let Some(slot) = self.slots.get_mut(slot) {
+            *slot = Some(Sent { setpoint, at_us: now_us, arrived: false });
+        }
+    }
+
+    /// Notes what the arm says it has: all up to `applied_tick`, and those in the mask `have` after it. The longest time
+    /// from sending one until this news of it, microseconds.
+    pub fn arrived(&mut self, now_us: u64, applied_tick: u32, have: u16) -> Option<u64> {
+        let news = self.slots.iter_mut().flatten().filter(|sent| {
+            !sent.arrived
+                && (sent.setpoint.tick <= applied_tick || has(sent.setpoint.tick, applied_tick, have))
+        });
+        let round_trips = news.map(|sent| {
+            sent.arrived = true;
+            now_us.saturating_sub(sent.at_us)
+        });
+        round_trips.max()
+    }
+
+    /// The first setpoint that should have arrived by now, and has not: `wait_us` have passed since it was sent.
+    #[must_use]
+    pub fn missing(&self, now_us: u64, wait_us: u64) -> Option<Setpoint> {
+        let overdue = self
+            .slots
+            .iter()
+            .flatten()
+            .filter(|sent| !sent.arrived && sent.at_us.saturating_add(wait_us) <= now_us);
+        overdue.map(|sent| sent.setpoint).min_by_key(|setpoint| setpoint.tick)
+    }
+
+    /// What was sent for a tick, if it is not too long ago.
+    #[must_use]
+    pub fn setpoint(&self, tick: u32) -> Option<Setpoint> {
+        let kept = self.slots.get((tick % DEPTH) as usize).copied().flatten();
+        kept.map(|sent| sent.setpoint).filter(|setpoint| setpoint.tick == tick)
+    }
+}
+
+fn has(tick: u32, applied_tick: u32, have: u16) -> bool {
+    let bit = tick.checked_sub(applied_tick).and_then(|ahead| ahead.checked_sub(1));
+    bit.is_some_and(|bit| u32::from(have).checked_shr(bit).is_some_and(|rest| rest & 1 == 1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn setpoint(tick: u32) -> Setpoint {
+        Setpoint { tick, counts: [7; 6] }
+    }
+
+    #[test]
+    fn what_the_arm_does_not_have_is_missing_once_it_had_time_to_arrive() {
+        let mut window = Window::default();
+        for tick in 1..=4 {
+            window.sent(u64::from(tick), setpoint(tick));
+        }
+        assert_eq!(window.arrived(100, 1, 0b101), Some(99));
+        assert_eq!(window.missing(100, 99), None);
+        assert_eq!(window.missing(103, 100), Some(setpoint(3)));
+        window.sent(103, setpoint(3));
+        assert_eq!(window.missing(150, 100), None);
+        assert_eq!(window.arrived(160, 3, 0b1), Some(57));
+        assert_eq!(window.missing(9_000, 0), None);
+    }
+
+    #[test]
+    fn an_old_tick_gives_way_to_the_one_that_needs_its_place() {
+        let mut window = Window::default();
+        window.sent(0, setpoint(2));
+        window.sent(1, setpoint(2 + DEPTH));
+        assert_eq!(window.setpoint(2), None);
+        assert_eq!(window.setpoint(2 + DEPTH), Some(setpoint(2 + DEPTH)));
+    }
+
+    #[test]
+    fn bits_beyond_the_mask_are_not_set() {
+        assert!(has(16, 0, 0x8000) && !has(17, 0, 0xFFFF) && !has(3, 3, 0xFFFF) && !has(2, 3, 0xFFFF));
+    }
+}
