@@ -114,7 +114,7 @@ mod tests {
     fn the_smaller_of_look_ahead_and_credit_counts() {
         let mut schedule = schedule();
         assert!(!schedule.allows(0, 1));
-        schedule.handle_progress(0, 0, 16, false);
+        schedule.handle_progress(0, 0, 6, false);
         assert!(schedule.allows(0, 4) && !schedule.allows(9 * H, 5));
         schedule.handle_progress(10 * H, 10, 12, true);
         assert!(schedule.allows(10 * H, 12) && !schedule.allows(99 * H, 13));

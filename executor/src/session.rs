@@ -63,7 +63,7 @@ pub struct Config {
     pub anchor_tolerance_rad: f64,
     /// When an unanswered request is repeated.
     pub retry_us: u64,
-    /// When the handshake or leaving is given up, and stopping an arm that no longer reports.
+    /// When the handshake or leaving is given up, an arm that makes no progress, and stopping one that no longer reports.
     pub handshake_us: u64,
     /// When an arm that moves and does not report counts as silent; at least four control periods.
     pub silence_us: u64,
@@ -146,6 +146,7 @@ pub struct Executor<'a> {
     hard: bool,
     heard_us: u64,
     reported_us: u64,
+    progress_us: u64,
     asked_us: u64,
     retry_at_us: u64,
     give_up_at_us: u64,
@@ -180,6 +181,7 @@ impl<'a> Executor<'a> {
             hard: false,
             heard_us: now_us,
             reported_us: now_us,
+            progress_us: now_us,
             asked_us: now_us,
             retry_at_us: now_us,
             give_up_at_us: now_us.saturating_add(config.handshake_us),
@@ -261,7 +263,7 @@ impl<'a> Executor<'a> {
                 let setpoint_us = self.player.peek().and_then(|next| self.schedule.due_us(next.tick));
                 let resend_us = self.missing().map(|_| self.resend_at_us);
                 let due = [setpoint_us, resend_us].into_iter().flatten();
-                due.fold(self.silent_at_us(), u64::min)
+                due.fold(self.silent_at_us().min(self.stalled_at_us()), u64::min)
             }
             Stage::Opening | Stage::Enabling | Stage::Leaving | Stage::Stopping => {
                 self.retry_at_us.min(self.give_up_at_us)
@@ -383,6 +385,7 @@ impl<'a> Executor<'a> {
         let PlanHeader { limits, step_count, .. } = self.header;
         self.guard = Some(Guard::new(*anchor, limits, self.lsb, self.period_us, step_count));
         self.reached = Some(Setpoint::ANCHOR);
+        self.progress_us = now_us;
         self.enter(now_us, Stage::Streaming);
     }
 
@@ -415,7 +418,8 @@ impl<'a> Executor<'a> {
             self.heard_us = now_us;
             self.progress(now_us, status);
         }
-        let news = self.arm.is_none_or(|known| known.state != status.state);
+        let news =
+            self.arm.is_none_or(|known| (known.state, known.session) != (status.state, status.session));
         self.arm = Some(*status);
         match self.stage {
             Stage::Enabling if news => self.ask(now_us),
@@ -430,6 +434,12 @@ impl<'a> Executor<'a> {
 
     fn progress(&mut self, now_us: u64, status: &Status) {
         self.reported_us = now_us;
+        if self
+            .arm
+            .is_none_or(|known| known.applied_tick != status.applied_tick || known.phase != status.phase)
+        {
+            self.progress_us = now_us;
+        }
         let running = matches!(status.phase, Some(Phase::Streaming | Phase::Completing));
         self.schedule.handle_progress(now_us, status.applied_tick, status.credit_until(), running);
         let round_trip_us = self.window.arrived(now_us, status.applied_tick, status.have);
@@ -632,6 +642,8 @@ impl<'a> Executor<'a> {
             Stage::Streaming => {
                 if now_us >= self.silent_at_us() {
                     self.stop(now_us, FaultCode::ArmSilent);
+                } else if now_us >= self.stalled_at_us() {
+                    self.stop(now_us, FaultCode::ArmStalled);
                 }
             }
             Stage::Opening | Stage::Enabling | Stage::Leaving | Stage::Stopping => {
@@ -656,8 +668,16 @@ impl<'a> Executor<'a> {
     }
 
     fn silent_at_us(&self) -> u64 {
-        let periods = u64::from(self.period_us).saturating_mul(SILENT_PERIODS);
-        self.heard_us.saturating_add(self.config.silence_us.max(periods))
+        self.heard_us.saturating_add(self.config.silence_us.max(self.some_periods_us()))
+    }
+
+    /// When an arm that has not moved on is given up.
+    fn stalled_at_us(&self) -> u64 {
+        self.progress_us.saturating_add(self.config.handshake_us.max(self.some_periods_us()))
+    }
+
+    fn some_periods_us(&self) -> u64 {
+        u64::from(self.period_us).saturating_mul(SILENT_PERIODS)
     }
 }
 

@@ -73,6 +73,7 @@ fault_codes! {
     SetpointNotRepresentable = 105, "A setpoint held a rotation of pi or more, or a jump across it.";
     ArmSilent = 111, "The arm's controller stopped reporting.";
     LinkLost = 112, "The wire to the arm is gone.";
+    ArmStalled = 113, "The arm reports, but no longer moves on to the next setpoint.";
     PlanUnreadable = 121, "The plan in memory could not be read to its end.";
     ExecutorSilent = 131, "The executor stopped sending signs of life.";
     ArmOverrun = 132, "The arm's controller was held up for longer than two ticks while it moved.";
@@ -176,8 +177,8 @@ mod tests {
     #[test]
     fn numbers_are_pinned_and_sentences_are_sentences() {
         let numbers = [
-            101, 102, 103, 104, 105, 111, 112, 121, 131, 132, 201, 202, 203, 204, 205, 206, 207, 301, 302,
-            303, 304, 305, 306, 307, 401, 402, 403, 404, 405, 406, 501, 502,
+            101, 102, 103, 104, 105, 111, 112, 113, 121, 131, 132, 201, 202, 203, 204, 205, 206, 207, 301,
+            302, 303, 304, 305, 306, 307, 401, 402, 403, 404, 405, 406, 501, 502,
         ];
         assert!(FaultCode::ALL.iter().map(|code| code.number()).eq(numbers));
         for code in FaultCode::ALL {

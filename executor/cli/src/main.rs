@@ -139,7 +139,7 @@ impl Observer for Person {
                 arm.applied_tick,
                 self.step_count,
                 arm.state.name(),
-                arm.buffered
+                arm.buffered()
             ));
         }
         self.wants_stop.load(Ordering::Relaxed)

@@ -102,7 +102,7 @@ pub struct Ticks {
     /// Taken by the arm.
     pub applied: u32,
     /// Not there when needed.
-    pub lost: u32,
+    pub lost: u16,
 }
 
 impl Report {
@@ -123,7 +123,11 @@ impl Report {
                 Outcome::Completed => true,
                 Outcome::Stopped { standstill, .. } => standstill,
             },
-            ticks: Ticks { planned: header.step_count, applied: run.arm.applied_tick, lost: run.arm.lost },
+            ticks: Ticks {
+                planned: header.step_count,
+                applied: run.arm.applied_tick,
+                lost: run.telemetry.lost,
+            },
             duration_s: seconds(run.duration_us),
             worst_lateness_s: run.worst_lateness_us.map(seconds),
             final_pose: StartPose::from(&run.final_pose),

@@ -11,7 +11,7 @@ use powderline_shared::pose::Pose;
 use powderline_shared::wire::message::{Refusal, Status};
 
 use crate::pace::Pace;
-use powderline_executor::{Action, Config, Executor, Outcome};
+use powderline_executor::{Action, Config, Executor, Outcome, Telemetry};
 
 /// What there is to know after a run.
 #[derive(Clone, Copy, Debug)]
@@ -22,6 +22,8 @@ pub struct RunResult {
     pub arm: Status,
     /// Where the arm really stands.
     pub final_pose: Pose,
+    /// What the executor has counted and measured.
+    pub telemetry: Telemetry,
     /// Use of the plan's limits by what was sent.
     pub peak_use: PeakUse,
     /// The numbers behind a limit fault, whoever found it.
@@ -69,6 +71,7 @@ pub fn play(
                 outcome,
                 arm: last_report,
                 final_pose: arm.pose(),
+                telemetry: executor.telemetry(),
                 peak_use: executor.peak_use(),
                 violation: executor.violation().or(arm.violation()),
                 refusal: executor.refusal(),
@@ -79,9 +82,9 @@ pub fn play(
         if observer.observe(now_us, &last_report) {
             executor.handle_stop(now_us);
         }
-        let next = [executor.poll_at(), arm.poll_at()].into_iter().flatten().min();
+        let next_us = executor.poll_at().map_or(now_us, |executor_us| executor_us.min(arm.poll_at()));
         // What is due already, such as the message of a stop that has just been asked for, is exchanged at once.
-        let next_us = next.unwrap_or(now_us).max(now_us);
+        let next_us = next_us.max(now_us);
         pace.wait_until(next_us);
         clock.advance_to(next_us);
     }

@@ -38,7 +38,7 @@ fn a_plan_ends_where_it_says_bit_for_bit() {
     let result = play_on(&plan, arm_for(&plan));
     assert_eq!(result.outcome, Outcome::Completed);
     assert_eq!(result.final_pose, plan.end_pose());
-    assert_eq!((result.arm.applied_tick, result.arm.lost), (120, 0));
+    assert_eq!((result.arm.applied_tick, result.telemetry.lost), (120, 0));
     // Armed at once, 120 periods, three more until acceleration and jerk are gone.
     assert_eq!(result.duration_us, (120 + 3) * 10_000);
 }
@@ -309,31 +309,28 @@ fn play_hearing(plan: &PlanReader<'_>, heard: impl Fn(Vec<FromArm>) -> Vec<FromA
 }
 
 fn is_pose_of(message: &FromArm, end_tick: u32) -> bool {
-    matches!(message, FromArm::Actual { tick, .. } if *tick == end_tick)
+    matches!(message, FromArm::Actual { reached, .. } if reached.tick == end_tick)
 }
 
 #[test]
 fn completed_means_that_the_arm_stands_at_the_plans_end() {
     let bytes = plan_bytes(&header(), &one_move());
     let plan = PlanReader::new(&bytes).unwrap();
-    // Translation (LSB) and rotation (LSB) by which the arm is off.
-    for (length, angle, code) in [
-        (0.0, 0.0, None),
-        (0.49, 0.49, None),
-        (0.52, 0.0, Some(FaultCode::EndElsewhere)),
-        (0.0, -0.52, Some(FaultCode::EndElsewhere)),
-        (f64::NAN, 0.0, Some(FaultCode::EndElsewhere)),
+    // Counts by which the arm is off: poses are reported to the nearest count.
+    for (counts, code) in [
+        ([0; 6], None),
+        ([0, 0, 1, 0, 0, 0], Some(FaultCode::EndElsewhere)),
+        ([0, 0, 0, -1, 0, 0], Some(FaultCode::EndElsewhere)),
     ] {
-        let off =
-            Displacement { translation_m: [0.0, 0.0, 1e-7 * length], rotation_rad: [1e-7 * angle, 0.0, 0.0] };
         let moved = |message| match message {
-            FromArm::Actual { session, tick, pose } => {
-                FromArm::Actual { session, tick, pose: pose.displaced(&off) }
+            FromArm::Actual { session, mut reached } => {
+                reached.counts.iter_mut().zip(counts).for_each(|(count, off)| *count += off);
+                FromArm::Actual { session, reached }
             }
             other => other,
         };
         let outcome = play_hearing(&plan, |said| said.into_iter().map(moved).collect());
-        assert_eq!(fault_code(outcome), code, "off by {length} and {angle} LSB");
+        assert_eq!(fault_code(outcome), code, "off by {counts:?}");
     }
 }
 
@@ -347,7 +344,7 @@ fn an_end_that_the_arm_does_not_report_is_not_completed() {
         said.retain(|message| !last_pose(message));
         said
     };
-    assert_eq!(fault_code(play_hearing(&plan, without)), Some(FaultCode::ArmSilent));
+    assert_eq!(fault_code(play_hearing(&plan, without)), Some(FaultCode::ArmStalled));
 }
 
 #[test]
@@ -379,14 +376,15 @@ fn an_arm_that_never_answers_is_given_up() {
     let outcome = loop {
         match executor.poll(now_us) {
             Action::Send(message) => {
-                assert!(matches!(message, ToArm::Open(_)));
-                requests += 1;
+                assert!(matches!(message, ToArm::Open(_) | ToArm::Heartbeat { .. }));
+                requests += u32::from(matches!(message, ToArm::Open(_)));
             }
             Action::Wait => now_us = executor.poll_at().unwrap(),
             Action::Finished(outcome) => break outcome,
         }
     };
     assert_eq!(fault_code(outcome), Some(FaultCode::HandshakeTimeout));
+    // At the first poll and every 0.1 s after.
     assert_eq!((now_us, requests), (2_000_000, 20));
 }
 
@@ -401,8 +399,9 @@ fn a_latched_arm_refuses_the_next_session_until_it_is_reset() {
         let mut executor = Executor::new(0, &plan, Config { session: 9, ..Config::default() });
         let Action::Send(open) = executor.poll(0) else { panic!("nothing to say") };
         arm.handle_message(10_000_000, &open);
-        std::iter::from_fn(|| arm.poll(10_000_000))
-            .any(|message| message == FromArm::Refused { session: 9, reason: Refusal::Busy })
+        std::iter::from_fn(|| arm.poll(10_000_000)).any(|message| {
+            matches!(message, FromArm::Refused { session: 9, reason: Refusal::Latched { .. } })
+        })
     };
     assert!(refused(&mut arm));
     arm.handle_message(11_000_000, &ToArm::Control { session: 1, command: Command::FaultReset });
@@ -429,7 +428,7 @@ fn stream_until_silent(plan: &PlanReader<'_>, arm: &mut Controller) {
     for setpoint in plan.setpoints().take(16) {
         arm.handle_message(0, &ToArm::Setpoint { session: 1, setpoint });
     }
-    while arm.poll(9_000_000).is_some() {}
+    (0..900).for_each(|tick| while arm.poll(tick * 10_000).is_some() {});
 }
 
 /// The joined pair with setpoints dropped by a rule; what an observer at the arm sees, tick by tick.
@@ -521,7 +520,7 @@ proptest! {
             Outcome::Stopped { fault, standstill } => {
                 prop_assert!(standstill);
                 // If the very first setpoints are lost the arm never starts; the executor gives up.
-                prop_assert!(matches!(fault.code, FaultCode::SetpointMissing | FaultCode::ArmSilent), "{}", fault);
+                prop_assert!(matches!(fault.code, FaultCode::SetpointMissing | FaultCode::ArmStalled), "{}", fault);
                 prop_assert!(arm.status().standstill);
             }
         }
