@@ -26,6 +26,7 @@
 #[cfg(test)]
 extern crate std;
 
+pub mod endpoint;
 pub mod guard;
 pub mod player;
 pub mod schedule;
@@ -33,5 +34,6 @@ pub mod session;
 pub mod telemetry;
 pub mod window;
 
+pub use endpoint::{Endpoint, FrameAction};
 pub use session::{Action, Config, Executor, Outcome};
 pub use telemetry::Telemetry;

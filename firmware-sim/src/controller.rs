@@ -171,6 +171,11 @@ impl Controller {
         self.drop_one();
     }
 
+    /// Lets time pass. What the arm says about it waits for the next poll.
+    pub fn let_pass(&mut self, now_us: u64) {
+        self.advance(now_us);
+    }
+
     /// Lets time pass; then the next message to the executor, if any. Call until `None`.
     pub fn poll(&mut self, now_us: u64) -> Option<FromArm> {
         self.advance(now_us);
@@ -182,6 +187,18 @@ impl Controller {
     pub fn poll_at(&self) -> u64 {
         let due = [self.next_tick_us, self.session_ends_us()].into_iter().flatten();
         due.fold(self.heartbeat_at_us, u64::min)
+    }
+
+    /// When the next tick is due; `None` while nothing moves.
+    #[must_use]
+    pub fn next_tick_us(&self) -> Option<u64> {
+        self.next_tick_us
+    }
+
+    /// The anchor of the session, if it has one.
+    #[must_use]
+    pub fn anchor(&self) -> Option<Pose> {
+        self.anchored().map(|anchored| anchored.anchor)
     }
 
     /// Where the tool is, as of the last poll.

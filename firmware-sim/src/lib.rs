@@ -12,6 +12,7 @@ pub mod arm;
 pub mod buffer;
 pub mod clock;
 pub mod controller;
+pub mod endpoint;
 pub mod interpolator;
 mod session;
 pub mod stop;

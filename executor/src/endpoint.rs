@@ -1,0 +1,112 @@
+//! The executor with its wire: frames in, frames out.
+
+use powderline_shared::plan::PlanReader;
+use powderline_shared::wire::codec::{Context, Encoder, Frames, FromArmDecoder, Rejected};
+use powderline_shared::wire::frame::{Dialect, Frame};
+
+use crate::session::{Action, Config, Executor, Outcome};
+
+/// What to do now.
+#[derive(Clone, Debug, PartialEq)]
+pub enum FrameAction {
+    /// Send this; then poll again.
+    Send(Frame),
+    /// Nothing before [`Endpoint::poll_at`], unless a frame arrives.
+    Wait,
+    /// The session is over.
+    Finished(Outcome),
+}
+
+/// An [`Executor`] that speaks in frames. A frame that cannot be sent may be dropped: whatever matters is said again.
+#[derive(Clone, Debug)]
+pub struct Endpoint<'a> {
+    executor: Executor<'a>,
+    context: Context,
+    encoder: Encoder,
+    decoder: FromArmDecoder,
+    leaving: Option<Frames>,
+    sent: u32,
+    received: u32,
+    rejected: u32,
+}
+
+impl<'a> Endpoint<'a> {
+    /// Opens a session with the next poll. What one count is worth is settled by the wire.
+    #[must_use]
+    pub fn new(now_us: u64, plan: &PlanReader<'a>, dialect: Dialect, config: Config) -> Self {
+        let executor = Executor::new(now_us, plan, Config { lsb: Some(dialect.lsb()), ..config });
+        let context = Context { session: executor.session(), plan_hash: executor.plan_hash() };
+        let mut decoder = FromArmDecoder::new(dialect);
+        decoder.set_context(context);
+        Self {
+            executor,
+            context,
+            encoder: Encoder::new(dialect),
+            decoder,
+            leaving: None,
+            sent: 0,
+            received: 0,
+            rejected: 0,
+        }
+    }
+
+    /// Takes in one frame.
+    ///
+    /// # Errors
+    /// Why it was dropped.
+    pub fn handle_frame(&mut self, now_us: u64, frame: &Frame) -> Result<(), Rejected> {
+        self.received = self.received.saturating_add(1);
+        match self.decoder.handle_frame(frame) {
+            Ok(messages) => {
+                messages.iter().for_each(|message| self.executor.handle_message(now_us, message));
+                Ok(())
+            }
+            Err(rejected) => {
+                self.rejected = self.rejected.saturating_add(1);
+                Err(rejected)
+            }
+        }
+    }
+
+    /// What to do now. Call until it says [`FrameAction::Wait`] or [`FrameAction::Finished`].
+    pub fn poll(&mut self, now_us: u64) -> FrameAction {
+        loop {
+            if let Some(frame) = self.leaving.as_mut().and_then(Iterator::next) {
+                self.sent = self.sent.saturating_add(1);
+                return FrameAction::Send(frame);
+            }
+            match self.executor.poll(now_us) {
+                Action::Send(message) => {
+                    self.leaving = Some(self.encoder.to_arm(&self.context, &message));
+                    self.executor.last_sent().into_iter().for_each(|setpoint| self.decoder.expect(setpoint));
+                }
+                Action::Wait => return FrameAction::Wait,
+                Action::Finished(outcome) => return FrameAction::Finished(outcome),
+            }
+        }
+    }
+
+    /// When to poll next even if no frame arrives, microseconds; a moment in the past means at once, `None` that the
+    /// session is over.
+    #[must_use]
+    pub fn poll_at(&self) -> Option<u64> {
+        self.executor.poll_at()
+    }
+
+    /// The state machine behind.
+    #[must_use]
+    pub fn executor(&self) -> &Executor<'a> {
+        &self.executor
+    }
+
+    /// The same, to ask it for a stop.
+    pub fn executor_mut(&mut self) -> &mut Executor<'a> {
+        &mut self.executor
+    }
+
+    /// Frames sent, received, and dropped of those received.
+    #[must_use]
+    pub fn frame_counts(&self) -> [u32; 3] {
+        [self.sent, self.received, self.rejected]
+    }
+}
