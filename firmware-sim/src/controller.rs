@@ -103,6 +103,27 @@ pub struct Controller {
     heard_us: u64,
     heartbeat_at_us: u64,
     outbox: VecDeque<FromArm>,
+    closed: ClosedSessions,
+}
+
+/// Numbers of sessions that are over, the oldest forgotten first. What is left of them on the wire opens them no more.
+#[derive(Clone, Copy, Debug, Default)]
+struct ClosedSessions {
+    numbers: [u16; 16],
+    next: usize,
+}
+
+impl ClosedSessions {
+    fn add(&mut self, number: u16) {
+        if let Some(slot) = self.numbers.get_mut(self.next) {
+            *slot = number;
+        }
+        self.next = self.next.wrapping_add(1) % self.numbers.len();
+    }
+
+    fn has(&self, number: u16) -> bool {
+        number != NO_SESSION && self.numbers.contains(&number)
+    }
 }
 
 /// What the clock drives.
@@ -140,6 +161,7 @@ impl Controller {
             // Now: the first thing that it does is to say that it is there.
             heartbeat_at_us: 0,
             outbox: VecDeque::new(),
+            closed: ClosedSessions::default(),
         };
         controller.report();
         controller
@@ -278,6 +300,7 @@ impl Controller {
         let other = self.session.as_ref().is_some_and(|open| open.request.session != request.session);
         match (self.fault, self.state) {
             (Some(fault), _) => Err(Refusal::Latched { fault }),
+            (None, _) if self.closed.has(request.session) => Err(Refusal::Closed),
             (None, State::SwitchOnDisabled | State::ReadyToSwitchOn | State::SwitchedOn) if !other => {
                 session::admit(request, &self.own_limits)
             }
@@ -353,10 +376,16 @@ impl Controller {
 
     /// Closes the session: the next motion needs a new one, with a new anchor.
     fn leave_operation(&mut self, state: State) {
-        self.session = None;
+        self.close();
         self.fault = None;
         self.violation = None;
         self.enter(state);
+    }
+
+    fn close(&mut self) {
+        if let Some(session) = self.session.take() {
+            self.closed.add(session.request.session);
+        }
     }
 
     fn is_still(&self) -> bool {
@@ -457,7 +486,7 @@ impl Controller {
         if self.state == State::OperationEnabled {
             return self.stop(State::FaultReactionActive, FaultCode::ExecutorSilent);
         }
-        self.session = None;
+        self.close();
         self.enter(State::SwitchOnDisabled);
     }
 
@@ -660,7 +689,9 @@ impl Controller {
         }
     }
 
-    fn period_us(&self) -> u32 {
+    /// Control period of the session; without one, the longest there is.
+    #[must_use]
+    pub fn period_us(&self) -> u32 {
         self.session.as_ref().map_or(LONGEST_PERIOD_US, |session| session.request.period_us)
     }
 

@@ -140,6 +140,8 @@ pub enum Refusal {
     },
     /// Another session is open.
     Busy,
+    /// A session of this number was closed not long ago.
+    Closed,
     /// A stop or a fault is latched.
     Latched {
         /// Which.
@@ -160,6 +162,7 @@ impl core::fmt::Display for Refusal {
                 write!(f, "the arm speaks protocol version {arm}, the executor version {PROTOCOL_VERSION}")
             }
             Self::Busy => f.write_str("the arm is in another session"),
+            Self::Closed => f.write_str("the arm has closed this session; another one needs another number"),
             Self::Latched { fault } => {
                 write!(f, "the arm has stopped and needs to be reset by a person first ({fault})")
             }
