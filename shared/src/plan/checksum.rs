@@ -1,31 +1,37 @@
 //! CRC-32 against damage, FNV-1a to name a plan. Both run byte by byte and without tables: a plan is read once.
 
-/// CRC-32/ISO-HDLC: reflected polynomial 0xEDB88320, initial value and final exclusive-or all ones.
-#[derive(Clone, Copy, Debug)]
-pub struct Crc32(u32);
+use core::fmt;
+
+use crc::{CRC_32_ISO_HDLC, Crc, Digest, NoTable};
+
+static CRC32: Crc<u32, NoTable> = Crc::<u32, NoTable>::new(&CRC_32_ISO_HDLC);
+
+/// CRC-32/ISO-HDLC, the one of Ethernet and zip.
+#[derive(Clone)]
+pub struct Crc32(Digest<'static, u32, NoTable>);
 
 impl Default for Crc32 {
     fn default() -> Self {
-        Self(u32::MAX)
+        Self(CRC32.digest())
+    }
+}
+
+impl fmt::Debug for Crc32 {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("Crc32").field(&self.value()).finish()
     }
 }
 
 impl Crc32 {
     /// Takes in more bytes.
     pub fn update(&mut self, bytes: &[u8]) {
-        for byte in bytes {
-            self.0 ^= u32::from(*byte);
-            for _ in 0..8 {
-                let mask = (self.0 & 1).wrapping_neg();
-                self.0 = (self.0 >> 1) ^ (0xEDB8_8320 & mask);
-            }
-        }
+        self.0.update(bytes);
     }
 
     /// The checksum of all bytes so far.
     #[must_use]
-    pub fn value(self) -> u32 {
-        !self.0
+    pub fn value(&self) -> u32 {
+        self.0.clone().finalize()
     }
 }
 

@@ -1,0 +1,202 @@
+//! The cyclic frames of classic CAN: at most 8 bytes, the last of them the checksum.
+
+use super::checksum::{Context, crc8};
+use super::codec::Rejected;
+use super::fields::{Put, Take, low8, low16, nearest_with_low8, nearest_with_low16};
+use super::frame::Frame;
+use super::history::{Half, Part};
+use super::ids;
+use super::message::{FromArm, Heartbeat, NO_SESSION, Status, ToArm};
+use super::words::{self, StatusBits};
+use crate::displacement::Setpoint;
+use crate::fault::{Fault, FaultCode};
+
+/// NMT state "operational" in a heartbeat (CiA 301).
+const OPERATIONAL: u8 = 0x05;
+/// EMCY error code: device specific (CiA 301).
+const DEVICE_SPECIFIC: u16 = 0xFF00;
+/// EMCY error register: generic error, manufacturer specific error (CiA 301, object 0x1001).
+const ERROR_REGISTER: u8 = 0x81;
+
+/// Session, plan and reference that a frame is tried with.
+pub(super) type Try<R> = (Context, R);
+
+/// Appends the checksum.
+fn sealed(id: u16, context: &Context, tick: u32, payload: Put) -> Frame {
+    let crc = crc8(id, context, tick, payload.as_slice());
+    payload.u8(crc).into_frame(id)
+}
+
+/// The bytes before the checksum of a frame that has the length it must have.
+fn parts(frame: &Frame, length: usize) -> Result<(&[u8], u8), Rejected> {
+    match frame.data.split_last() {
+        Some((crc, payload)) if frame.data.len() == length => Ok((payload, *crc)),
+        _ => Err(Rejected::length(frame)),
+    }
+}
+
+/// Fields of a payload whose length has been checked always suffice.
+fn complete<T>(fields: Option<T>, frame: &Frame) -> Result<T, Rejected> {
+    fields.ok_or_else(|| Rejected::length(frame))
+}
+
+/// The two frames of a setpoint or an actual displacement.
+pub(super) fn pair(ids: [u16; 2], context: &Context, setpoint: Setpoint) -> [Frame; 2] {
+    let [x, y, z, rx, ry, rz] = setpoint.counts;
+    let [translation, rotation] = ids;
+    [
+        half_frame(translation, context, setpoint.tick, [x, y, z]),
+        half_frame(rotation, context, setpoint.tick, [rx, ry, rz]),
+    ]
+}
+
+fn half_frame(id: u16, context: &Context, tick: u32, counts: [i32; 3]) -> Frame {
+    let crc = crc8(id, context, tick, Put::new().counts(&counts).as_slice());
+    let low = counts.into_iter().fold(Put::new(), |put, count| put.u16(low16(count.cast_unsigned())));
+    low.u8(low8(tick)).u8(crc).into_frame(id)
+}
+
+/// One half, rebuilt from the first reference with which its checksum holds; also which of `tries` that was.
+pub(super) fn half(frame: &Frame, part: Part, tries: &[Try<Setpoint>]) -> Result<(Half, Context), Rejected> {
+    let (payload, crc) = parts(frame, 8)?;
+    let mut take = Take(payload);
+    let fields = (|| Some(([take.u16()?, take.u16()?, take.u16()?], take.u8()?)))();
+    let (low, tick) = complete(fields, frame)?;
+    for (context, reference) in tries {
+        let [x, y, z, rx, ry, rz] = reference.counts;
+        let mut counts = match part {
+            Part::Translation => [x, y, z],
+            Part::Rotation => [rx, ry, rz],
+        };
+        for (count, low) in counts.iter_mut().zip(low) {
+            *count = nearest_with_low16(count.cast_unsigned(), low).cast_signed();
+        }
+        let tick = nearest_with_low8(reference.tick, tick);
+        if crc8(frame.id, context, tick, Put::new().counts(&counts).as_slice()) == crc {
+            return Ok((Half { session: context.session, tick, counts }, *context));
+        }
+    }
+    Err(Rejected::Checksum { id: frame.id })
+}
+
+pub(super) fn control(context: &Context, word: u16) -> Frame {
+    sealed(ids::CONTROL, context, 0, Put::new().u16(word).u16(context.session))
+}
+
+pub(super) fn heartbeat_to_arm(context: &Context) -> Frame {
+    sealed(ids::HEARTBEAT_TO_ARM, context, 0, Put::new().u8(OPERATIONAL).u16(context.session))
+}
+
+pub(super) fn heartbeat_from_arm(context: &Context, heartbeat: &Heartbeat) -> Frame {
+    let payload = Put::new().u8(OPERATIONAL).u16(context.session).u16(heartbeat.lost).u16(heartbeat.dropped);
+    sealed(ids::HEARTBEAT_FROM_ARM, context, 0, payload)
+}
+
+/// What a reader without a session can know of a tick: up to 65,535, which then stands for anything later.
+fn sent_tick(context: &Context, tick: u32) -> u32 {
+    if context.session == NO_SESSION { tick.min(u32::from(u16::MAX)) } else { tick }
+}
+
+fn read_tick(context: &Context, reference: u32, low: u16) -> u32 {
+    if context.session == NO_SESSION { u32::from(low) } else { nearest_with_low16(reference, low) }
+}
+
+pub(super) fn status(context: &Context, word: u16, status: &Status) -> Frame {
+    let tick = sent_tick(context, status.applied_tick);
+    let payload = Put::new().u16(word).u16(low16(tick)).u16(status.have).u8(status.counter);
+    sealed(ids::STATUS, context, tick, payload)
+}
+
+pub(super) fn fault(context: &Context, fault: Fault) -> Frame {
+    let tick = sent_tick(context, fault.tick);
+    let payload =
+        Put::new().u16(DEVICE_SPECIFIC).u8(ERROR_REGISTER).u16(fault.code.number()).u16(low16(tick));
+    sealed(ids::FAULT, context, tick, payload)
+}
+
+/// Session and tick with which the checksum of a status or a fault holds.
+fn found(
+    frame: &Frame,
+    payload: &[u8],
+    crc: u8,
+    low: u16,
+    tries: &[Try<u32>],
+) -> Result<(u16, u32), Rejected> {
+    tries
+        .iter()
+        .map(|(context, reference)| (context, read_tick(context, *reference, low)))
+        .find(|(context, tick)| crc8(frame.id, context, *tick, payload) == crc)
+        .map(|(context, tick)| (context.session, tick))
+        .ok_or(Rejected::Checksum { id: frame.id })
+}
+
+pub(super) fn read_status(frame: &Frame, tries: &[Try<u32>]) -> Result<FromArm, Rejected> {
+    let (payload, crc) = parts(frame, 8)?;
+    let mut take = Take(payload);
+    let fields = (|| Some((take.u16()?, take.u16()?, take.u16()?, take.u8()?)))();
+    let (word, low, have, counter) = complete(fields, frame)?;
+    let (session, applied_tick) = found(frame, payload, crc, low, tries)?;
+    let StatusBits { state, phase, standstill } =
+        words::status(word).ok_or(Rejected::Word { id: frame.id, word })?;
+    Ok(FromArm::Status(Status { session, state, phase, standstill, applied_tick, have, counter }))
+}
+
+pub(super) fn read_fault(frame: &Frame, tries: &[Try<u32>]) -> Result<FromArm, Rejected> {
+    let (payload, crc) = parts(frame, 8)?;
+    let mut take = Take(payload);
+    let fields = (|| Some((take.u16()?, take.u8()?, take.u16()?, take.u16()?)))();
+    let (error, register, number, low) = complete(fields, frame)?;
+    let (session, tick) = found(frame, payload, crc, low, tries)?;
+    if (error, register) != (DEVICE_SPECIFIC, ERROR_REGISTER) {
+        return Err(Rejected::Word { id: frame.id, word: error });
+    }
+    let code = FaultCode::try_from(number).map_err(|_| Rejected::FaultCode { number })?;
+    Ok(FromArm::Fault { session, fault: Fault { code, tick } })
+}
+
+/// Whether the checksum of a frame without tick holds; its session has been sent.
+fn check(frame: &Frame, payload: &[u8], crc: u8, context: Option<Context>) -> Result<(), Rejected> {
+    let right = context.is_some_and(|context| crc8(frame.id, &context, 0, payload) == crc);
+    if right { Ok(()) } else { Err(Rejected::Checksum { id: frame.id }) }
+}
+
+fn check_operational(frame: &Frame, state: u8) -> Result<(), Rejected> {
+    if state == OPERATIONAL { Ok(()) } else { Err(Rejected::Word { id: frame.id, word: u16::from(state) }) }
+}
+
+pub(super) fn read_control(
+    frame: &Frame,
+    accepted: impl Fn(u16) -> Option<Context>,
+) -> Result<ToArm, Rejected> {
+    let (payload, crc) = parts(frame, 5)?;
+    let mut take = Take(payload);
+    let (word, session) = complete((|| Some((take.u16()?, take.u16()?)))(), frame)?;
+    check(frame, payload, crc, accepted(session))?;
+    let command = words::command(word).ok_or(Rejected::Word { id: frame.id, word })?;
+    Ok(ToArm::Control { session, command })
+}
+
+pub(super) fn read_heartbeat_to_arm(
+    frame: &Frame,
+    accepted: impl Fn(u16) -> Option<Context>,
+) -> Result<ToArm, Rejected> {
+    let (payload, crc) = parts(frame, 4)?;
+    let mut take = Take(payload);
+    let (state, session) = complete((|| Some((take.u8()?, take.u16()?)))(), frame)?;
+    check(frame, payload, crc, accepted(session))?;
+    check_operational(frame, state)?;
+    Ok(ToArm::Heartbeat { session })
+}
+
+pub(super) fn read_heartbeat_from_arm(
+    frame: &Frame,
+    accepted: impl Fn(u16) -> Option<Context>,
+) -> Result<FromArm, Rejected> {
+    let (payload, crc) = parts(frame, 8)?;
+    let mut take = Take(payload);
+    let fields = (|| Some((take.u8()?, take.u16()?, take.u16()?, take.u16()?)))();
+    let (state, session, lost, dropped) = complete(fields, frame)?;
+    check(frame, payload, crc, accepted(session))?;
+    check_operational(frame, state)?;
+    Ok(FromArm::Heartbeat(Heartbeat { session, lost, dropped }))
+}

@@ -1,0 +1,521 @@
+//! Messages to frames, and back.
+//!
+//! Classic frames hold the low 16 bits of each count and the low 8 of the tick. A decoder rebuilds the whole numbers as
+//! those nearest to a reference, what it decoded last, and the checksum, which covers the whole numbers, tells whether it
+//! rebuilt them right. So a decoder must not miss more than 32.767 mm, 327.67 mrad or 127 ticks of a motion.
+
+use core::fmt;
+
+use heapless::Vec;
+
+use super::checksum::Context;
+use super::frame::{Dialect, Frame};
+use super::handshake::{FromArmRecord, Reassembly, Segments, ToArmRecord};
+use super::history::{Had, Half, Halves, Met, Part};
+use super::message::{FromArm, Status, ToArm};
+use super::words::{self, StatusBits};
+use super::{classic, fd, ids};
+use crate::displacement::Setpoint;
+
+/// Data of [`ToArm::Stop`].
+const STOP_WORD: &[u8; 4] = b"STOP";
+
+/// The messages that one frame completes: none yet, one, or a setpoint with the one before it, which had been lost.
+pub type Decoded<M> = Vec<M, 2>;
+
+/// The frames of one message, in the order in which they are to be sent.
+#[derive(Clone, Debug, Default)]
+pub struct Frames {
+    first: Option<Frame>,
+    second: Option<Frame>,
+    segments: Option<Segments>,
+}
+
+impl Frames {
+    fn one(frame: Frame) -> Self {
+        Self { first: Some(frame), ..Self::default() }
+    }
+
+    fn two([first, second]: [Frame; 2]) -> Self {
+        Self { first: Some(first), second: Some(second), segments: None }
+    }
+
+    fn record(segments: Segments) -> Self {
+        Self { segments: Some(segments), ..Self::default() }
+    }
+}
+
+impl Iterator for Frames {
+    type Item = Frame;
+
+    fn next(&mut self) -> Option<Frame> {
+        self.first.take().or_else(|| self.second.take()).or_else(|| self.segments.as_mut()?.next())
+    }
+}
+
+/// Puts messages into frames.
+///
+/// A message must be of the context's session or of none; nobody can read one of any other session.
+#[derive(Clone, Debug)]
+pub struct Encoder {
+    dialect: Dialect,
+    /// The setpoint of the highest tick sent in a session: the displacement of the next one starts there.
+    newest: Option<(Context, Setpoint)>,
+}
+
+impl Encoder {
+    /// An encoder that has sent nothing.
+    #[must_use]
+    pub const fn new(dialect: Dialect) -> Self {
+        Self { dialect, newest: None }
+    }
+
+    /// How it puts messages into frames.
+    #[must_use]
+    pub const fn dialect(&self) -> Dialect {
+        self.dialect
+    }
+
+    /// Frames of a message to the arm.
+    #[must_use]
+    pub fn to_arm(&mut self, context: &Context, message: &ToArm) -> Frames {
+        match (*message, self.dialect) {
+            (ToArm::Open(request), dialect) => {
+                self.newest = None;
+                Frames::record(Segments::new(ids::HANDSHAKE_TO_ARM, dialect, &ToArmRecord::Open(request)))
+            }
+            (ToArm::Setpoint { session, setpoint }, Dialect::Classic) => {
+                Frames::two(classic::pair([ids::SETPOINT_T, ids::SETPOINT_R], &context.of(session), setpoint))
+            }
+            (ToArm::Setpoint { session, setpoint }, Dialect::Fd) => {
+                let context = context.of(session);
+                let displacement = self.displacement(&context, setpoint);
+                Frames::one(fd::setpoint(&context, setpoint, displacement))
+            }
+            (ToArm::Control { session, command }, dialect) => {
+                let (context, word) = (context.of(session), words::controlword(command));
+                Frames::one(match dialect {
+                    Dialect::Classic => classic::control(&context, word),
+                    Dialect::Fd => fd::control(&context, word),
+                })
+            }
+            (ToArm::Heartbeat { session }, Dialect::Classic) => {
+                Frames::one(classic::heartbeat_to_arm(&context.of(session)))
+            }
+            (ToArm::Heartbeat { session }, Dialect::Fd) => {
+                Frames::one(fd::heartbeat_to_arm(&context.of(session)))
+            }
+            (ToArm::Stop, _) => Frames::one(Frame { id: ids::STOP, data: Vec::from_array(*STOP_WORD) }),
+        }
+    }
+
+    /// Frames of a message from the arm.
+    #[must_use]
+    pub fn from_arm(&self, context: &Context, message: &FromArm) -> Frames {
+        match (message, self.dialect) {
+            (FromArm::Opened { session }, _) => self.answer(&FromArmRecord::Opened { session: *session }),
+            (FromArm::Refused { session, reason }, _) => {
+                self.answer(&FromArmRecord::Refused { session: *session, reason: *reason })
+            }
+            (FromArm::Anchored { session, pose }, _) => self.answer(&FromArmRecord::anchored(*session, pose)),
+            (FromArm::Status(status), dialect) => {
+                let (context, word) = (context.of(status.session), statusword_of(status));
+                Frames::one(match dialect {
+                    Dialect::Classic => classic::status(&context, word, status),
+                    Dialect::Fd => fd::status(&context, word, status),
+                })
+            }
+            (FromArm::Actual { session, reached }, Dialect::Classic) => {
+                Frames::two(classic::pair([ids::ACTUAL_T, ids::ACTUAL_R], &context.of(*session), *reached))
+            }
+            (FromArm::Actual { session, reached }, Dialect::Fd) => {
+                Frames::one(fd::actual(&context.of(*session), *reached))
+            }
+            (FromArm::Fault { session, fault }, Dialect::Classic) => {
+                Frames::one(classic::fault(&context.of(*session), *fault))
+            }
+            (FromArm::Fault { session, fault }, Dialect::Fd) => {
+                Frames::one(fd::fault(&context.of(*session), *fault))
+            }
+            (FromArm::Heartbeat(heartbeat), Dialect::Classic) => {
+                Frames::one(classic::heartbeat_from_arm(&context.of(heartbeat.session), heartbeat))
+            }
+            (FromArm::Heartbeat(heartbeat), Dialect::Fd) => {
+                Frames::one(fd::heartbeat_from_arm(&context.of(heartbeat.session), heartbeat))
+            }
+        }
+    }
+
+    fn answer(&self, record: &FromArmRecord) -> Frames {
+        Frames::record(Segments::new(ids::HANDSHAKE_FROM_ARM, self.dialect, record))
+    }
+
+    /// Counts since the setpoint of the tick before, if that is known and they all fit.
+    fn displacement(&mut self, context: &Context, setpoint: Setpoint) -> Option<[i16; 6]> {
+        let newest =
+            self.newest.filter(|(of, _)| of == context).map_or(Setpoint::ANCHOR, |(_, newest)| newest);
+        if setpoint.tick >= newest.tick {
+            self.newest = Some((*context, setpoint));
+        }
+        let before = if setpoint.tick == 1 { Setpoint::ANCHOR } else { newest };
+        if before.tick.checked_add(1) != Some(setpoint.tick) {
+            return None;
+        }
+        let mut displacement = [0; 6];
+        for ((value, new), old) in displacement.iter_mut().zip(setpoint.counts).zip(before.counts) {
+            *value = i16::try_from(new.checked_sub(old)?).ok()?;
+        }
+        Some(displacement)
+    }
+}
+
+fn statusword_of(status: &Status) -> u16 {
+    let Status { state, phase, standstill, .. } = *status;
+    words::statusword(StatusBits { state, phase, standstill })
+}
+
+/// The context of a session that was sent in the clear, at an end that is in `own`: its own, or none.
+fn own_or_none(own: Context, session: u16) -> Option<Context> {
+    [own, Context::NONE].into_iter().find(|context| context.session == session)
+}
+
+/// The context of a session that was sent in the clear, at an end that listens to its own session only.
+fn own_only(own: Context, session: u16) -> Option<Context> {
+    (own.session == session).then_some(own)
+}
+
+fn one<M>(message: M) -> Decoded<M> {
+    Vec::from_array([message])
+}
+
+/// The arm's side: frames to messages.
+#[derive(Clone, Debug)]
+pub struct ToArmDecoder {
+    dialect: Dialect,
+    context: Context,
+    /// The decoded setpoint of the highest tick.
+    newest: Setpoint,
+    halves: Halves,
+    had: Had,
+    reassembly: Reassembly,
+}
+
+impl ToArmDecoder {
+    /// A decoder without a session.
+    #[must_use]
+    pub fn new(dialect: Dialect) -> Self {
+        Self {
+            dialect,
+            context: Context::NONE,
+            newest: Setpoint::ANCHOR,
+            halves: Halves::default(),
+            had: Had::default(),
+            reassembly: Reassembly::default(),
+        }
+    }
+
+    /// Enters a session, or leaves it with [`Context::NONE`]. Half setpoints and references of another session are
+    /// forgotten; a handshake record, which belongs to none, is not.
+    pub fn set_context(&mut self, context: Context) {
+        let context = context.normalised();
+        if context != self.context {
+            let reassembly = core::mem::take(&mut self.reassembly);
+            *self = Self { context, reassembly, ..Self::new(self.dialect) };
+        }
+    }
+
+    /// Takes one frame.
+    ///
+    /// # Errors
+    /// Why the frame says nothing. The decoder goes on as if it had not come, but a record in progress that it does not
+    /// continue is given up.
+    pub fn handle_frame(&mut self, frame: &Frame) -> Result<Decoded<ToArm>, Rejected> {
+        let own = self.context;
+        match (frame.id, self.dialect) {
+            (ids::STOP, _) => stop(frame).map(one),
+            (ids::HANDSHAKE_TO_ARM, dialect) => {
+                let record: Option<ToArmRecord> = self.reassembly.handle(dialect, frame)?;
+                Ok(record.map_or_else(Vec::new, |record| one(record.into_message())))
+            }
+            (ids::SETPOINT_T, Dialect::Classic) => self.half(frame, Part::Translation),
+            (ids::SETPOINT_R, Dialect::Classic) => self.half(frame, Part::Rotation),
+            (ids::SETPOINT_T, Dialect::Fd) => self.setpoint(frame),
+            (ids::CONTROL, Dialect::Classic) => {
+                classic::read_control(frame, |session| own_or_none(own, session)).map(one)
+            }
+            (ids::CONTROL, Dialect::Fd) => {
+                fd::read_control(frame, |session| own_or_none(own, session)).map(one)
+            }
+            (ids::HEARTBEAT_TO_ARM, Dialect::Classic) => {
+                classic::read_heartbeat_to_arm(frame, |session| own_only(own, session)).map(one)
+            }
+            (ids::HEARTBEAT_TO_ARM, Dialect::Fd) => {
+                fd::read_heartbeat_to_arm(frame, |session| own_only(own, session)).map(one)
+            }
+            (id, _) => Err(Rejected::UnknownId { id }),
+        }
+    }
+
+    fn half(&mut self, frame: &Frame, part: Part) -> Result<Decoded<ToArm>, Rejected> {
+        let (half, _) = classic::half(frame, part, &[(self.context, self.newest)])?;
+        match self.halves.meet(part, half) {
+            Met::Waits => Ok(Vec::new()),
+            Met::Replaced => {
+                // Neither can be trusted, and a setpoint is sent again if it is missing.
+                self.halves.forget(&half);
+                Err(Rejected::Contradiction { id: frame.id, tick: half.tick })
+            }
+            Met::Pair(counts) => Ok(one(self.found(Setpoint { tick: half.tick, counts }))),
+        }
+    }
+
+    fn setpoint(&mut self, frame: &Frame) -> Result<Decoded<ToArm>, Rejected> {
+        let own = self.context;
+        let (_, setpoint, displacement) = fd::read_setpoint(frame, |session| own_only(own, session))?;
+        let before = displacement.and_then(|displacement| before(setpoint, displacement));
+        let lost = before.filter(|before| !self.had.contains(before.tick));
+        let lost = lost.map(|lost| self.found(lost));
+        let setpoint = self.found(setpoint);
+        Ok(lost.map_or_else(|| one(setpoint), |lost| Vec::from_array([lost, setpoint])))
+    }
+
+    fn found(&mut self, setpoint: Setpoint) -> ToArm {
+        if setpoint.tick >= self.newest.tick {
+            self.newest = setpoint;
+        }
+        self.had.note(setpoint.tick);
+        ToArm::Setpoint { session: self.context.session, setpoint }
+    }
+}
+
+/// The setpoint one tick earlier.
+fn before(setpoint: Setpoint, displacement: [i16; 6]) -> Option<Setpoint> {
+    let mut counts = setpoint.counts;
+    for (count, displacement) in counts.iter_mut().zip(displacement) {
+        *count = count.checked_sub(i32::from(displacement))?;
+    }
+    Some(Setpoint { tick: setpoint.tick.checked_sub(1)?, counts })
+}
+
+fn stop(frame: &Frame) -> Result<ToArm, Rejected> {
+    if frame.data.len() != STOP_WORD.len() {
+        return Err(Rejected::length(frame));
+    }
+    if frame.data.as_slice() == STOP_WORD {
+        Ok(ToArm::Stop)
+    } else {
+        Err(Rejected::Checksum { id: frame.id })
+    }
+}
+
+/// The executor's side: frames to messages.
+#[derive(Clone, Debug)]
+pub struct FromArmDecoder {
+    dialect: Dialect,
+    context: Context,
+    /// The actual displacement decoded last.
+    actual: Setpoint,
+    /// The setpoint sent last.
+    expected: Setpoint,
+    /// The tick of the status decoded last.
+    tick: u32,
+    halves: Halves,
+    reassembly: Reassembly,
+}
+
+impl FromArmDecoder {
+    /// A decoder without a session.
+    #[must_use]
+    pub fn new(dialect: Dialect) -> Self {
+        Self {
+            dialect,
+            context: Context::NONE,
+            actual: Setpoint::ANCHOR,
+            expected: Setpoint::ANCHOR,
+            tick: 0,
+            halves: Halves::default(),
+            reassembly: Reassembly::default(),
+        }
+    }
+
+    /// Enters a session, or leaves it with [`Context::NONE`]. Half displacements and references of another session are
+    /// forgotten; a handshake record, which belongs to none, is not.
+    pub fn set_context(&mut self, context: Context) {
+        let context = context.normalised();
+        if context != self.context {
+            let reassembly = core::mem::take(&mut self.reassembly);
+            *self = Self { context, reassembly, ..Self::new(self.dialect) };
+        }
+    }
+
+    /// Tells which setpoint was sent last: where the arm must be nearly, should many reports have been lost.
+    pub fn expect(&mut self, setpoint: Setpoint) {
+        self.expected = setpoint;
+    }
+
+    /// Takes one frame.
+    ///
+    /// # Errors
+    /// Why the frame says nothing. The decoder goes on as if it had not come, but a record in progress that it does not
+    /// continue is given up.
+    pub fn handle_frame(&mut self, frame: &Frame) -> Result<Decoded<FromArm>, Rejected> {
+        let own = self.context;
+        let accepted = |session| own_or_none(own, session);
+        match (frame.id, self.dialect) {
+            (ids::HANDSHAKE_FROM_ARM, dialect) => self.record(frame, dialect),
+            (ids::STATUS, Dialect::Classic) => self.status(frame),
+            (ids::STATUS, Dialect::Fd) => fd::read_status(frame, accepted).map(one),
+            (ids::ACTUAL_T, Dialect::Classic) => self.half(frame, Part::Translation),
+            (ids::ACTUAL_R, Dialect::Classic) => self.half(frame, Part::Rotation),
+            (ids::ACTUAL_T, Dialect::Fd) => fd::read_actual(frame, accepted).map(one),
+            (ids::FAULT, Dialect::Classic) => classic::read_fault(frame, &self.tick_tries()).map(one),
+            (ids::FAULT, Dialect::Fd) => fd::read_fault(frame, accepted).map(one),
+            (ids::HEARTBEAT_FROM_ARM, Dialect::Classic) => {
+                classic::read_heartbeat_from_arm(frame, accepted).map(one)
+            }
+            (ids::HEARTBEAT_FROM_ARM, Dialect::Fd) => fd::read_heartbeat_from_arm(frame, accepted).map(one),
+            (id, _) => Err(Rejected::UnknownId { id }),
+        }
+    }
+
+    fn record(&mut self, frame: &Frame, dialect: Dialect) -> Result<Decoded<FromArm>, Rejected> {
+        let Some(record) = self.reassembly.handle::<FromArmRecord>(dialect, frame)? else {
+            return Ok(Vec::new());
+        };
+        record.into_message().map(one).ok_or(Rejected::Record { id: frame.id })
+    }
+
+    /// Its own session first, then none.
+    fn tick_tries(&self) -> [classic::Try<u32>; 3] {
+        [(self.context, self.tick), (self.context, self.expected.tick), (Context::NONE, 0)]
+    }
+
+    fn status(&mut self, frame: &Frame) -> Result<Decoded<FromArm>, Rejected> {
+        let message = classic::read_status(frame, &self.tick_tries())?;
+        if let FromArm::Status(status) = &message
+            && status.session == self.context.session
+        {
+            self.tick = status.applied_tick;
+        }
+        Ok(one(message))
+    }
+
+    fn half(&mut self, frame: &Frame, part: Part) -> Result<Decoded<FromArm>, Rejected> {
+        let tries =
+            [(self.context, self.actual), (self.context, self.expected), (Context::NONE, Setpoint::ANCHOR)];
+        let (half, context) = classic::half(frame, part, &tries)?;
+        let Half { session, tick, .. } = half;
+        match self.halves.meet(part, half) {
+            // An arm that stands reports one tick again and again, and not always quite the same counts.
+            Met::Waits | Met::Replaced => Ok(Vec::new()),
+            Met::Pair(counts) => {
+                let reached = Setpoint { tick, counts };
+                if context == self.context {
+                    self.actual = reached;
+                }
+                Ok(one(FromArm::Actual { session, reached }))
+            }
+        }
+    }
+}
+
+/// Why a frame says nothing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rejected {
+    /// The identifier is not one of this direction and dialect.
+    UnknownId {
+        /// Identifier.
+        id: u16,
+    },
+    /// The frame does not have the length of its kind.
+    Length {
+        /// Identifier.
+        id: u16,
+        /// Data bytes.
+        len: u8,
+    },
+    /// The checksum is wrong: damage, another session, another plan, or too far from what was decoded last.
+    Checksum {
+        /// Identifier.
+        id: u16,
+    },
+    /// The type in the frame is not that of its identifier.
+    Type {
+        /// Identifier.
+        id: u16,
+        /// Type.
+        number: u8,
+    },
+    /// A reserved field is not zero.
+    Reserved {
+        /// Identifier.
+        id: u16,
+    },
+    /// A word has no meaning.
+    Word {
+        /// Identifier.
+        id: u16,
+        /// Controlword, statusword, EMCY error code or NMT state.
+        word: u16,
+    },
+    /// The fault code is not one of this version.
+    FaultCode {
+        /// Its number.
+        number: u16,
+    },
+    /// Two halves of one kind and tick differ.
+    Contradiction {
+        /// Identifier.
+        id: u16,
+        /// Tick.
+        tick: u32,
+    },
+    /// A handshake segment is malformed or does not continue a record.
+    Segment {
+        /// Identifier.
+        id: u16,
+    },
+    /// A handshake record is damaged or has no meaning.
+    Record {
+        /// Identifier.
+        id: u16,
+    },
+}
+
+impl Rejected {
+    pub(super) fn length(frame: &Frame) -> Self {
+        Self::Length { id: frame.id, len: u8::try_from(frame.data.len()).unwrap_or(u8::MAX) }
+    }
+}
+
+impl fmt::Display for Rejected {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::UnknownId { id } => write!(f, "frame {id:#05x} is none that this end listens to"),
+            Self::Length { id, len } => {
+                write!(f, "frame {id:#05x} has {len} bytes, which is not the length of its kind")
+            }
+            Self::Checksum { id } => write!(
+                f,
+                "frame {id:#05x} is damaged, of another session or plan, or too far from the one decoded last"
+            ),
+            Self::Type { id, number } => {
+                write!(f, "frame {id:#05x} says that it is of type {number}, which has another identifier")
+            }
+            Self::Reserved { id } => write!(f, "frame {id:#05x} sets a field that must be 0 in this version"),
+            Self::Word { id, word } => {
+                write!(f, "frame {id:#05x} has the word {word:#06x}, which stands for nothing")
+            }
+            Self::FaultCode { number } => write!(f, "{number} is not a fault code of this version"),
+            Self::Contradiction { id, tick } => {
+                write!(f, "frame {id:#05x} contradicts an earlier one of the same tick {tick}")
+            }
+            Self::Segment { id } => {
+                write!(f, "segment {id:#05x} does not continue a record; the next can only begin one")
+            }
+            Self::Record { id } => write!(f, "the record in segments {id:#05x} is damaged or has no meaning"),
+        }
+    }
+}
+
+impl core::error::Error for Rejected {}

@@ -1,0 +1,249 @@
+//! Handshake: records of any length, cut into segments.
+//!
+//! ```text
+//! record:  [length of body, u16] [body: postcard] [CRC-32 over length and body, u32]
+//! segment: [index 0..=0x3F, 0x80 added on the last] [next bytes of the record]
+//! ```
+//! All segments but the last are full frames. In CAN FD the last is filled up with zeros to a length that exists.
+
+use heapless::Vec;
+use serde::{Deserialize, Serialize};
+
+use super::checksum::record_crc32;
+use super::codec::Rejected;
+use super::fields::Take;
+use super::frame::{Dialect, Frame, fd_length};
+use super::message::{FromArm, OpenRequest, Refusal, ToArm};
+use crate::plan::StartPose;
+use crate::pose::Pose;
+
+/// Most bytes of a record.
+const MAX_RECORD: usize = 256;
+
+/// Most bytes of a record's body: less length and checksum.
+const MAX_BODY: usize = 250;
+
+/// Largest index of a segment.
+const MAX_INDEX: u8 = 0x3F;
+
+/// Marks the last segment.
+const LAST: u8 = 0x80;
+
+/// CAN FD lengths are at most 16 bytes apart.
+const PADDING_LESS_THAN: usize = 16;
+
+/// How far the norm of an anchor's orientation may be from 1.
+const UNIT_TOLERANCE: f64 = 1e-9;
+
+/// What the executor says in the handshake.
+#[derive(Serialize, Deserialize)]
+pub(super) enum ToArmRecord {
+    /// See [`ToArm::Open`].
+    Open(OpenRequest),
+}
+
+/// What the arm says in the handshake.
+#[derive(Serialize, Deserialize)]
+pub(super) enum FromArmRecord {
+    /// See [`FromArm::Opened`].
+    Opened { session: u16 },
+    /// See [`FromArm::Refused`].
+    Refused { session: u16, reason: Refusal },
+    /// See [`FromArm::Anchored`].
+    Anchored { session: u16, pose: StartPose },
+}
+
+impl FromArmRecord {
+    pub(super) fn anchored(session: u16, pose: &Pose) -> Self {
+        Self::Anchored { session, pose: StartPose::from(pose) }
+    }
+
+    /// `None` for an anchor that is no pose.
+    pub(super) fn into_message(self) -> Option<FromArm> {
+        match self {
+            Self::Opened { session } => Some(FromArm::Opened { session }),
+            Self::Refused { session, reason } => Some(FromArm::Refused { session, reason }),
+            Self::Anchored { session, pose } => {
+                is_pose(&pose).then(|| FromArm::Anchored { session, pose: Pose::from(&pose) })
+            }
+        }
+    }
+}
+
+impl ToArmRecord {
+    pub(super) fn into_message(self) -> ToArm {
+        let Self::Open(request) = self;
+        ToArm::Open(request)
+    }
+}
+
+fn is_pose(pose: &StartPose) -> bool {
+    let [w, x, y, z] = pose.orientation_wxyz;
+    let norm = libm::sqrt(w * w + x * x + y * y + z * z);
+    // Not a number is not within the tolerance either.
+    pose.position_m.iter().all(|value| value.is_finite()) && libm::fabs(norm - 1.0) <= UNIT_TOLERANCE
+}
+
+/// The frames of one record, cut as they are asked for.
+#[derive(Clone, Debug)]
+pub(super) struct Segments {
+    id: u16,
+    dialect: Dialect,
+    record: Vec<u8, MAX_RECORD>,
+    sent: usize,
+    index: u8,
+}
+
+impl Segments {
+    /// A record around `body`. The largest body that exists fits, which a test checks.
+    pub(super) fn new<T: Serialize>(id: u16, dialect: Dialect, body: &T) -> Self {
+        let mut buffer = [0; MAX_BODY];
+        let body = postcard::to_slice(body, &mut buffer).ok();
+        let record = body.and_then(|body| sealed(body)).unwrap_or_default();
+        Self { id, dialect, record, sent: 0, index: 0 }
+    }
+}
+
+fn sealed(body: &[u8]) -> Option<Vec<u8, MAX_RECORD>> {
+    let mut record = Vec::new();
+    record.extend_from_slice(&u16::try_from(body.len()).ok()?.to_le_bytes()).ok()?;
+    record.extend_from_slice(body).ok()?;
+    let crc = record_crc32(&record);
+    record.extend_from_slice(&crc.to_le_bytes()).ok()?;
+    Some(record)
+}
+
+impl Iterator for Segments {
+    type Item = Frame;
+
+    fn next(&mut self) -> Option<Frame> {
+        let rest = self.record.get(self.sent..)?;
+        let taken = rest.len().min(self.dialect.max_data().saturating_sub(1));
+        let payload = rest.get(..taken).filter(|payload| !payload.is_empty())?;
+        let last = if taken == rest.len() { LAST } else { 0 };
+        let mut data = Vec::new();
+        data.push(self.index | last).ok()?;
+        data.extend_from_slice(payload).ok()?;
+        if self.dialect == Dialect::Fd {
+            data.resize(fd_length(data.len()), 0).ok()?;
+        }
+        self.sent = self.sent.saturating_add(taken);
+        self.index = self.index.saturating_add(1);
+        Some(Frame { id: self.id, data })
+    }
+}
+
+/// Puts segments together again.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Reassembly {
+    record: Vec<u8, MAX_RECORD>,
+    /// Index of the segment that must come next; `None` if that can only be the first.
+    next: Option<u8>,
+}
+
+impl Reassembly {
+    /// Takes one segment; the record's content if it was the last.
+    pub(super) fn handle<T: for<'a> Deserialize<'a>>(
+        &mut self,
+        dialect: Dialect,
+        frame: &Frame,
+    ) -> Result<Option<T>, Rejected> {
+        let Some(last) = self.append(dialect, &frame.data) else {
+            self.next = None;
+            return Err(Rejected::Segment { id: frame.id });
+        };
+        if !last {
+            return Ok(None);
+        }
+        self.next = None;
+        content(&self.record, dialect).map(Some).ok_or(Rejected::Record { id: frame.id })
+    }
+
+    /// Whether the segment was the last; `None` if it does not fit.
+    fn append(&mut self, dialect: Dialect, data: &[u8]) -> Option<bool> {
+        let (head, payload) = data.split_first()?;
+        let (last, index) = (head & LAST != 0, head & !LAST);
+        if index == 0 {
+            self.record.clear();
+        } else if self.next != Some(index) {
+            return None;
+        }
+        let full = dialect.max_data();
+        let fits =
+            if last { data.len() <= full && fd_length(data.len()) == data.len() } else { data.len() == full };
+        if index > MAX_INDEX || payload.is_empty() || !fits {
+            return None;
+        }
+        self.record.extend_from_slice(payload).ok()?;
+        self.next = Some(index.saturating_add(1));
+        Some(last)
+    }
+}
+
+/// What a whole record says, if it is whole.
+fn content<T: for<'a> Deserialize<'a>>(record: &[u8], dialect: Dialect) -> Option<T> {
+    let length = Take(record).u16()?;
+    let covered = record.get(..usize::from(length).checked_add(2)?)?;
+    let (crc, padding) = record.get(covered.len()..)?.split_first_chunk::<4>()?;
+    let padding_most = if dialect == Dialect::Fd { PADDING_LESS_THAN } else { 1 };
+    if padding.len() >= padding_most || padding.iter().any(|byte| *byte != 0) {
+        return None;
+    }
+    if record_crc32(covered) != u32::from_le_bytes(*crc) {
+        return None;
+    }
+    let (value, rest) = postcard::take_from_bytes(covered.get(2..)?).ok()?;
+    rest.is_empty().then_some(value)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::displacement::Lsb;
+    use crate::fault::{Fault, FaultCode};
+    use crate::limits::Limits;
+    use crate::wire::ids;
+
+    #[test]
+    fn the_largest_records_fit() {
+        let limits = Limits {
+            workspace_min_m: [0.0; 3],
+            workspace_max_m: [1.0; 3],
+            linear_velocity_m_s: 1.0,
+            linear_acceleration_m_s2: 1.0,
+            linear_jerk_m_s3: 1.0,
+            angular_velocity_rad_s: 1.0,
+            angular_acceleration_rad_s2: 1.0,
+            angular_jerk_rad_s3: 1.0,
+        };
+        let request = OpenRequest {
+            version: u16::MAX,
+            session: u16::MAX,
+            plan_hash: u64::MAX,
+            period_us: u32::MAX,
+            end_tick: u32::MAX,
+            lsb: Lsb { translation_nm: u32::MAX, rotation_nrad: u32::MAX },
+            limits,
+            start_level: u16::MAX,
+        };
+        let open = Segments::new(ids::HANDSHAKE_TO_ARM, Dialect::Classic, &ToArmRecord::Open(request));
+        assert_eq!(open.record.len(), 6 + 136);
+        assert_eq!(open.count(), 21);
+        let fault = Fault { code: FaultCode::OperatorStop, tick: u32::MAX };
+        let refused = FromArmRecord::Refused { session: u16::MAX, reason: Refusal::Latched { fault } };
+        let anchored = FromArmRecord::anchored(u16::MAX, &Pose::identity());
+        for (record, length) in [(refused, 12), (anchored, 60)] {
+            let segments = Segments::new(ids::HANDSHAKE_FROM_ARM, Dialect::Fd, &record);
+            assert_eq!(segments.record.len(), 6 + length);
+        }
+    }
+
+    #[test]
+    fn an_anchor_that_is_no_pose_is_refused() {
+        let fine = StartPose { position_m: [0.0; 3], orientation_wxyz: [0.5; 4] };
+        assert!(is_pose(&fine));
+        assert!(!is_pose(&StartPose { position_m: [0.0, f64::NAN, 0.0], ..fine }));
+        assert!(!is_pose(&StartPose { orientation_wxyz: [f64::NAN, 0.0, 0.0, 1.0], ..fine }));
+        assert!(!is_pose(&StartPose { orientation_wxyz: [0.5, 0.5, 0.5, 0.6], ..fine }));
+    }
+}
