@@ -1,7 +1,8 @@
 //! The executor with its wire: frames in, frames out.
 
 use powderline_shared::plan::PlanReader;
-use powderline_shared::wire::codec::{Context, Encoder, Frames, FromArmDecoder, Rejected};
+use powderline_shared::wire::Context;
+use powderline_shared::wire::codec::{Encoder, Frames, FromArmDecoder, Rejected};
 use powderline_shared::wire::frame::{Dialect, Frame};
 
 use crate::session::{Action, Config, Executor, Outcome};
@@ -35,7 +36,7 @@ impl<'a> Endpoint<'a> {
     #[must_use]
     pub fn new(now_us: u64, plan: &PlanReader<'a>, dialect: Dialect, config: Config) -> Self {
         let executor = Executor::new(now_us, plan, Config { lsb: Some(dialect.lsb()), ..config });
-        let context = Context { session: executor.session(), plan_hash: executor.plan_hash() };
+        let context = executor.context();
         let mut decoder = FromArmDecoder::new(dialect);
         decoder.set_context(context);
         Self {
@@ -59,12 +60,21 @@ impl<'a> Endpoint<'a> {
         match self.decoder.handle_frame(frame) {
             Ok(messages) => {
                 messages.iter().for_each(|message| self.executor.handle_message(now_us, message));
+                self.follow_session();
                 Ok(())
             }
             Err(rejected) => {
                 self.rejected = self.rejected.saturating_add(1);
                 Err(rejected)
             }
+        }
+    }
+
+    /// The executor takes another session number if the arm wants it so.
+    fn follow_session(&mut self) {
+        if self.context != self.executor.context() {
+            self.context = self.executor.context();
+            self.decoder.set_context(self.context);
         }
     }
 

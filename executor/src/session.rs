@@ -20,6 +20,7 @@ use powderline_shared::fault::{Fault, FaultCode};
 use powderline_shared::limits::{PeakUse, Violation};
 use powderline_shared::plan::{PlanHeader, PlanReader};
 use powderline_shared::pose::{Pose, norm};
+use powderline_shared::wire::Context;
 use powderline_shared::wire::message::{
     FromArm, HEARTBEAT_US, NO_SESSION, OpenRequest, PROTOCOL_VERSION, Refusal, Status, ToArm,
 };
@@ -47,7 +48,8 @@ const SILENT_PERIODS: u64 = 4;
 /// What may differ from arm to arm. Times in microseconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Config {
-    /// Number of the session, not 0; best a random one, so that nothing left over from an earlier session passes for ours.
+    /// Number of the session; best a random one, so that nothing left over from an earlier session passes for ours. If it
+    /// cannot be told from another one, the next that can is taken.
     pub session: u16,
     /// What one count is worth on the wire; the plan's own if `None`. Setpoints are rounded to it before they are checked.
     pub lsb: Option<Lsb>,
@@ -159,6 +161,8 @@ impl<'a> Executor<'a> {
     #[must_use]
     pub fn new(now_us: u64, plan: &PlanReader<'a>, config: Config) -> Self {
         let header = *plan.header();
+        let context = Context { session: config.session, plan_hash: plan.content_hash() };
+        let config = Config { session: context.usable().session, ..config };
         let period_us = config.period_us.unwrap_or(header.control_period_us);
         Self {
             config,
@@ -299,16 +303,10 @@ impl<'a> Executor<'a> {
         self.window.setpoint(self.telemetry.sent)
     }
 
-    /// Number of the session.
+    /// Number of the session and hash of the plan, which the frames of the session are told by.
     #[must_use]
-    pub fn session(&self) -> u16 {
-        self.config.session
-    }
-
-    /// Content hash of the plan.
-    #[must_use]
-    pub fn plan_hash(&self) -> u64 {
-        self.plan_hash
+    pub fn context(&self) -> Context {
+        Context { session: self.config.session, plan_hash: self.plan_hash }
     }
 
     /// The numbers behind a limit fault of our own.
@@ -358,9 +356,16 @@ impl<'a> Executor<'a> {
         match reason {
             // A session whose executor is gone is closed by the arm before we give up.
             Refusal::Busy => {}
+            Refusal::Closed => self.renumber(),
             Refusal::Latched { .. } if self.config.reset => self.reset(),
             _ => self.end_untouched(Fault { code: FaultCode::SessionRefused, tick: 0 }),
         }
+    }
+
+    /// Another number that no other session can be taken for; asked for with the next request.
+    fn renumber(&mut self) {
+        let context = Context { session: self.config.session, plan_hash: self.plan_hash };
+        self.config.session = context.next().usable().session;
     }
 
     /// One of the two is what the arm needs, the other has no meaning to it in that state.

@@ -20,6 +20,7 @@ use powderline_shared::displacement::{Displacement, Setpoint, pose_at};
 use powderline_shared::fault::{Fault, FaultCode, Side};
 use powderline_shared::limits::{Limits, Motion, PeakUse, Violation};
 use powderline_shared::pose::Pose;
+use powderline_shared::wire::Context;
 use powderline_shared::wire::message::{
     FromArm, HEARTBEAT_US, Heartbeat, NO_SESSION, OpenRequest, Refusal, Status, ToArm,
 };
@@ -106,23 +107,31 @@ pub struct Controller {
     closed: ClosedSessions,
 }
 
-/// Numbers of sessions that are over, the oldest forgotten first. What is left of them on the wire opens them no more.
-#[derive(Clone, Copy, Debug, Default)]
+/// Sessions that are over, the oldest forgotten first. What is left of them on the wire opens them no more, and no other is
+/// opened that it could be taken for.
+#[derive(Clone, Copy, Debug)]
 struct ClosedSessions {
-    numbers: [u16; 16],
+    contexts: [Context; 16],
     next: usize,
 }
 
+impl Default for ClosedSessions {
+    fn default() -> Self {
+        Self { contexts: [Context::NONE; 16], next: 0 }
+    }
+}
+
 impl ClosedSessions {
-    fn add(&mut self, number: u16) {
-        if let Some(slot) = self.numbers.get_mut(self.next) {
-            *slot = number;
+    fn add(&mut self, context: Context) {
+        if let Some(slot) = self.contexts.get_mut(self.next) {
+            *slot = context;
         }
-        self.next = self.next.wrapping_add(1) % self.numbers.len();
+        self.next = self.next.wrapping_add(1) % self.contexts.len();
     }
 
-    fn has(&self, number: u16) -> bool {
-        number != NO_SESSION && self.numbers.contains(&number)
+    fn has(&self, context: &Context) -> bool {
+        let known = self.contexts.iter().filter(|closed| **closed != Context::NONE);
+        known.into_iter().any(|closed| closed.session == context.session || closed.resembles(context))
     }
 }
 
@@ -137,6 +146,10 @@ enum Activity {
     Settling { ticks_left: u32 },
     /// A stop.
     Stopping(StopProfile),
+}
+
+fn context_of(request: &OpenRequest) -> Context {
+    Context { session: request.session, plan_hash: request.plan_hash }
 }
 
 impl Controller {
@@ -300,7 +313,7 @@ impl Controller {
         let other = self.session.as_ref().is_some_and(|open| open.request.session != request.session);
         match (self.fault, self.state) {
             (Some(fault), _) => Err(Refusal::Latched { fault }),
-            (None, _) if self.closed.has(request.session) => Err(Refusal::Closed),
+            (None, _) if self.closed.has(&context_of(request)) => Err(Refusal::Closed),
             (None, State::SwitchOnDisabled | State::ReadyToSwitchOn | State::SwitchedOn) if !other => {
                 session::admit(request, &self.own_limits)
             }
@@ -331,7 +344,11 @@ impl Controller {
             (S::ReadyToSwitchOn | S::SwitchedOn, Command::DisableVoltage | Command::QuickStop) => {
                 self.enter(S::SwitchOnDisabled);
             }
-            (S::OperationEnabled, Command::SwitchOn) if still => self.leave_operation(S::SwitchedOn),
+            (S::OperationEnabled, Command::SwitchOn) if still => {
+                // The session goes on; if it is enabled once more, it is from a new anchor.
+                self.session.iter_mut().for_each(|session| session.anchored = None);
+                self.enter(S::SwitchedOn);
+            }
             // Asked again, for the anchor may have been lost.
             (S::OperationEnabled, Command::EnableOperation) => self.repeat_anchor(),
             (S::OperationEnabled, Command::Shutdown) if still => self.leave_operation(S::ReadyToSwitchOn),
@@ -384,7 +401,7 @@ impl Controller {
 
     fn close(&mut self) {
         if let Some(session) = self.session.take() {
-            self.closed.add(session.request.session);
+            self.closed.add(context_of(&session.request));
         }
     }
 
@@ -738,14 +755,14 @@ impl Controller {
         self.dropped
     }
 
-    /// The open session with the hash of its plan.
+    /// The open session and its plan.
     #[must_use]
-    pub fn session(&self) -> Option<(u16, u64)> {
-        self.session.as_ref().map(|session| (session.request.session, session.request.plan_hash))
+    pub fn context(&self) -> Context {
+        self.session.as_ref().map_or(Context::NONE, |session| context_of(&session.request))
     }
 
     fn session_number(&self) -> u16 {
-        self.session().map_or(NO_SESSION, |(number, _)| number)
+        self.context().session
     }
 
     fn report(&mut self) {

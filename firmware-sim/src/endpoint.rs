@@ -1,6 +1,7 @@
 //! The controller with its wire: frames in, frames out.
 
-use powderline_shared::wire::codec::{Context, Encoder, Frames, ToArmDecoder};
+use powderline_shared::wire::Context;
+use powderline_shared::wire::codec::{Encoder, Frames, ToArmDecoder};
 use powderline_shared::wire::frame::{Dialect, Frame};
 use powderline_shared::wire::message::{FromArm, NO_SESSION};
 
@@ -72,7 +73,7 @@ impl Endpoint {
     }
 
     fn follow_session(&mut self) {
-        let now = self.controller.session().map_or(Context::NONE, |(session, plan_hash)| Context { session, plan_hash });
+        let now = self.controller.context();
         let [current, _] = self.contexts;
         if now != current {
             self.contexts = [now, current];
@@ -90,7 +91,8 @@ impl Endpoint {
             FromArm::Status(status) => status.session,
             FromArm::Heartbeat(heartbeat) => heartbeat.session,
         };
-        let known = self.contexts.into_iter().find(|context| context.session == session && session != NO_SESSION);
+        let known =
+            self.contexts.into_iter().find(|context| context.session == session && session != NO_SESSION);
         known.unwrap_or(Context::NONE)
     }
 }

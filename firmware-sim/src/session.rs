@@ -4,7 +4,8 @@ use powderline_shared::displacement::pose_at;
 use powderline_shared::limits::{Limit, LimitChecker, Limits, Violation};
 use powderline_shared::plan::PERIOD_US_MIN;
 use powderline_shared::pose::{Pose, norm};
-use powderline_shared::wire::message::{DEPTH, NO_SESSION, OpenRequest, PROTOCOL_VERSION, Refusal};
+use powderline_shared::wire::Context;
+use powderline_shared::wire::message::{DEPTH, OpenRequest, PROTOCOL_VERSION, Refusal};
 
 use crate::buffer::SetpointBuffer;
 use crate::controller::LONGEST_PERIOD_US;
@@ -97,7 +98,8 @@ pub(crate) fn admit(request: &OpenRequest, own_limits: &Limits) -> Result<(), Re
         return Err(Refusal::Period);
     }
     let limits = own_limits.tighter(&request.limits);
-    let meaningful = request.session != NO_SESSION
+    let context = Context { session: request.session, plan_hash: request.plan_hash };
+    let meaningful = context.is_usable()
         && request.lsb.is_valid()
         && request.end_tick > 0
         && (1..=DEPTH).contains(&u32::from(request.start_level))

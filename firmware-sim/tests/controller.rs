@@ -9,6 +9,7 @@ use powderline_shared::displacement::{Displacement, Lsb, Setpoint, pose_at};
 use powderline_shared::fault::FaultCode;
 use powderline_shared::limits::{Limits, Motion};
 use powderline_shared::pose::Pose;
+use powderline_shared::wire::Context;
 use powderline_shared::wire::message::{
     DEPTH, FromArm, NO_SESSION, OpenRequest, PROTOCOL_VERSION, Refusal, ToArm,
 };
@@ -590,13 +591,13 @@ fn a_session_that_is_not_heard_of_is_over() {
         let up = [Command::Shutdown, Command::SwitchOn, Command::EnableOperation];
         up[..steps].iter().for_each(|command| bench.command(*command));
         (0..29).for_each(|_| bench.period());
-        assert_eq!((bench.arm.session(), bench.fault()), (Some((SESSION, 1)), None));
+        assert_eq!((bench.arm.context().session, bench.fault()), (SESSION, None));
         bench.period();
         if steps == 3 {
             assert_eq!((bench.arm.state(), bench.fault()), (State::Fault, Some(FaultCode::ExecutorSilent)));
             continue;
         }
-        assert_eq!((bench.arm.state(), bench.arm.session()), (State::SwitchOnDisabled, None));
+        assert_eq!((bench.arm.state(), bench.arm.context()), (State::SwitchOnDisabled, Context::NONE));
         bench.tell(ToArm::Open(OpenRequest { session: SESSION + 1, ..request() }));
         assert!(bench.messages.contains(&FromArm::Opened { session: SESSION + 1 }));
     }

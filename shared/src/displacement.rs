@@ -128,6 +128,12 @@ impl Lsb {
         (1..=LSB_MAX).contains(&self.translation_nm) && (1..=LSB_MAX).contains(&self.rotation_nrad)
     }
 
+    /// What a count along an axis is worth, metres or radians.
+    #[must_use]
+    pub fn of(self, axis: Axis) -> f64 {
+        f64::from(self.nano_of(axis)) / NANO_PER_UNIT
+    }
+
     fn nano_of(self, axis: Axis) -> u32 {
         match axis {
             Axis::X | Axis::Y | Axis::Z => self.translation_nm,

@@ -2,10 +2,15 @@
 //!
 //! A frame that is whole but not meant (of another session, another plan, another 65.536 mm) has to fail like one that
 //! is damaged; so the checksum covers what both ends know anyway.
+//!
+//! A CRC is linear: whether the frames of one session pass for those of another does not depend on the frames. Eight bits
+//! that cover the session number itself would take all frames of every 256th foreign session. So the two halves of a
+//! setpoint cover different bytes of a key made from session and plan, a session is usable only if its key cannot be taken
+//! for that of no session, and an arm opens none that could be taken for one that is over.
 
 use crc::{CRC_8_AUTOSAR, CRC_32_ISO_HDLC, Crc, NoTable};
 
-use super::message::NO_SESSION;
+use super::{ids, message::NO_SESSION};
 
 /// CRC-8/AUTOSAR: polynomial 0x2F, initial value and final exclusive-or 0xFF.
 static CRC8: Crc<u8, NoTable> = Crc::<u8, NoTable>::new(&CRC_8_AUTOSAR);
@@ -24,6 +29,47 @@ impl Context {
     /// No session.
     pub const NONE: Self = Self { session: NO_SESSION, plan_hash: 0 };
 
+    /// One byte each for translation, for rotation, and for everything else; zero without a session.
+    #[must_use]
+    pub fn key(&self) -> [u8; 3] {
+        if self.session == NO_SESSION {
+            return [0; 3];
+        }
+        let mut digest = CRC32.digest();
+        digest.update(&self.session.to_le_bytes());
+        digest.update(&self.plan_hash.to_le_bytes());
+        let [translation, rotation, rest, _] = digest.finalize().to_le_bytes();
+        [translation, rotation, rest]
+    }
+
+    /// Whether no frame of this session can be taken for one of no session.
+    #[must_use]
+    pub fn is_usable(&self) -> bool {
+        !self.key().contains(&0)
+    }
+
+    /// Whether frames of the one may be taken for frames of the other.
+    #[must_use]
+    pub fn resembles(&self, other: &Self) -> bool {
+        let ([t, r, rest], [other_t, other_r, other_rest]) = (self.key(), other.key());
+        (t, r) == (other_t, other_r) || rest == other_rest
+    }
+
+    /// The first usable context of the same plan, beginning with this session's number.
+    #[must_use]
+    pub fn usable(mut self) -> Self {
+        while !self.is_usable() {
+            self = self.next();
+        }
+        self
+    }
+
+    /// The next session number with the same plan.
+    #[must_use]
+    pub const fn next(self) -> Self {
+        Self { session: self.session.wrapping_add(1), ..self }
+    }
+
     /// What the other end must know of `session` if this end is in `self`.
     pub(super) fn of(&self, session: u16) -> Self {
         if session == self.session { self.normalised() } else { Self { session, plan_hash: 0 } }
@@ -38,11 +84,19 @@ impl Context {
 pub(super) fn crc8(id: u16, context: &Context, tick: u32, payload: &[u8]) -> u8 {
     let mut digest = CRC8.digest();
     digest.update(&id.to_le_bytes());
-    digest.update(&context.session.to_le_bytes());
+    digest.update(&[key_of(id, context)]);
     digest.update(&tick.to_le_bytes());
-    digest.update(&context.plan_hash.to_le_bytes());
     digest.update(payload);
     digest.finalize()
+}
+
+fn key_of(id: u16, context: &Context) -> u8 {
+    let [translation, rotation, rest] = context.key();
+    match id {
+        ids::SETPOINT_T | ids::ACTUAL_T => translation,
+        ids::SETPOINT_R | ids::ACTUAL_R => rotation,
+        _ => rest,
+    }
 }
 
 /// Checksum of an FD frame; session and tick are part of `covered`.
@@ -83,6 +137,26 @@ mod tests {
         for (i, a) in sums.iter().enumerate() {
             assert!(sums.iter().skip(i + 1).all(|b| a != b), "{sums:?}");
         }
+    }
+
+    #[test]
+    fn sessions_are_told_apart_or_said_to_be_alike() {
+        let context = |session| Context { session, plan_hash: 0x1234_5678_9abc_def0 };
+        let ids = [ids::SETPOINT_T, ids::SETPOINT_R, ids::STATUS];
+        let same =
+            |a: &Context, b: &Context| ids.map(|id| crc8(id, a, 5, b"data") == crc8(id, b, 5, b"data"));
+        let alike = (2..60_000).filter(|other| {
+            let [t, r, rest] = same(&context(1), &context(*other));
+            assert_eq!(context(1).resembles(&context(*other)), (t && r) || rest);
+            t && r
+        });
+        assert!(alike.count() < 8);
+        for session in 1..2_000 {
+            let none = same(&context(session), &Context::NONE);
+            assert_eq!(context(session).is_usable(), none == [false; 3]);
+            assert!(context(session).usable().is_usable());
+        }
+        assert!(!Context::NONE.is_usable() && context(u16::MAX).next().usable().session != NO_SESSION);
     }
 
     #[test]

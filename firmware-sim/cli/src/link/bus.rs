@@ -93,7 +93,15 @@ const SECOND_HALVES: [u16; 2] = [0x301, 0x381];
 
 impl Bus {
     /// A frame is sent.
-    pub fn send(&mut self, now_us: u64, dice: &mut Dice, line: &Line, to: Side, from: Option<usize>, frame: Frame) {
+    pub fn send(
+        &mut self,
+        now_us: u64,
+        dice: &mut Dice,
+        line: &Line,
+        to: Side,
+        from: Option<usize>,
+        frame: Frame,
+    ) {
         self.counts.frames = self.counts.frames.saturating_add(1);
         if dice.chance(line.drop) {
             self.counts.dropped = self.counts.dropped.saturating_add(1);
@@ -115,7 +123,15 @@ impl Bus {
         self.deliver(now_us, dice, line, to, from, frame);
     }
 
-    fn deliver(&mut self, now_us: u64, dice: &mut Dice, line: &Line, to: Side, from: Option<usize>, frame: Frame) {
+    fn deliver(
+        &mut self,
+        now_us: u64,
+        dice: &mut Dice,
+        line: &Line,
+        to: Side,
+        from: Option<usize>,
+        frame: Frame,
+    ) {
         let (shortest_us, longest_us) = line.delay_us;
         let at_us = now_us.saturating_add(dice.between(shortest_us, longest_us));
         self.number = self.number.saturating_add(1);

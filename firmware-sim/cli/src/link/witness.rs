@@ -138,8 +138,9 @@ impl Witness {
         if let Some(anchor) = arm.anchor() {
             self.anchors.insert(now.session, anchor);
         }
-        let may_move =
-            |state| matches!(state, State::OperationEnabled | State::QuickStopActive | State::FaultReactionActive);
+        let may_move = |state| {
+            matches!(state, State::OperationEnabled | State::QuickStopActive | State::FaultReactionActive)
+        };
         if now.pose != last.pose && !may_move(last.state) {
             self.breach(at_us, format!("the arm moved in the state {}", last.state.name()));
         }
@@ -152,7 +153,9 @@ impl Witness {
                 self.breach(at_us, format!("a latched reason went from {:?} to {:?}", last.fault, now.fault));
             }
         }
-        if matches!(now.state, State::Fault | State::QuickStopActive | State::FaultReactionActive) && now.fault.is_none() {
+        if matches!(now.state, State::Fault | State::QuickStopActive | State::FaultReactionActive)
+            && now.fault.is_none()
+        {
             self.breach(at_us, format!("no reason is latched in the state {}", now.state.name()));
         }
         if last.next_tick_us.is_some_and(|tick_us| tick_us <= arm_us) {
@@ -192,7 +195,10 @@ impl Witness {
         {
             if value > bound * (1.0 + 1e-6) + noise {
                 let state = now.state.name();
-                self.breach(at_us, format!("{limit} was {value} {}, the limit is {bound} ({state})", limit.unit()));
+                self.breach(
+                    at_us,
+                    format!("{limit} was {value} {}, the limit is {bound} ({state})", limit.unit()),
+                );
             }
         }
     }
@@ -214,7 +220,10 @@ impl Witness {
         let expected = arm.anchor().zip(sent).map(|(anchor, sent)| pose_at(&anchor, *sent, self.lsb));
         if expected != Some(arm.motion().pose) {
             let (tick, session) = (now.applied_tick, now.session);
-            self.breach(at_us, format!("setpoint {tick} of session {session:#06x} is not what its executor sent"));
+            self.breach(
+                at_us,
+                format!("setpoint {tick} of session {session:#06x} is not what its executor sent"),
+            );
         }
     }
 
@@ -229,15 +238,23 @@ impl Witness {
     }
 
     /// An executor says that its plan, which ends so far from its anchor, is completed.
-    pub fn completed(&mut self, at_us: u64, arm: &Controller, session: u16, end: Setpoint, plan_lsb: Lsb) -> f64 {
+    pub fn completed(
+        &mut self,
+        at_us: u64,
+        arm: &Controller,
+        session: u16,
+        end: Setpoint,
+        plan_lsb: Lsb,
+    ) -> f64 {
         let Some(anchor) = self.anchors.get(&session) else {
             self.breach(at_us, String::from("completed without ever having been enabled"));
             return f64::INFINITY;
         };
-        let off = pose_at(anchor, end, plan_lsb).displacement_to(&arm.pose());
-        let translation = off.translation().amax() / self.lsb.translation_m();
-        let rotation = off.rotation().amax() / self.lsb.rotation_rad();
-        let worst = translation.max(rotation);
+        // Component by component, as setpoints are rounded; the logarithm of the difference of two rotations is not that.
+        let found = anchor.displacement_to(&arm.pose()).components();
+        let lsb = Axis::ALL.map(|axis| self.lsb.of(axis));
+        let off = found.into_iter().zip(end.cumulative(plan_lsb).components()).zip(lsb);
+        let worst = off.fold(0.0_f64, |worst, ((found, end), lsb)| worst.max((found - end).abs() / lsb));
         if worst > 0.5 * (1.0 + 1e-6) {
             self.breach(at_us, format!("completed, {worst} LSB off the plan's end"));
         }

@@ -7,7 +7,8 @@ use powderline_firmware_sim::controller::{ArmConfig, Controller};
 use powderline_firmware_sim::endpoint::Endpoint as ArmEndpoint;
 use powderline_shared::fault::{Fault, FaultCode};
 use powderline_shared::plan::PlanReader;
-use powderline_shared::wire::codec::{Context, Encoder};
+use powderline_shared::wire::Context;
+use powderline_shared::wire::codec::Encoder;
 use powderline_shared::wire::frame::{Dialect, Frame};
 use powderline_shared::wire::message::{NO_SESSION, ToArm};
 use powderline_shared::wire::state::{Command, State};
@@ -280,9 +281,9 @@ impl<'p> World<'p> {
     }
 
     fn speaks_for_session(&self, from: Option<usize>) -> bool {
-        let session = self.arm.controller().session().map(|(session, _)| session);
+        let context = self.arm.controller().context();
         let endpoint = from.and_then(|index| self.nodes.get(index)).and_then(|node| node.endpoint.as_ref());
-        endpoint.map(|endpoint| endpoint.executor().session()) == session && session.is_some()
+        context != Context::NONE && endpoint.is_some_and(|endpoint| endpoint.executor().context() == context)
     }
 
     fn poll_arm(&mut self) -> bool {
@@ -318,7 +319,9 @@ impl<'p> World<'p> {
         let local_us = self.executor_clock.local_us(self.now_us);
         let now_us = self.now_us;
         let Some(node) = self.nodes.get_mut(index) else { return false };
-        let Some(endpoint) = node.endpoint.as_mut().filter(|_| node.frozen_until_us <= now_us) else { return false };
+        let Some(endpoint) = node.endpoint.as_mut().filter(|_| node.frozen_until_us <= now_us) else {
+            return false;
+        };
         let mut active = false;
         while let Some(frame) = node.inbox.pop_front() {
             // Whatever cannot be understood is dropped, and counted there.
@@ -326,7 +329,7 @@ impl<'p> World<'p> {
             active = true;
         }
         let action = endpoint.poll(local_us);
-        let (session, sent) = (endpoint.executor().session(), endpoint.executor().last_sent());
+        let (session, sent) = (endpoint.executor().context().session, endpoint.executor().last_sent());
         sent.into_iter().for_each(|setpoint| self.witness.setpoint_sent(session, setpoint));
         match action {
             FrameAction::Send(frame) => {
@@ -363,7 +366,7 @@ impl<'p> World<'p> {
         let Some(endpoint) = node.endpoint.take() else { return };
         node.inbox.clear();
         let plan = self.plans.get(node.plan).copied();
-        let session = endpoint.executor().session();
+        let session = endpoint.executor().context().session;
         let arm = self.arm.controller();
         match (outcome, plan) {
             (Some(Outcome::Completed), Some(plan)) => {
@@ -371,7 +374,9 @@ impl<'p> World<'p> {
                 let error = self.witness.completed(self.now_us, arm, session, end, lsb);
                 self.result.end_error_lsb = Some(self.result.end_error_lsb.unwrap_or(0.0).max(error));
             }
-            (Some(Outcome::Stopped { standstill: true, .. }), _) => self.witness.said_to_stand(self.now_us, arm),
+            (Some(Outcome::Stopped { standstill: true, .. }), _) => {
+                self.witness.said_to_stand(self.now_us, arm)
+            }
             _ => {}
         }
         self.remark(format!("executor {index} ends: {outcome:?}"));
@@ -382,9 +387,7 @@ impl<'p> World<'p> {
     }
 
     fn send(&mut self, line: Line, to: Side, from: Option<usize>, frame: Frame) {
-        if let Some(log) = &mut self.log {
-            log.push((self.now_us, Logged::Frame(frame.clone())));
-        }
+        self.log_frame(&frame);
         if self.now_us < self.cut_until_us {
             self.bus.counts.frames = self.bus.counts.frames.saturating_add(1);
             self.bus.counts.dropped = self.bus.counts.dropped.saturating_add(1);
@@ -396,7 +399,9 @@ impl<'p> World<'p> {
     // --- events ---
 
     fn begin_events(&mut self) {
-        while let Some(planned) = self.faults.events.get(self.next_event).filter(|next| next.at_us <= self.now_us) {
+        while let Some(planned) =
+            self.faults.events.get(self.next_event).filter(|next| next.at_us <= self.now_us)
+        {
             self.next_event = self.next_event.saturating_add(1);
             self.remark(format!("{} for {} us", planned.event.name(), planned.for_us));
             self.result.events.push(planned.event);
@@ -432,8 +437,12 @@ impl<'p> World<'p> {
                 let resets = self.dice.chance(0.3);
                 self.add_node(1, self.now_us, resets);
             }
-            Event::OperatorStop => self.with_executor(|endpoint| endpoint.executor_mut().handle_stop(local_us)),
-            Event::HardStop => self.with_executor(|endpoint| endpoint.executor_mut().handle_hard_stop(local_us)),
+            Event::OperatorStop => {
+                self.with_executor(|endpoint| endpoint.executor_mut().handle_stop(local_us))
+            }
+            Event::HardStop => {
+                self.with_executor(|endpoint| endpoint.executor_mut().handle_hard_stop(local_us))
+            }
             Event::StopFrame => {
                 let frames = Encoder::new(self.faults.dialect).to_arm(&Context::NONE, &ToArm::Stop);
                 frames.for_each(|frame| self.send(self.faults.to_arm, Side::Arm, None, frame));
@@ -495,8 +504,7 @@ impl<'p> World<'p> {
     }
 
     fn noise(&mut self) -> Frame {
-        const IDS: [u16; 11] =
-            [0x081, 0x181, 0x201, 0x301, 0x401, 0x281, 0x381, 0x581, 0x601, 0x701, 0x77F];
+        const IDS: [u16; 11] = [0x081, 0x181, 0x201, 0x301, 0x401, 0x281, 0x381, 0x581, 0x601, 0x701, 0x77F];
         let id = self.dice.pick(&IDS);
         let lengths: &[usize] = match self.faults.dialect {
             Dialect::Classic => &[0, 4, 5, 8, 8, 8],
@@ -505,6 +513,12 @@ impl<'p> World<'p> {
         let length = self.dice.pick(lengths);
         let data = (0..length).map(|_| self.dice.number().to_le_bytes()[0]).collect();
         Frame { id, data }
+    }
+
+    fn log_frame(&mut self, frame: &Frame) {
+        if let Some(log) = &mut self.log {
+            log.push((self.now_us, Logged::Frame(frame.clone())));
+        }
     }
 
     fn remark(&mut self, text: String) {
@@ -543,9 +557,12 @@ impl<'p> World<'p> {
             }
         }
         while self.arm.poll(arm_us).is_some() {}
-        if self.arm.controller().state() != State::SwitchOnDisabled {
+        let ready = matches!(self.arm.controller().state(), State::SwitchOnDisabled | State::ReadyToSwitchOn);
+        if !ready {
             let state = self.arm.controller().state().name();
-            return self.witness.breach(self.now_us, format!("no reset takes the arm out of the state {state}"));
+            return self
+                .witness
+                .breach(self.now_us, format!("no reset takes the arm out of the state {state}"));
         }
         let stay = motion::Move { translation_m: [0.0; 3], rotation_rad: [0.0; 3], steps: 3 };
         let bytes = motion::plan_bytes(&self.arm.controller().pose(), self.faults.period_us, &[stay]);
@@ -555,10 +572,14 @@ impl<'p> World<'p> {
         let mut executor = ExecutorEndpoint::new(arm_us, &plan, self.faults.dialect, config);
         let outcome = loop {
             while let Some(frame) = self.arm.poll(arm_us) {
+                self.log_frame(&frame);
                 let _ = executor.handle_frame(arm_us, &frame);
             }
             match executor.poll(arm_us) {
-                FrameAction::Send(frame) => self.arm.handle_frame(arm_us, &frame),
+                FrameAction::Send(frame) => {
+                    self.log_frame(&frame);
+                    self.arm.handle_frame(arm_us, &frame);
+                }
                 FrameAction::Finished(outcome) => break outcome,
                 FrameAction::Wait => {
                     let next_us = executor.poll_at().map_or(arm_us, |at_us| at_us.min(self.arm.poll_at()));
