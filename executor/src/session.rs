@@ -630,9 +630,9 @@ impl<'a> Executor<'a> {
         self.stage = Stage::Done(Outcome::Stopped { fault, standstill });
     }
 
-    /// Nothing has been asked of the arm that could make it move: what it last said holds.
+    /// Nothing has been asked of the arm that could make it move; but somebody else may be moving it.
     fn end_untouched(&mut self, fault: Fault) {
-        self.end(fault, self.arm.is_some_and(|arm| arm.standstill));
+        self.end(fault, false);
     }
 
     // --- time ---

@@ -53,6 +53,7 @@ pub struct Witness {
     sent: HashMap<u16, Vec<Setpoint>>,
     anchors: HashMap<u16, Pose>,
     heard_us: u64,
+    stood_us: u64,
     /// What may never happen, and did.
     pub breaches: Vec<Breach>,
     /// Longest time from the last that was heard of an executor to standstill, microseconds of the arm's time.
@@ -101,6 +102,7 @@ impl Witness {
             sent: HashMap::new(),
             anchors: HashMap::new(),
             heard_us: 0,
+            stood_us: 0,
             breaches: Vec::new(),
             worst_silence_us: 0,
         }
@@ -116,7 +118,7 @@ impl Witness {
 
     /// Something of the arm's own session has reached it, by the arm's clock.
     pub fn heard(&mut self, arm_us: u64) {
-        self.heard_us = arm_us;
+        self.heard_us = self.heard_us.max(arm_us);
     }
 
     /// The arm was held up for so long.
@@ -163,6 +165,7 @@ impl Witness {
         }
         self.check_silence(at_us, arm_us, arm, &now);
         if now.standstill {
+            self.stood_us = at_us;
             self.seen = Motion::at_rest(now.pose);
         }
         self.last = now;
@@ -261,9 +264,9 @@ impl Witness {
         worst
     }
 
-    /// An executor says that the arm stands.
-    pub fn said_to_stand(&mut self, at_us: u64, arm: &Controller) {
-        if !arm.status().standstill {
+    /// An executor says that the arm stands; its news may be so old.
+    pub fn said_to_stand(&mut self, at_us: u64, news_us: u64) {
+        if self.stood_us.saturating_add(news_us) < at_us {
             self.breach(at_us, String::from("an executor says that the arm stands, but it moves"));
         }
     }

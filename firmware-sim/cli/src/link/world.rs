@@ -108,6 +108,7 @@ pub struct World<'p> {
     witness: Witness,
     next_event: usize,
     cut_until_us: u64,
+    frozen_for_us: u64,
     full_until_us: u64,
     babble_until_us: u64,
     babble_at_us: u64,
@@ -158,6 +159,7 @@ impl<'p> World<'p> {
             witness,
             next_event: 0,
             cut_until_us: 0,
+            frozen_for_us: 0,
             full_until_us: 0,
             babble_until_us: 0,
             babble_at_us: 0,
@@ -229,11 +231,12 @@ impl<'p> World<'p> {
             || self.now_us < self.arm_frozen_until_us;
         if busy {
             self.quiet_since_us = None;
+            return self.now_us > LONGEST_RUN_US;
         }
         let since_us = *self.quiet_since_us.get_or_insert(self.now_us);
         let alone_us = self.now_us.saturating_sub(since_us);
         let bound_us = silence_bound_us(self.faults.period_us).saturating_mul(11) / 10;
-        (!busy && alone_us > bound_us) || self.now_us > LONGEST_RUN_US
+        alone_us > bound_us || self.now_us > LONGEST_RUN_US
     }
 
     /// The arm's clock. At a moment that the arm waits for it shows that moment, and not the microsecond after.
@@ -375,7 +378,9 @@ impl<'p> World<'p> {
                 self.result.end_error_lsb = Some(self.result.end_error_lsb.unwrap_or(0.0).max(error));
             }
             (Some(Outcome::Stopped { standstill: true, .. }), _) => {
-                self.witness.said_to_stand(self.now_us, arm)
+                // News is as old as the wire is long, and older if nobody was there to hear it.
+                let (_, delay_us) = self.faults.from_arm.delay_us;
+                self.witness.said_to_stand(self.now_us, delay_us.saturating_add(self.frozen_for_us));
             }
             _ => {}
         }
@@ -414,6 +419,7 @@ impl<'p> World<'p> {
         let local_us = self.executor_clock.local_us(self.now_us);
         match planned.event {
             Event::ExecutorFrozen => {
+                self.frozen_for_us = self.frozen_for_us.saturating_add(planned.for_us);
                 self.nodes.iter_mut().take(1).for_each(|node| node.frozen_until_us = until_us);
             }
             Event::ArmFrozen => {
