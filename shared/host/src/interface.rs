@@ -18,11 +18,13 @@ const IFLA_MTU: u16 = 4;
 const IFLA_LINKINFO: u16 = 18;
 const IFLA_INFO_DATA: u16 = 2;
 const IFLA_CAN_BITTIMING: u16 = 1;
+const IFLA_CAN_STATE: u16 = 4;
 const IFLA_CAN_DATA_BITTIMING: u16 = 9;
 /// Flags in an attribute's type: nested, byte order.
 const TYPE_MASK: u16 = 0x3FFF;
 const ARPHRD_CAN: u16 = 280;
 const IFF_UP: u32 = 1;
+const CAN_STATE_BUS_OFF: u32 = 3;
 /// `sizeof(struct canfd_frame)`: the MTU of an interface that carries CAN FD.
 const CANFD_MTU: u32 = 72;
 /// `sizeof(struct nlmsghdr)` and `sizeof(struct ifinfomsg)`, bytes.
@@ -37,6 +39,8 @@ pub struct Interface {
     pub is_can: bool,
     /// Whether it is up.
     pub is_up: bool,
+    /// Whether its controller has left the bus.
+    pub is_off_bus: bool,
     /// Largest frame that it carries, bytes of the kernel's struct.
     pub mtu: u32,
     /// Rate of classic CAN, or of the arbitration phase, bits per second; a vcan has none.
@@ -147,10 +151,12 @@ fn link(body: &[u8]) -> Option<Interface> {
     let can = find(attributes, IFLA_LINKINFO).and_then(|info| find(info, IFLA_INFO_DATA));
     // The rate is the first member of struct can_bittiming; 0 is none.
     let rate = |kind| can.and_then(|can| u32_at(find(can, kind)?, 0)).filter(|bit_s| *bit_s != 0);
+    let state = can.and_then(|can| u32_at(find(can, IFLA_CAN_STATE)?, 0));
     Some(Interface {
         index: u32_at(body, 4)?,
         is_can: u16_at(body, 2)? == ARPHRD_CAN,
         is_up: u32_at(body, 8)? & IFF_UP != 0,
+        is_off_bus: state == Some(CAN_STATE_BUS_OFF),
         mtu: u32_at(find(attributes, IFLA_MTU)?, 0)?,
         nominal_bit_s: rate(IFLA_CAN_BITTIMING),
         data_bit_s: rate(IFLA_CAN_DATA_BITTIMING),

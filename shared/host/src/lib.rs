@@ -9,12 +9,13 @@
 //! # When the wire fails
 //! * An interface that is taken down, or unplugged, makes the next call fail with one sentence ([`LinkError::Down`],
 //!   [`LinkError::Gone`]); a socket whose interface was only taken down works again when it is up.
-//! * A CAN controller that goes bus-off says so by [`BusEvent::BusOff`]: nothing is sent or received until it is restarted,
-//!   so the session is over for both ends, and the arm stops by its own watchdog.
+//! * A CAN controller that goes bus-off says so by [`BusEvent::BusOff`], and sending then fails with [`LinkError::BusOff`]
+//!   until it is restarted: the session is over for both ends, and the arm stops by its own watchdog.
 //! * A wire that cannot take a frame at once answers [`Sent::Busy`] and keeps nothing of it: nothing here ever waits to
 //!   send.
 //!
 //! [`LinkError::Down`]: transport::LinkError::Down
+//! [`LinkError::BusOff`]: transport::LinkError::BusOff
 //! [`LinkError::Gone`]: transport::LinkError::Gone
 //! [`BusEvent::BusOff`]: transport::BusEvent::BusOff
 //! [`Sent::Busy`]: transport::Sent::Busy

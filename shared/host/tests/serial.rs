@@ -184,13 +184,3 @@ fn what_is_no_line_is_refused_in_one_sentence() {
         assert!(!error.contains('\n'));
     }
 }
-
-#[test]
-fn a_device_without_permission_says_which_group_would_do() {
-    let device = Path::new("/dev/ttyS0").to_owned();
-    let error = LinkError::Permission { device }.to_string();
-    assert_eq!(
-        error,
-        "/dev/ttyS0 may not be opened by this user: join the group that owns it, usually dialout"
-    );
-}

@@ -1,14 +1,18 @@
 //! Real CAN sockets. These need a kernel with CAN, an interface vcan0 and the right to change it, in a machine that is
-//! theirs alone: the runner of the vcan tests starts them with `--ignored --test-threads=1`. Without CAN they fail.
+//! theirs alone: the runner of the vcan tests starts them with `--ignored --test-threads=1`. Without CAN they fail. Two of
+//! them need more than vcan: the modules vxcan and sch_tbf, and the module slcan with `ldattach` of util-linux.
 #![expect(clippy::unwrap_used, reason = "a test may stop at the first surprise")]
 
-use std::process::Command;
+use std::collections::BTreeSet;
+use std::io::{Read, Write};
+use std::process::{Command, Stdio};
 
 use powderline_host::clock;
 use powderline_host::interface::Interface;
 use powderline_host::transport::{BusEvent, Incoming, LinkError, Received, Sent, SocketCan, Transport};
 use powderline_host::wait::wait_until;
 use powderline_shared::wire::frame::{Dialect, Frame};
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use socketcan::{
     CanAnyFrame, CanErrorFrame, CanFdSocket, CanFrame, CanRemoteFrame, CanSocket, EmbeddedFrame, ExtendedId,
     Socket, StandardId,
@@ -113,6 +117,13 @@ fn vcan_fd_carries_64_bytes_and_takes_classic_frames_too() {
     let stop = frame(0x001, b"STOP");
     classic.send(&stop).unwrap();
     assert_eq!(next(&mut there).what, Incoming::Frame(stop));
+    ip("link set plcan2 down");
+    ip("link set plcan2 mtu 16");
+    ip("link set plcan2 up");
+    let error = here.send(&frame(0x281, &[0; 48])).unwrap_err();
+    assert!(matches!(error, LinkError::NotFd { .. } | LinkError::Down { .. }), "{error}");
+    let error = here.send(&frame(0x281, &[0; 48])).unwrap_err();
+    assert!(matches!(error, LinkError::NotFd { .. }), "{error}");
 }
 
 #[test]
@@ -258,6 +269,110 @@ fn vcan_has_no_bit_rate() {
     let found = Interface::query(vcan.0).unwrap();
     assert!(found.is_can && found.is_up && found.carries_fd());
     assert_eq!((found.nominal_bit_s, found.data_bit_s), (None, None));
+}
+
+/// A CAN controller behind a serial line (Lawicel's protocol), whose far end the test holds: with it the kernel has a true
+/// bit rate, and raises true error frames when the line reports the controller's state.
+struct Slcan {
+    interface: String,
+    line: std::fs::File,
+    attached: std::process::Child,
+}
+
+impl Slcan {
+    fn new(bit_s: u32) -> Self {
+        let before = interfaces();
+        let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
+        grantpt(&master).unwrap();
+        unlockpt(&master).unwrap();
+        let slave = ptsname(&master, Vec::new()).unwrap().into_string().unwrap();
+        // 17 is N_SLCAN; in the foreground, so that it ends with the test.
+        let attached =
+            Command::new("ldattach").args(["-d", "17", &slave]).stderr(Stdio::null()).spawn().unwrap();
+        let interface = (0..200)
+            .find_map(|_| {
+                wait_until(Some(clock::now_us() + 10_000), [None]).unwrap();
+                interfaces().difference(&before).next().cloned()
+            })
+            .expect("ldattach makes an interface");
+        ip(&format!("link set {interface} type can bitrate {bit_s}"));
+        let mut slcan = Self { interface, line: master.into(), attached };
+        slcan.up();
+        slcan
+    }
+
+    /// Takes the interface up; the kernel waits until its commands to the controller are read.
+    fn up(&mut self) {
+        let up = ["link", "set", &self.interface, "up"];
+        let mut child = Command::new("ip").args(up).spawn().unwrap();
+        let mut commands = Vec::new();
+        while !commands.ends_with(b"O\r") {
+            let mut byte = [0];
+            self.line.read_exact(&mut byte).unwrap();
+            commands.extend(byte);
+        }
+        assert!(child.wait().unwrap().success());
+        assert!(commands.ends_with(b"C\rS6\rO\r"), "500 kbit/s is speed 6: {commands:?}");
+    }
+
+    fn report(&mut self, line: &str) {
+        self.line.write_all(format!("{line}\r").as_bytes()).unwrap();
+    }
+}
+
+impl Drop for Slcan {
+    fn drop(&mut self) {
+        let _ = self.attached.kill();
+        let _ = self.attached.wait();
+    }
+}
+
+fn interfaces() -> BTreeSet<String> {
+    let entries = std::fs::read_dir("/sys/class/net").unwrap();
+    entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect()
+}
+
+#[test]
+#[ignore = "needs a kernel with CAN"]
+fn vcan_a_true_controller_has_a_bit_rate_and_reports_its_state() {
+    let mut controller = Slcan::new(500_000);
+    let name = controller.interface.clone();
+    let found = Interface::query(&name).unwrap();
+    assert_eq!((found.nominal_bit_s, found.data_bit_s), (Some(500_000), None));
+    assert!(found.agree(&name, Some(500_000), None).is_ok());
+    assert!(matches!(found.agree(&name, Some(1_000_000), None), Err(LinkError::OtherRate { .. })));
+    let mut here = SocketCan::open(&name, Dialect::Classic).unwrap();
+    assert!(matches!(SocketCan::open(&name, Dialect::Fd), Err(LinkError::NotFd { .. })));
+    for (report, event) in [
+        ("sw100000", BusEvent::Warning),
+        ("sp130000", BusEvent::ErrorPassive),
+        ("sa000000", BusEvent::ErrorActive),
+        ("e1a", BusEvent::NoAck),
+        ("e1o", BusEvent::Overflow),
+        ("e1B", BusEvent::BusError),
+    ] {
+        controller.report(report);
+        assert_eq!(next(&mut here).what, Incoming::Event(event), "{report}");
+    }
+    controller.report("t2012AABB");
+    assert_eq!(next(&mut here).what, Incoming::Frame(frame(0x201, &[0xAA, 0xBB])));
+    assert_eq!(here.send(&frame(0x001, b"STOP")).unwrap(), Sent::Done);
+    let mut written = [0; 14];
+    controller.line.read_exact(&mut written).unwrap();
+    assert_eq!(&written, b"t001453544F50\r");
+    controller.report("sb000255");
+    assert_eq!(next(&mut here).what, Incoming::Event(BusEvent::BusOff));
+    // The kernel would queue ten frames now and send them when they are out of date.
+    assert!(matches!(here.send(&frame(0x001, b"STOP")), Err(LinkError::BusOff { .. })));
+    assert!(Interface::query(&name).unwrap().is_off_bus);
+    assert!(matches!(SocketCan::open(&name, Dialect::Classic), Err(LinkError::BusOff { .. })));
+    // This kind of controller has no other restart.
+    ip(&format!("link set {name} down"));
+    controller.up();
+    assert!(matches!(here.receive(), Err(LinkError::Down { .. })));
+    assert_eq!(here.send(&frame(0x001, b"STOP")).unwrap(), Sent::Done);
+    controller.line.read_exact(&mut written).unwrap();
+    assert_eq!(&written, b"t001453544F50\r");
 }
 
 #[test]

@@ -43,6 +43,15 @@ pub enum LinkError {
         /// As typed.
         interface: String,
     },
+    /// A controller that has left the bus.
+    #[error(
+        "{interface} has left the bus after too many errors (bus-off): check wiring, termination and bit rate, then restart \
+         it by `ip link set {interface} type can restart` or by taking it down and up"
+    )]
+    BusOff {
+        /// As typed.
+        interface: String,
+    },
     /// Interface or device was there and is no more.
     #[error("{link} is gone: it was unplugged or removed while it was in use")]
     Gone {

@@ -104,7 +104,7 @@ impl BusEvent {
         match self {
             Self::BusOff => {
                 "the CAN controller has left the bus after too many errors (bus-off): check wiring, termination and bit \
-                 rate, then restart it by `ip link set IFACE type can restart`"
+                 rate, then restart it by `ip link set IFACE type can restart` or by taking it down and up"
             }
             Self::Restarted => "the CAN controller was restarted: frames around it may be lost",
             Self::Overflow => {

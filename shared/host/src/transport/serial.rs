@@ -184,3 +184,22 @@ impl Transport for Serial {
         self.ends.garbled()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_the_system_refuses_is_said_with_what_would_be_right() {
+        for (error, words) in [
+            (Errno::NOENT, "there is no device /dev/ttyS0"),
+            (Errno::ACCESS, "/dev/ttyS0 may not be opened by this user: join the group that owns it"),
+            (Errno::BUSY, "/dev/ttyS0 is in use by another program"),
+            (Errno::NOTTY, "/dev/ttyS0 is no serial line"),
+            (Errno::INVAL, "/dev/ttyS0 cannot be used: Invalid argument"),
+        ] {
+            let sentence = refusal(Path::new("/dev/ttyS0"), error).to_string();
+            assert!(sentence.starts_with(words), "{sentence}");
+        }
+    }
+}

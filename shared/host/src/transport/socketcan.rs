@@ -32,6 +32,9 @@ const MAX_SKIPPED: usize = 64;
 #[derive(Debug)]
 pub struct SocketCan {
     interface: String,
+    /// The controller has said that it is off the bus, and not yet that it is back. The kernel would go on taking frames
+    /// into its queue, to send them when they are long out of date.
+    off_bus: bool,
     socket: Kind,
 }
 
@@ -55,6 +58,7 @@ impl SocketCan {
         let can = Self {
             socket: socket.map_err(|error| failure(interface, error))?,
             interface: interface.to_owned(),
+            off_bus: false,
         };
         can.set_up().map_err(|error| failure(interface, error))?;
         Ok(can)
@@ -71,6 +75,9 @@ impl SocketCan {
         }
         if !found.is_up {
             return Err(LinkError::Down { interface: name() });
+        }
+        if found.is_off_bus {
+            return Err(LinkError::BusOff { interface: name() });
         }
         if dialect == Dialect::Fd && !found.carries_fd() {
             return Err(LinkError::NotFd { interface: name() });
@@ -103,6 +110,14 @@ impl SocketCan {
                 socket.read_frame_with_timestamps().map(|(frame, stamps)| (any(frame), stamps))
             }
             Kind::Fd(socket) => socket.read_frame_with_timestamps(),
+        }
+    }
+
+    fn note(&mut self, what: &Incoming) {
+        match what {
+            Incoming::Event(BusEvent::BusOff) => self.off_bus = true,
+            Incoming::Event(BusEvent::Restarted | BusEvent::ErrorActive) => self.off_bus = false,
+            _ => {}
         }
     }
 
@@ -195,8 +210,6 @@ fn failure(interface: &str, error: io::Error) -> LinkError {
         Some(libc::EAFNOSUPPORT | libc::EPROTONOSUPPORT | libc::ESOCKTNOSUPPORT) => LinkError::NoCan,
         Some(libc::ENETDOWN) => LinkError::Down { interface: name },
         Some(libc::ENODEV | libc::ENXIO) => LinkError::Gone { link: name },
-        // The interface has lost its CAN FD since it was opened.
-        Some(libc::EINVAL | libc::EMSGSIZE) => LinkError::NotFd { interface: name },
         _ => LinkError::system(name, error),
     }
 }
@@ -210,12 +223,22 @@ impl Transport for SocketCan {
     }
 
     fn send(&mut self, frame: &Frame) -> Result<Sent, LinkError> {
+        if self.off_bus {
+            return Err(LinkError::BusOff { interface: self.interface.clone() });
+        }
         let unsendable =
             || LinkError::Unsendable { link: self.interface.clone(), id: frame.id, length: frame.data.len() };
         match self.write(frame).ok_or_else(unsendable)? {
             Ok(()) => Ok(Sent::Done),
             Err(error) if matches!(error.raw_os_error(), Some(libc::ENOBUFS | libc::EAGAIN)) => {
                 Ok(Sent::Busy)
+            }
+            // The interface has lost its CAN FD since it was opened.
+            Err(error)
+                if self.dialect() == Dialect::Fd
+                    && matches!(error.raw_os_error(), Some(libc::EINVAL | libc::EMSGSIZE)) =>
+            {
+                Err(LinkError::NotFd { interface: self.interface.clone() })
             }
             Err(error) => Err(failure(&self.interface, error)),
         }
@@ -226,6 +249,7 @@ impl Transport for SocketCan {
             match self.read() {
                 Ok((frame, stamps)) => {
                     if let Some(what) = incoming(frame) {
+                        self.note(&what);
                         let at_us = stamps.socket.map_or_else(clock::now_us, clock::monotonic_us_of);
                         return Ok(Some(Received { at_us, what }));
                     }
@@ -233,7 +257,11 @@ impl Transport for SocketCan {
                 Err(error) => match error.kind() {
                     io::ErrorKind::WouldBlock => return Ok(None),
                     io::ErrorKind::Interrupted => {}
-                    _ => return Err(failure(&self.interface, error)),
+                    _ => {
+                        // An interface that was down comes up with a restarted controller.
+                        self.off_bus = false;
+                        return Err(failure(&self.interface, error));
+                    }
                 },
             }
         }
