@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use heapless::Vec;
 use powderline_shared::wire::frame::{Dialect, Frame};
-use rustix::fs::{FlockOperation, Mode, OFlags, flock};
+use rustix::fs::{FlockOperation, Mode, OFlags, flock, fstat, major};
 use rustix::io::{Errno, read};
 use rustix::termios::{
     ControlModes, OptionalActions, QueueSelector, SpecialCodeIndex, Termios, ioctl_tiocexcl, tcflush,
@@ -19,6 +19,9 @@ use crate::{clock, cobs};
 
 /// Bytes fetched from the driver at once; a UART's own buffer holds less.
 const CHUNK: usize = 256;
+
+/// Device numbers of pseudo-terminals (`UNIX98_PTY_SLAVE_MAJOR` of `linux/major.h`, and the seven after it).
+const PTY_SLAVE_MAJORS: std::ops::RangeInclusive<u32> = 136..=143;
 
 /// A serial line, opened for one program alone: 8 data bits, no parity, one stop bit, no flow control.
 #[derive(Debug)]
@@ -60,7 +63,9 @@ impl Serial {
     fn claim(&self) -> Result<(), Errno> {
         tcgetattr(&self.line)?;
         flock(&self.line, FlockOperation::NonBlockingLockExclusive)?;
-        ioctl_tiocexcl(&self.line)
+        // A pseudo-terminal would stay exclusive for as long as its master lives, against the next program too.
+        let pseudo = PTY_SLAVE_MAJORS.contains(&major(fstat(&self.line)?.st_rdev));
+        if pseudo { Ok(()) } else { ioctl_tiocexcl(&self.line) }
     }
 
     fn set_up(&self, baud: u32) -> Result<(), LinkError> {
