@@ -95,13 +95,13 @@ pub enum LinkError {
         device: PathBuf,
     },
     /// A rate that the device does not have.
-    #[error("{} cannot run at {typed} baud, the nearest that it offers is {offered}", device.display())]
+    #[error("{} does not run at {typed} baud, it would fall back to {offered}: choose a rate that it has", device.display())]
     Baud {
         /// As typed.
         device: PathBuf,
         /// As typed, baud.
         typed: u32,
-        /// What the device took instead, baud.
+        /// What the device would take instead, baud.
         offered: u32,
     },
     /// A frame that this wire never carries.

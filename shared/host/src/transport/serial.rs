@@ -74,7 +74,7 @@ impl Serial {
         raw(&mut settings);
         settings.set_speed(baud).map_err(system)?;
         tcsetattr(&self.line, OptionalActions::Now, &settings).map_err(system)?;
-        // A driver that cannot keep a rate takes the nearest, without a word.
+        // A driver that cannot keep a rate takes another, without a word.
         let offered = tcgetattr(&self.line).map_err(system)?.output_speed();
         if offered.abs_diff(baud) > baud / 50 {
             return Err(LinkError::Baud { device: self.device.clone(), typed: baud, offered });
