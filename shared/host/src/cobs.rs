@@ -2,7 +2,7 @@
 //! nowhere else.
 //!
 //! Source: S. Cheshire, M. Baker, "Consistent Overhead Byte Stuffing", IEEE/ACM Transactions on Networking 7(2), 1999. A
-//! frame is at most [`MAX_RAW`] bytes, so a code byte never has to stand for a full block of 254.
+//! frame is at most 66 bytes, so a code byte never has to stand for a full block of 254.
 
 use heapless::Vec;
 use powderline_shared::wire::frame::{Frame, MAX_DATA};
