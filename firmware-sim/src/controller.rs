@@ -16,6 +16,7 @@
 
 use std::collections::VecDeque;
 
+use nalgebra::Vector3;
 use powderline_shared::displacement::{Displacement, Setpoint, pose_at};
 use powderline_shared::fault::{Fault, FaultCode, Side};
 use powderline_shared::limits::{Limits, Motion, PeakUse, Violation};
@@ -26,7 +27,7 @@ use powderline_shared::wire::message::{
 };
 use powderline_shared::wire::state::{Command, Phase, State};
 
-use crate::arm::Arm;
+use crate::arm::{Arm, ArmError, ArmModel};
 use crate::buffer::Refused;
 use crate::interpolator::Interpolator;
 use crate::session::{self, Anchored, Session};
@@ -45,6 +46,12 @@ pub const OVERRUN_TICKS: u64 = 2;
 /// Ticks on the last setpoint after which velocity, acceleration and jerk are zero.
 const SETTLE_TICKS: u32 = 3;
 
+/// How near to its command an arm has to be to count as settled, LSB: it then reports the very counts of its setpoint.
+const SETTLED_LSB: f64 = 0.25;
+
+/// How long an arm may take to settle, microseconds.
+const LONGEST_SETTLING_US: u64 = 500_000;
+
 /// Ticks during which a bridged setpoint still shows in the jerk.
 const BRIDGE_ECHO_TICKS: u32 = 3;
 
@@ -56,8 +63,8 @@ const OUTBOX_CAPACITY: usize = 256;
 pub struct ArmConfig {
     /// Its own limits; a session can only tighten them.
     pub limits: Limits,
-    /// Where it stands at power on.
-    pub pose: Pose,
+    /// The mechanics, standing where it stands at power on.
+    pub arm: Arm,
     /// When a session that is not heard of is over, microseconds.
     pub watchdog_us: u64,
 }
@@ -66,10 +73,10 @@ pub struct ArmConfig {
 pub const DEFAULT_WATCHDOG_US: u64 = 3 * HEARTBEAT_US;
 
 impl ArmConfig {
-    /// An arm standing at `pose` that is about as quick as research arms are: linear limits as published for the Franka
-    /// arm, two wrist joints of pi rad/s turning together, and 2 m of reach.
+    /// An ideal arm standing at `pose` that is about as quick as research arms are: linear limits as published for the
+    /// Franka arm, two wrist joints of pi rad/s turning together, and 2 m of reach.
     #[must_use]
-    pub fn bench(pose: Pose) -> Self {
+    pub fn ideal(pose: Pose) -> Self {
         let limits = Limits {
             workspace_min_m: [-2.0; 3],
             workspace_max_m: [2.0; 3],
@@ -80,7 +87,15 @@ impl ArmConfig {
             angular_acceleration_rad_s2: 50.0,
             angular_jerk_rad_s3: 8_500.0,
         };
-        Self { limits, pose, watchdog_us: DEFAULT_WATCHDOG_US }
+        Self { limits, arm: Arm::ideal(pose), watchdog_us: DEFAULT_WATCHDOG_US }
+    }
+
+    /// A UR5e beside the bench, its tool at `pose`, with the same Cartesian limits: its joints have their own.
+    ///
+    /// # Errors
+    /// It cannot stand there.
+    pub fn ur5e(pose: Pose) -> Result<Self, ArmError> {
+        Ok(Self { arm: Arm::new(ArmModel::bench(), pose)?, ..Self::ideal(pose) })
     }
 }
 
@@ -92,6 +107,10 @@ pub struct Controller {
     state: State,
     session: Option<Session>,
     arm: Arm,
+    /// Up to when the arm has moved.
+    followed_us: u64,
+    /// Since when its command rests on the last pose of a motion.
+    resting_since_us: Option<u64>,
     path: Interpolator,
     motion: Motion,
     activity: Activity,
@@ -161,9 +180,11 @@ impl Controller {
             watchdog_us: config.watchdog_us,
             state: State::SwitchOnDisabled,
             session: None,
-            arm: Arm::new(config.pose),
-            path: Interpolator::hold(config.pose),
-            motion: Motion::at_rest(config.pose),
+            arm: config.arm,
+            followed_us: 0,
+            resting_since_us: None,
+            path: Interpolator::hold(config.arm.commanded()),
+            motion: Motion::at_rest(config.arm.commanded()),
             activity: Activity::Still,
             next_tick_us: None,
             fault: None,
@@ -374,7 +395,8 @@ impl Controller {
     }
 
     fn enable(&mut self) {
-        let anchor = self.arm.pose();
+        // Not where the arm is, which may be a quarter of an LSB off: the command goes on without a jump.
+        let anchor = self.arm.commanded();
         let Some(session) = self.session.as_mut() else { return self.drop_one() };
         session.anchored = Some(Anchored::new(session, anchor));
         self.motion = Motion::at_rest(anchor);
@@ -462,7 +484,7 @@ impl Controller {
         while let Some(tick_us) = self.next_tick_us.filter(|tick_us| *tick_us <= now_us) {
             let period_us = self.period_us();
             self.next_tick_us = Some(tick_us.saturating_add(u64::from(period_us)));
-            self.arm.follow(self.path.pose_at(tick_us));
+            self.move_arm(tick_us);
             self.report_actual();
             self.tick(tick_us);
             if self.is_still() {
@@ -470,7 +492,7 @@ impl Controller {
             }
             self.report();
         }
-        self.arm.follow(self.path.pose_at(now_us));
+        self.move_arm(now_us);
         if self.session_ends_us().is_some_and(|end_us| end_us <= now_us) {
             self.lose_session();
         }
@@ -478,6 +500,29 @@ impl Controller {
             self.heartbeat_at_us = now_us.saturating_add(HEARTBEAT_US);
             self.beat();
         }
+    }
+
+    /// The arm goes on, along the path, to where it is due. What it does not take it says; it then holds its last command.
+    fn move_arm(&mut self, now_us: u64) {
+        #[expect(clippy::cast_precision_loss, reason = "2^53 microseconds are 285 years")]
+        let dt_s = now_us.saturating_sub(self.followed_us) as f64 / 1e6;
+        self.followed_us = self.followed_us.max(now_us);
+        if let Err(error) = self.arm.follow(self.path.pose_at(now_us), dt_s)
+            && self.fault.is_none()
+        {
+            self.stop(State::FaultReactionActive, error.code());
+        }
+    }
+
+    /// Whether the arm has come to where its command rests. One that never does is not waited for.
+    fn has_settled(&mut self, tick_us: u64) -> bool {
+        let since_us = *self.resting_since_us.get_or_insert(tick_us);
+        let off = self.arm.commanded().displacement_to(&self.arm.pose());
+        let lsb = self.session.as_ref().map(|session| session.request.lsb).unwrap_or_default();
+        let near = |off: Vector3<f64>, lsb: f64| off.iter().all(|x| x.abs() < SETTLED_LSB * lsb);
+        let settled =
+            near(off.translation(), lsb.translation_m()) && near(off.rotation(), lsb.rotation_rad());
+        settled || tick_us.saturating_sub(since_us) >= LONGEST_SETTLING_US
     }
 
     /// What should have happened while nobody looked is not made up for at a stroke: the stop begins where the arm is now.
@@ -547,6 +592,10 @@ impl Controller {
     /// Commands a pose that the limit check accepts; stops otherwise. The pose after it bends the path towards it, so it
     /// has a say only if it will be accepted too.
     fn take(&mut self, tick_us: u64, pose: Pose, after: Option<Pose>) {
+        if let Err(error) = self.arm.check(&pose, f64::from(self.period_us()) / 1e6) {
+            self.latch(State::FaultReactionActive, error.code());
+            return self.brake(tick_us, self.stop_profile());
+        }
         let Some(anchored) = self.anchored_mut() else { return };
         match anchored.checker.check(pose) {
             Ok(motion) => {
@@ -587,10 +636,12 @@ impl Controller {
         let pose = self.motion.pose;
         let Some(anchored) = self.anchored_mut() else { return };
         anchored.ended = true;
-        if ticks_left == 0 {
+        if ticks_left == 0 && self.has_settled(tick_us) {
             self.activity = Activity::Still;
+            self.resting_since_us = None;
             return;
         }
+        let Some(anchored) = self.anchored_mut() else { return };
         match anchored.checker.check(pose) {
             Ok(motion) => {
                 self.activity = Activity::Settling { ticks_left: ticks_left.saturating_sub(1) };
@@ -607,13 +658,15 @@ impl Controller {
                 self.command_pose(tick_us, motion, None);
                 self.activity = Activity::Stopping(profile);
             }
-            None => self.stand(),
+            None if self.has_settled(tick_us) => self.stand(),
+            None => self.activity = Activity::Stopping(profile),
         }
     }
 
     /// A stop has come to its end. Quick stop stays active until power is taken away; a fault reaction becomes a fault.
     fn stand(&mut self) {
         self.activity = Activity::Still;
+        self.resting_since_us = None;
         self.motion = Motion::at_rest(self.motion.pose);
         if self.state == State::FaultReactionActive {
             self.state = State::Fault;
@@ -675,6 +728,7 @@ impl Controller {
             self.stand();
         } else {
             self.activity = Activity::Stopping(self.stop_profile());
+            self.resting_since_us = None;
         }
         self.report();
     }

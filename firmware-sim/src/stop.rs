@@ -322,7 +322,7 @@ mod tests {
 
     /// The simulated arm's, which a session's limits may not go beyond.
     fn own() -> Limits {
-        ArmConfig::bench(Pose::identity()).limits
+        ArmConfig::ideal(Pose::identity()).limits
     }
 
     fn ms(ticks: u32, period_us: u32) -> u32 {

@@ -80,7 +80,7 @@ struct Bench {
 
 impl Bench {
     fn new() -> Self {
-        let arm = Controller::new(ArmConfig { limits: limits(), ..ArmConfig::bench(start()) });
+        let arm = Controller::new(ArmConfig { limits: limits(), ..ArmConfig::ideal(start()) });
         Self {
             arm,
             now_us: 0,
@@ -294,7 +294,7 @@ fn each_limit_is_kept_by_the_arm_alone() {
             let mut bench = Bench::new();
             bench.arm = Controller::new(ArmConfig {
                 limits: if own { tight } else { fine },
-                ..ArmConfig::bench(start())
+                ..ArmConfig::ideal(start())
             });
             bench.tell(ToArm::Open(OpenRequest { limits: session, ..request() }));
             for command in [Command::Shutdown, Command::SwitchOn, Command::EnableOperation] {
@@ -672,7 +672,7 @@ fn a_stop_frame_stops_harder_than_a_quick_stop() {
         let slow = Limits { linear_acceleration_m_s2: 1.5, angular_acceleration_rad_s2: 4.0, ..limits() };
         let mut bench = Bench::new();
         let own = limits();
-        bench.arm = Controller::new(ArmConfig { limits: own, ..ArmConfig::bench(start()) });
+        bench.arm = Controller::new(ArmConfig { limits: own, ..ArmConfig::ideal(start()) });
         bench.tell(ToArm::Open(OpenRequest { limits: slow, ..request() }));
         [Command::Shutdown, Command::SwitchOn, Command::EnableOperation]
             .iter()
@@ -750,4 +750,78 @@ fn at_rest_the_arm_repeats_all_that_may_have_been_missed() {
     (0..10).for_each(|_| bench.period());
     let fault = bench.arm.fault().unwrap();
     assert!(bench.messages.contains(&FromArm::Fault { session: SESSION, fault }));
+}
+
+/// Over the default bench, as the arm's model is mounted.
+fn over_the_bench() -> Pose {
+    Pose { position_m: Vector3::new(0.05, 0.04, 0.12), ..Pose::identity() }
+}
+
+#[test]
+fn an_arm_with_joints_that_lag_settles_on_the_last_setpoint_before_it_says_so() {
+    let mut bench = Bench::new();
+    bench.arm = Controller::new(ArmConfig::ur5e(over_the_bench()).unwrap());
+    let wide = Limits { workspace_min_m: [-1.0; 3], ..limits() };
+    bench.tell(ToArm::Open(OpenRequest { limits: wide, ..request() }));
+    [Command::Shutdown, Command::SwitchOn, Command::EnableOperation]
+        .iter()
+        .for_each(|command| bench.command(*command));
+    let mut late_m = 0.0_f64;
+    (1..=DEPTH).for_each(|tick| bench.set(setpoint_of(tick, 0.1, 0.5)));
+    for tick in 1..END + 20 {
+        bench.period();
+        bench.set(setpoint_of((tick + DEPTH).min(END), 0.1, 0.5));
+        let due = pose_at(&over_the_bench(), setpoint_of(tick.min(END), 0.1, 0.5), Lsb::default());
+        late_m = late_m.max(due.displacement_to(&bench.arm.pose()).translation().norm());
+    }
+    assert_eq!((bench.fault(), bench.arm.status().phase), (None, Some(Phase::Holding)));
+    // It was late by about its time constant times its speed, 10 ms of 0.19 m/s at the most, and arrived.
+    assert!((1e-3..3e-3).contains(&late_m), "{late_m}");
+    let reached = bench.messages.iter().rev().find_map(|message| match message {
+        FromArm::Actual { reached, .. } => Some(*reached),
+        _ => None,
+    });
+    assert_eq!(reached, Some(setpoint_of(END, 0.1, 0.5)));
+}
+
+#[test]
+fn what_the_joints_cannot_do_stops_the_arm_with_their_reason() {
+    let turned = |length_m, angle_rad, ticks: u32| {
+        let mut bench = Bench::new();
+        bench.arm = Controller::new(ArmConfig::ur5e(over_the_bench()).unwrap());
+        let wide = Limits {
+            workspace_min_m: [-2.0; 3],
+            workspace_max_m: [2.0; 3],
+            linear_velocity_m_s: 3.0,
+            linear_acceleration_m_s2: 9.0,
+            linear_jerk_m_s3: 400.0,
+            angular_velocity_rad_s: 6.0,
+            angular_acceleration_rad_s2: 40.0,
+            angular_jerk_rad_s3: 2_000.0,
+        };
+        bench.tell(ToArm::Open(OpenRequest { limits: wide, ..request() }));
+        [Command::Shutdown, Command::SwitchOn, Command::EnableOperation]
+            .iter()
+            .for_each(|command| bench.command(*command));
+        let sent = |tick: u32| {
+            let s = smooth(f64::from(tick) / f64::from(ticks));
+            let cumulative = Displacement {
+                translation_m: [length_m * s, 0.0, 0.0],
+                rotation_rad: [0.0, angle_rad * s, 0.0],
+            };
+            Setpoint::from_cumulative(tick, &cumulative, Lsb::default()).unwrap()
+        };
+        (1..=DEPTH).for_each(|tick| bench.set(sent(tick)));
+        for tick in 1..ticks {
+            bench.period();
+            bench.set(sent((tick + DEPTH).min(ticks)));
+        }
+        bench.rest();
+        assert_eq!(bench.arm.state(), State::Fault);
+        bench.fault()
+    };
+    // Pitch is one joint, which turns at pi rad/s at the most; here at 3.5 at its fastest.
+    assert_eq!(turned(0.0, 1.8, 96), Some(FaultCode::ArmJointSpeed));
+    // A metre to the side.
+    assert!(matches!(turned(1.0, 0.0, 100), Some(FaultCode::ArmUnreachable | FaultCode::ArmSingular)));
 }

@@ -93,6 +93,10 @@ fault_codes! {
     ArmAngularVelocity = 305, "The arm refused a setpoint that breaks its limit on angular velocity.";
     ArmAngularAcceleration = 306, "The arm refused a setpoint that breaks its limit on angular acceleration.";
     ArmAngularJerk = 307, "The arm refused a setpoint that breaks its limit on angular jerk.";
+    ArmUnreachable = 311, "A pose was commanded that the arm cannot reach.";
+    ArmJointLimit = 312, "A pose was commanded for which a joint of the arm would turn beyond its range.";
+    ArmJointSpeed = 313, "A pose was commanded for which a joint of the arm would turn faster than it can.";
+    ArmSingular = 314, "The arm came too near to a singularity.";
 
     SessionRefused = 401, "The arm refused the session: its version, period, length, LSB or limits do not fit.";
     AnchorElsewhere = 402, "The arm stands too far from the start pose of the plan.";
@@ -178,7 +182,7 @@ mod tests {
     fn numbers_are_pinned_and_sentences_are_sentences() {
         let numbers = [
             101, 102, 103, 104, 105, 111, 112, 113, 121, 131, 132, 201, 202, 203, 204, 205, 206, 207, 301,
-            302, 303, 304, 305, 306, 307, 401, 402, 403, 404, 405, 406, 501, 502,
+            302, 303, 304, 305, 306, 307, 311, 312, 313, 314, 401, 402, 403, 404, 405, 406, 501, 502,
         ];
         assert!(FaultCode::ALL.iter().map(|code| code.number()).eq(numbers));
         for code in FaultCode::ALL {

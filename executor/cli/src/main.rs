@@ -93,7 +93,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<ExitCode> {
 }
 
 fn perform(arguments: &Arguments, plan: &PlanReader<'_>, person: &mut Person) -> RunResult {
-    let arm = ArmConfig::bench(plan.header().start_pose());
+    let arm = ArmConfig::ideal(plan.header().start_pose());
     let config = Config::default();
     let result = if arguments.realtime {
         play(plan, config, arm, &mut WallClock::start(), person)

@@ -17,7 +17,7 @@ use powderline_shared::wire::state::{Command, Phase, State};
 use proptest::prelude::*;
 
 fn arm_for(plan: &PlanReader<'_>) -> ArmConfig {
-    ArmConfig::bench(plan.header().start_pose())
+    ArmConfig::ideal(plan.header().start_pose())
 }
 
 fn play_on(plan: &PlanReader<'_>, arm: ArmConfig) -> RunResult {
@@ -137,7 +137,7 @@ fn an_arm_that_stands_elsewhere_is_not_moved() {
     let plan = PlanReader::new(&bytes).unwrap();
     let off = Displacement { translation_m: [0.01, 0.0, 0.0], ..Displacement::default() };
     let elsewhere = plan.header().start_pose().displaced(&off);
-    let result = play_on(&plan, ArmConfig { pose: elsewhere, ..arm_for(&plan) });
+    let result = play_on(&plan, ArmConfig::ideal(elsewhere));
     assert_eq!(fault_code(result.outcome), Some(FaultCode::AnchorElsewhere));
     assert_eq!(result.final_pose, elsewhere);
 }
@@ -147,8 +147,7 @@ fn a_small_offset_of_the_anchor_is_carried_along() {
     let bytes = plan_bytes(&header(), &one_move());
     let plan = PlanReader::new(&bytes).unwrap();
     let off = Displacement { translation_m: [1e-4, 0.0, -2e-4], ..Displacement::default() };
-    let result =
-        play_on(&plan, ArmConfig { pose: plan.header().start_pose().displaced(&off), ..arm_for(&plan) });
+    let result = play_on(&plan, ArmConfig::ideal(plan.header().start_pose().displaced(&off)));
     assert_eq!(result.outcome, Outcome::Completed);
     let difference = plan.end_pose().displacement_to(&result.final_pose).translation() - off.translation();
     assert!(difference.norm() < 1e-12);

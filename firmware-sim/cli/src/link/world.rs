@@ -135,7 +135,7 @@ pub fn run(
 }
 
 fn arm_config() -> ArmConfig {
-    ArmConfig::bench(motion::start())
+    ArmConfig::ideal(motion::start())
 }
 
 impl<'p> World<'p> {
@@ -481,7 +481,7 @@ impl<'p> World<'p> {
         }
         self.arm_off_until_us = None;
         let pose = self.arm.controller().pose();
-        let mut controller = Controller::new(ArmConfig { pose, ..arm_config() });
+        let mut controller = Controller::new(ArmConfig::ideal(pose));
         // Whatever its clock shows, nothing has happened yet.
         controller.let_pass(self.arm_clock.local_us(self.now_us));
         self.arm = ArmEndpoint::new(controller, self.faults.dialect);
