@@ -1,0 +1,8 @@
+//! The wire from outside: pinned bytes, damage, loss, foreign sessions, hostile input, and the document that has it all.
+
+mod cyclic;
+mod damage;
+mod golden;
+mod records;
+mod round_trip;
+mod samples;
