@@ -2,6 +2,7 @@
 
 mod cyclic;
 mod damage;
+mod document;
 mod golden;
 mod records;
 mod round_trip;
