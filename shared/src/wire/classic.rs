@@ -13,13 +13,12 @@ use crate::fault::{Fault, FaultCode};
 
 /// NMT state "operational" in a heartbeat (CiA 301).
 const OPERATIONAL: u8 = 0x05;
-/// EMCY error code: device specific (CiA 301).
-const DEVICE_SPECIFIC: u16 = 0xFF00;
+/// EMCY error codes: device specific (CiA 301), of a session or of none. They differ by two bits, so that no single wrong
+/// bit makes one of the other.
+const OF_SESSION: u16 = 0xFF03;
+const OF_NO_SESSION: u16 = 0xFF00;
 /// EMCY error register: generic error, manufacturer specific error (CiA 301, object 0x1001).
 const ERROR_REGISTER: u8 = 0x81;
-
-/// Session, plan and reference that a frame is tried with.
-pub(super) type Try<R> = (Context, R);
 
 /// Appends the checksum.
 fn sealed(id: u16, context: &Context, tick: u32, payload: Put) -> Frame {
@@ -56,27 +55,30 @@ fn half_frame(id: u16, context: &Context, tick: u32, counts: [i32; 3]) -> Frame 
     low.u8(low8(tick)).u8(crc).into_frame(id)
 }
 
-/// One half, rebuilt from the first reference with which its checksum holds; also which of `tries` that was.
-pub(super) fn half(frame: &Frame, part: Part, tries: &[Try<Setpoint>]) -> Result<(Half, Context), Rejected> {
+/// One half, rebuilt as near to the reference as can be.
+pub(super) fn half(
+    frame: &Frame,
+    part: Part,
+    context: &Context,
+    reference: &Setpoint,
+) -> Result<Half, Rejected> {
     let (payload, crc) = parts(frame, 8)?;
     let mut take = Take(payload);
     let fields = (|| Some(([take.u16()?, take.u16()?, take.u16()?], take.u8()?)))();
     let (low, tick) = complete(fields, frame)?;
-    for (context, reference) in tries {
-        let [x, y, z, rx, ry, rz] = reference.counts;
-        let mut counts = match part {
-            Part::Translation => [x, y, z],
-            Part::Rotation => [rx, ry, rz],
-        };
-        for (count, low) in counts.iter_mut().zip(low) {
-            *count = nearest_with_low16(count.cast_unsigned(), low).cast_signed();
-        }
-        let tick = nearest_with_low8(reference.tick, tick);
-        if crc8(frame.id, context, tick, Put::new().counts(&counts).as_slice()) == crc {
-            return Ok((Half { session: context.session, tick, counts }, *context));
-        }
+    let [x, y, z, rx, ry, rz] = reference.counts;
+    let mut counts = match part {
+        Part::Translation => [x, y, z],
+        Part::Rotation => [rx, ry, rz],
+    };
+    for (count, low) in counts.iter_mut().zip(low) {
+        *count = nearest_with_low16(count.cast_unsigned(), low).cast_signed();
     }
-    Err(Rejected::Checksum { id: frame.id })
+    let tick = nearest_with_low8(reference.tick, tick);
+    if crc8(frame.id, context, tick, Put::new().counts(&counts).as_slice()) != crc {
+        return Err(Rejected::Checksum { id: frame.id });
+    }
+    Ok(Half { session: context.session, tick, counts })
 }
 
 pub(super) fn control(context: &Context, word: u16) -> Frame {
@@ -109,47 +111,60 @@ pub(super) fn status(context: &Context, word: u16, status: &Status) -> Frame {
 
 pub(super) fn fault(context: &Context, fault: Fault) -> Frame {
     let tick = sent_tick(context, fault.tick);
-    let payload =
-        Put::new().u16(DEVICE_SPECIFIC).u8(ERROR_REGISTER).u16(fault.code.number()).u16(low16(tick));
+    let error = if context.session == NO_SESSION { OF_NO_SESSION } else { OF_SESSION };
+    let payload = Put::new().u16(error).u8(ERROR_REGISTER).u16(fault.code.number()).u16(low16(tick));
     sealed(ids::FAULT, context, tick, payload)
 }
 
-/// Session and tick with which the checksum of a status or a fault holds.
+/// Session and tick of a status or a fault, if its checksum holds. Both say whether they are of a session; trying their
+/// reader's and then none would let one wrong bit in four through, as one of the other.
 fn found(
     frame: &Frame,
-    payload: &[u8],
-    crc: u8,
+    (payload, crc): (&[u8], u8),
     low: u16,
-    tries: &[Try<u32>],
+    context: &Context,
+    reference: u32,
 ) -> Result<(u16, u32), Rejected> {
-    tries
-        .iter()
-        .map(|(context, reference)| (context, read_tick(context, *reference, low)))
-        .find(|(context, tick)| crc8(frame.id, context, *tick, payload) == crc)
-        .map(|(context, tick)| (context.session, tick))
-        .ok_or(Rejected::Checksum { id: frame.id })
+    let tick = read_tick(context, reference, low);
+    if crc8(frame.id, context, tick, payload) != crc {
+        return Err(Rejected::Checksum { id: frame.id });
+    }
+    Ok((context.session, tick))
 }
 
-pub(super) fn read_status(frame: &Frame, tries: &[Try<u32>]) -> Result<FromArm, Rejected> {
+/// Whose context to read a frame with that is of a session, or of none.
+fn context_of(frame: &Frame, own: &Context, of_session: bool) -> Result<Context, Rejected> {
+    match (of_session, own.session) {
+        (true, NO_SESSION) => Err(Rejected::Checksum { id: frame.id }),
+        (true, _) => Ok(*own),
+        (false, _) => Ok(Context::NONE),
+    }
+}
+
+pub(super) fn read_status(frame: &Frame, own: &Context, reference: u32) -> Result<FromArm, Rejected> {
     let (payload, crc) = parts(frame, 8)?;
     let mut take = Take(payload);
     let fields = (|| Some((take.u16()?, take.u16()?, take.u16()?, take.u8()?)))();
     let (word, low, have, counter) = complete(fields, frame)?;
-    let (session, applied_tick) = found(frame, payload, crc, low, tries)?;
-    let StatusBits { state, phase, standstill } =
+    let StatusBits { state, phase, standstill, in_session } =
         words::status(word).ok_or(Rejected::Word { id: frame.id, word })?;
+    let context = context_of(frame, own, in_session)?;
+    let (session, applied_tick) = found(frame, (payload, crc), low, &context, reference)?;
     Ok(FromArm::Status(Status { session, state, phase, standstill, applied_tick, have, counter }))
 }
 
-pub(super) fn read_fault(frame: &Frame, tries: &[Try<u32>]) -> Result<FromArm, Rejected> {
+pub(super) fn read_fault(frame: &Frame, own: &Context, reference: u32) -> Result<FromArm, Rejected> {
     let (payload, crc) = parts(frame, 8)?;
     let mut take = Take(payload);
     let fields = (|| Some((take.u16()?, take.u8()?, take.u16()?, take.u16()?)))();
     let (error, register, number, low) = complete(fields, frame)?;
-    let (session, tick) = found(frame, payload, crc, low, tries)?;
-    if (error, register) != (DEVICE_SPECIFIC, ERROR_REGISTER) {
-        return Err(Rejected::Word { id: frame.id, word: error });
-    }
+    let in_session = match (error, register) {
+        (OF_SESSION, ERROR_REGISTER) => true,
+        (OF_NO_SESSION, ERROR_REGISTER) => false,
+        _ => return Err(Rejected::Word { id: frame.id, word: error }),
+    };
+    let context = context_of(frame, own, in_session)?;
+    let (session, tick) = found(frame, (payload, crc), low, &context, reference)?;
     let code = FaultCode::try_from(number).map_err(|_| Rejected::FaultCode { number })?;
     Ok(FromArm::Fault { session, fault: Fault { code, tick } })
 }

@@ -12,7 +12,7 @@ use super::checksum::Context;
 use super::frame::{Dialect, Frame};
 use super::handshake::{FromArmRecord, Reassembly, Segments, ToArmRecord};
 use super::history::{Had, Half, Halves, Met, Part};
-use super::message::{FromArm, Status, ToArm};
+use super::message::{DEPTH, FromArm, NO_SESSION, Status, ToArm};
 use super::words::{self, StatusBits};
 use super::{classic, fd, ids};
 use crate::displacement::Setpoint;
@@ -170,8 +170,8 @@ impl Encoder {
 }
 
 fn statusword_of(status: &Status) -> u16 {
-    let Status { state, phase, standstill, .. } = *status;
-    words::statusword(StatusBits { state, phase, standstill })
+    let Status { session, state, phase, standstill, .. } = *status;
+    words::statusword(StatusBits { state, phase, standstill, in_session: session != NO_SESSION })
 }
 
 /// The context of a session that was sent in the clear, at an end that is in `own`: its own, or none.
@@ -257,7 +257,7 @@ impl ToArmDecoder {
     }
 
     fn half(&mut self, frame: &Frame, part: Part) -> Result<Decoded<ToArm>, Rejected> {
-        let (half, _) = classic::half(frame, part, &[(self.context, self.newest)])?;
+        let half = classic::half(frame, part, &self.context, &self.newest)?;
         match self.halves.meet(part, half) {
             Met::Waits => Ok(Vec::new()),
             Met::Replaced => {
@@ -368,7 +368,9 @@ impl FromArmDecoder {
             (ids::ACTUAL_T, Dialect::Classic) => self.half(frame, Part::Translation),
             (ids::ACTUAL_R, Dialect::Classic) => self.half(frame, Part::Rotation),
             (ids::ACTUAL_T, Dialect::Fd) => fd::read_actual(frame, accepted).map(one),
-            (ids::FAULT, Dialect::Classic) => classic::read_fault(frame, &self.tick_tries()).map(one),
+            (ids::FAULT, Dialect::Classic) => {
+                classic::read_fault(frame, &own, self.tick_reference()).map(one)
+            }
             (ids::FAULT, Dialect::Fd) => fd::read_fault(frame, accepted).map(one),
             (ids::HEARTBEAT_FROM_ARM, Dialect::Classic) => {
                 classic::read_heartbeat_from_arm(frame, accepted).map(one)
@@ -385,13 +387,20 @@ impl FromArmDecoder {
         record.into_message().map(one).ok_or(Rejected::Record { id: frame.id })
     }
 
-    /// Its own session first, then none.
-    fn tick_tries(&self) -> [classic::Try<u32>; 3] {
-        [(self.context, self.tick), (self.context, self.expected.tick), (Context::NONE, 0)]
+    fn tick_reference(&self) -> u32 {
+        self.tick.max(self.expected.tick)
+    }
+
+    /// What an actual displacement must be near to. The arm is somewhere on the way from its last report to the setpoint
+    /// sent last, and no further than [`DEPTH`] ticks behind that: so whichever of the two is within [`DEPTH`] ticks
+    /// will do. (Trying both would take a wrong bit in one for the right bit in the other too often.)
+    fn actual_reference(&self) -> &Setpoint {
+        let near = self.expected.tick <= self.actual.tick.saturating_add(DEPTH);
+        if near { &self.actual } else { &self.expected }
     }
 
     fn status(&mut self, frame: &Frame) -> Result<Decoded<FromArm>, Rejected> {
-        let message = classic::read_status(frame, &self.tick_tries())?;
+        let message = classic::read_status(frame, &self.context, self.tick_reference())?;
         if let FromArm::Status(status) = &message
             && status.session == self.context.session
         {
@@ -401,18 +410,14 @@ impl FromArmDecoder {
     }
 
     fn half(&mut self, frame: &Frame, part: Part) -> Result<Decoded<FromArm>, Rejected> {
-        let tries =
-            [(self.context, self.actual), (self.context, self.expected), (Context::NONE, Setpoint::ANCHOR)];
-        let (half, context) = classic::half(frame, part, &tries)?;
+        let half = classic::half(frame, part, &self.context, self.actual_reference())?;
         let Half { session, tick, .. } = half;
         match self.halves.meet(part, half) {
             // An arm that stands reports one tick again and again, and not always quite the same counts.
             Met::Waits | Met::Replaced => Ok(Vec::new()),
             Met::Pair(counts) => {
                 let reached = Setpoint { tick, counts };
-                if context == self.context {
-                    self.actual = reached;
-                }
+                self.actual = reached;
                 Ok(one(FromArm::Actual { session, reached }))
             }
         }

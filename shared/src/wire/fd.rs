@@ -5,7 +5,7 @@ use super::codec::Rejected;
 use super::fields::{Put, Take};
 use super::frame::Frame;
 use super::ids;
-use super::message::{FromArm, Heartbeat, Status, ToArm};
+use super::message::{FromArm, Heartbeat, NO_SESSION, Status, ToArm};
 use super::words::{self, StatusBits};
 use crate::displacement::Setpoint;
 use crate::fault::{Fault, FaultCode};
@@ -164,9 +164,10 @@ pub(super) fn read_status(
     let fields = (|| Some((body.u16()?, body.u16()?, body.u8()?, body.array::<3>()?)))();
     let (word, have, counter, reserved) = complete(fields, frame)?;
     opened.zero(reserved)?;
-    let StatusBits { state, phase, standstill } =
-        words::status(word).ok_or(Rejected::Word { id: frame.id, word })?;
     let Opened { session, tick: applied_tick, .. } = opened;
+    let StatusBits { state, phase, standstill, .. } = words::status(word)
+        .filter(|bits| bits.in_session == (session != NO_SESSION))
+        .ok_or(Rejected::Word { id: frame.id, word })?;
     Ok(FromArm::Status(Status { session, state, phase, standstill, applied_tick, have, counter }))
 }
 

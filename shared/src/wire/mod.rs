@@ -10,6 +10,7 @@
 
 mod checksum;
 mod classic;
+pub mod cobs;
 pub mod codec;
 mod fd;
 mod fields;
@@ -17,7 +18,9 @@ pub mod frame;
 mod handshake;
 mod history;
 pub mod ids;
+pub mod load;
 pub mod message;
+pub mod serial;
 pub mod state;
 pub mod words;
 

@@ -5,6 +5,7 @@
 //! | 0..=3, 5, 6           | state                                                                                |
 //! | 4                     | voltage enabled: switched on, operation enabled, and while stopping                  |
 //! | 10                    | target reached: the arm stands still                                                 |
+//! | 8, 14                 | both: the arm is in a session; neither: it is in none (manufacturer specific)         |
 //! | 12, 13                | phase in operation enabled: 0 armed, 1 streaming, 2 completing, 3 holding             |
 //!
 //! Where CiA 402 leaves a bit open, it is 0; a word with any other bit set is refused, for the reader would not know what
@@ -13,6 +14,8 @@
 use super::state::{Command, Phase, State};
 
 const TARGET_REACHED: u16 = 1 << 10;
+/// Two bits, so that no single wrong bit makes one of the other.
+const IN_SESSION: u16 = (1 << 8) | (1 << 14);
 const PHASE_SHIFT: u32 = 12;
 const PHASE_MASK: u16 = 0b11 << PHASE_SHIFT;
 
@@ -25,6 +28,8 @@ pub struct StatusBits {
     pub phase: Option<Phase>,
     /// Whether the arm stands still.
     pub standstill: bool,
+    /// Whether the arm is in a session, the one that its reader has to be in too.
+    pub in_session: bool,
 }
 
 /// The controlword of a command.
@@ -75,21 +80,27 @@ const fn phase_bits(phase: Phase) -> u16 {
 pub fn statusword(bits: StatusBits) -> u16 {
     let phase = bits.phase.filter(|_| bits.state == State::OperationEnabled);
     let standstill = if bits.standstill { TARGET_REACHED } else { 0 };
-    state_bits(bits.state) | phase.map_or(0, phase_bits) | standstill
+    let session = if bits.in_session { IN_SESSION } else { 0 };
+    state_bits(bits.state) | phase.map_or(0, phase_bits) | standstill | session
 }
 
 /// What a statusword says, if it is one of those that [`statusword`] makes.
 #[must_use]
 pub fn status(word: u16) -> Option<StatusBits> {
     let standstill = word & TARGET_REACHED != 0;
-    let rest = word & !(TARGET_REACHED | PHASE_MASK);
+    let in_session = match word & IN_SESSION {
+        IN_SESSION => true,
+        0 => false,
+        _ => return None,
+    };
+    let rest = word & !(TARGET_REACHED | PHASE_MASK | IN_SESSION);
     let state = State::ALL.into_iter().find(|state| state_bits(*state) == rest)?;
     let phase = match state {
         State::OperationEnabled => Some(phase(word & PHASE_MASK)?),
         _ if word & PHASE_MASK == 0 => None,
         _ => return None,
     };
-    Some(StatusBits { state, phase, standstill })
+    Some(StatusBits { state, phase, standstill, in_session })
 }
 
 fn phase(bits: u16) -> Option<Phase> {
@@ -133,7 +144,7 @@ mod tests {
                 read += 1;
             }
         }
-        assert_eq!(read, (7 + 4) * 2);
+        assert_eq!(read, (7 + 4) * 2 * 2);
         let commands = (0..=u16::MAX).filter_map(|word| command(word).map(|command| (word, command)));
         assert_eq!(commands.filter(|(word, command)| controlword(*command) == *word).count(), 6);
     }
