@@ -29,6 +29,7 @@ extern crate std;
 pub mod endpoint;
 pub mod guard;
 pub mod player;
+pub mod recorder;
 pub mod schedule;
 pub mod session;
 pub mod telemetry;

@@ -138,6 +138,8 @@ pub struct Executor<'a> {
     stage: Stage,
     outbox: Deque<ToArm, OUTBOX_CAPACITY>,
     arm: Option<Status>,
+    /// The last of those that belong to the session.
+    ours: Option<Status>,
     /// Where the arm has reported to be, as a displacement from the anchor.
     reached: Option<Setpoint>,
     fault: Option<Fault>,
@@ -177,6 +179,7 @@ impl<'a> Executor<'a> {
             stage: Stage::Opening,
             outbox: Deque::new(),
             arm: None,
+            ours: None,
             reached: None,
             fault: None,
             violation: None,
@@ -280,6 +283,18 @@ impl<'a> Executor<'a> {
     #[must_use]
     pub fn arm_status(&self) -> Option<&Status> {
         self.arm.as_ref()
+    }
+
+    /// The arm's last report in the session.
+    #[must_use]
+    pub fn session_status(&self) -> Option<Status> {
+        self.ours
+    }
+
+    /// Where the arm has reported to be, as a displacement from its anchor in counts of the wire.
+    #[must_use]
+    pub fn reached(&self) -> Option<Setpoint> {
+        self.reached
     }
 
     /// The pose that the arm has reported last, exact to half an LSB of the wire.
@@ -439,6 +454,7 @@ impl<'a> Executor<'a> {
 
     fn progress(&mut self, now_us: u64, status: &Status) {
         self.reported_us = now_us;
+        self.ours = Some(*status);
         if self
             .arm
             .is_none_or(|known| known.applied_tick != status.applied_tick || known.phase != status.phase)

@@ -55,6 +55,9 @@ const LONGEST_SETTLING_US: u64 = 500_000;
 /// Ticks during which a bridged setpoint still shows in the jerk.
 const BRIDGE_ECHO_TICKS: u32 = 3;
 
+/// Ticks kept for whoever writes down the motion.
+const TICKS_KEPT: usize = 64;
+
 /// Messages kept for a reader that is late; the oldest go first.
 const OUTBOX_CAPACITY: usize = 256;
 
@@ -123,6 +126,9 @@ pub struct Controller {
     heard_us: u64,
     heartbeat_at_us: u64,
     outbox: VecDeque<FromArm>,
+    /// Where the arm was at the last ticks; the first of a motion is its anchor.
+    ticks: VecDeque<Pose>,
+    has_moved: bool,
     closed: ClosedSessions,
 }
 
@@ -145,7 +151,8 @@ impl ClosedSessions {
         if let Some(slot) = self.contexts.get_mut(self.next) {
             *slot = context;
         }
-        self.next = self.next.wrapping_add(1) % self.contexts.len();
+        let next = self.next.saturating_add(1);
+        self.next = if next < self.contexts.len() { next } else { 0 };
     }
 
     fn has(&self, context: &Context) -> bool {
@@ -195,6 +202,8 @@ impl Controller {
             // Now: the first thing that it does is to say that it is there.
             heartbeat_at_us: 0,
             outbox: VecDeque::new(),
+            ticks: VecDeque::new(),
+            has_moved: false,
             closed: ClosedSessions::default(),
         };
         controller.report();
@@ -243,6 +252,17 @@ impl Controller {
     pub fn poll_at(&self) -> u64 {
         let due = [self.next_tick_us, self.session_ends_us()].into_iter().flatten();
         due.fold(self.heartbeat_at_us, u64::min)
+    }
+
+    /// Whether it has moved since power on.
+    #[must_use]
+    pub fn has_moved(&self) -> bool {
+        self.has_moved
+    }
+
+    /// Where the arm was at the ticks since this was asked last, the oldest first, and at most the last 64.
+    pub fn take_ticks(&mut self) -> impl Iterator<Item = Pose> + '_ {
+        self.ticks.drain(..)
     }
 
     /// When the next tick is due; `None` while nothing moves.
@@ -485,6 +505,7 @@ impl Controller {
             let period_us = self.period_us();
             self.next_tick_us = Some(tick_us.saturating_add(u64::from(period_us)));
             self.move_arm(tick_us);
+            self.note_tick();
             self.report_actual();
             self.tick(tick_us);
             if self.is_still() {
@@ -512,6 +533,14 @@ impl Controller {
         {
             self.stop(State::FaultReactionActive, error.code());
         }
+    }
+
+    fn note_tick(&mut self) {
+        if self.ticks.len() >= TICKS_KEPT {
+            self.ticks.pop_front();
+        }
+        self.ticks.push_back(self.arm.pose());
+        self.has_moved = true;
     }
 
     /// Whether the arm has come to where its command rests. One that never does is not waited for.

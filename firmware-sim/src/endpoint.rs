@@ -72,6 +72,11 @@ impl Endpoint {
         &self.controller
     }
 
+    /// The same, to read off what it has done.
+    pub fn controller_mut(&mut self) -> &mut Controller {
+        &mut self.controller
+    }
+
     fn follow_session(&mut self) {
         let now = self.controller.context();
         let [current, _] = self.contexts;

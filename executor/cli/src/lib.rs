@@ -4,3 +4,4 @@ pub mod load;
 pub mod pace;
 pub mod report;
 pub mod run;
+pub mod wire;

@@ -1,31 +1,45 @@
-//! `execute PLAN`: plays a plan on the simulated arm.
+//! `execute PLAN`: plays a plan on an arm.
 
-use std::io::{self, IsTerminal, Write};
-use std::path::PathBuf;
+use std::fs::File;
+use std::hash::{BuildHasher, Hasher, RandomState};
+use std::io::{self, BufWriter, IsTerminal, Write};
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 
-use anyhow::Context;
+use anyhow::{Context, anyhow, bail};
 use clap::Parser;
 use powderline_executor::Config;
+use powderline_executor::guard::rehearse;
 use powderline_executor_cli::load::{LoadError, check_plan, read_plan_file};
 use powderline_executor_cli::pace::{VirtualTime, WallClock};
 use powderline_executor_cli::report::{PlanFacts, Report};
-use powderline_executor_cli::run::{Observer, RunResult, play};
+use powderline_executor_cli::run::{Observer, RunResult, StopWish, play};
+use powderline_executor_cli::wire::{self, FlightRecorder};
 use powderline_firmware_sim::controller::ArmConfig;
-use powderline_shared::plan::PlanReader;
+use powderline_host::candump::Writer;
+use powderline_host::link::Link;
+use powderline_host::realtime;
+use powderline_host::signals::Signals;
+use powderline_host::transport::{self, LinkError, Transport};
+use powderline_host::wait::Interest;
+use powderline_shared::displacement::Lsb;
+use powderline_shared::plan::{PERIOD_US_MAX, PERIOD_US_MIN, PlanReader};
+use powderline_shared::wire::frame::Dialect;
 use powderline_shared::wire::message::Status;
 
 const EXIT_FAULT: u8 = 1;
 const EXIT_BAD_PLAN: u8 = 3;
 const EXIT_STOPPED: u8 = 4;
 const EXIT_OTHER: u8 = 5;
+const EXIT_WIRE: u8 = 6;
 
 /// Least time between two updates of the progress line, microseconds.
 const PROGRESS_EVERY_US: u64 = 100_000;
 
-/// Plays a plan on the simulated arm and says where the arm ended.
+/// Priority asked for under SCHED_FIFO: above ordinary real-time work, below the kernel's own threads.
+const PRIORITY: u8 = 49;
+
+/// Plays a plan on an arm and says where the arm ended.
 #[derive(Debug, Parser)]
 #[command(
     version,
@@ -35,17 +49,61 @@ const PROGRESS_EVERY_US: u64 = 100_000;
     2  wrong usage\n  \
     3  the plan file cannot be read, is damaged, or breaks its own limits\n  \
     4  a person stopped the arm (Ctrl-C)\n  \
-    5  anything else, such as an output that cannot be written"
+    5  anything else, such as an output that cannot be written\n  \
+    6  the wire cannot be used, or is too slow or too coarse for the plan\n\n\
+    Ctrl-C is a controlled stop; a second one stops as hard as the arm can."
 )]
 struct Arguments {
     /// Plan file, as written by optimise (RUN/skill.plan)
     plan: PathBuf,
-    /// Play by the wall clock, with progress; without it, virtual time passes at once
+    /// Where the arm is: sim, can:IFACE[@BITRATE], canfd:IFACE[@NOMINAL/DATA] or serial:DEVICE[@BAUD]
+    #[arg(long, value_name = "WIRE", default_value = "sim")]
+    to: Link,
+    /// Setpoints a second; the plan's own rate by default. Another rate plays the same path faster or slower
+    #[arg(long, value_name = "HZ")]
+    rate: Option<f64>,
+    /// Time without a report after which the arm counts as silent, milliseconds
+    #[arg(long, value_name = "MS", default_value_t = 300, value_parser = clap::value_parser!(u64).range(10..=10_000))]
+    arm_timeout: u64,
+    /// Reset an arm that has a stop latched. Look at it first
+    #[arg(long)]
+    reset: bool,
+    /// Say what the system granted for real time, and how late each cycle began
+    #[arg(long)]
+    measure: bool,
+    /// Priority under SCHED_FIFO on a wire, 1 to 99; 0 leaves the process scheduled as usual
+    #[arg(long, value_name = "PRIORITY", default_value_t = PRIORITY, value_parser = clap::value_parser!(u8).range(0..=99))]
+    priority: u8,
+    /// Write the last frames of the session to this file, in candump's format
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
+    /// Check everything that can be checked without an arm, and stop there
+    #[arg(long)]
+    dry_run: bool,
+    /// With the simulated arm: play by the wall clock, with progress; without it, virtual time passes at once
     #[arg(long)]
     realtime: bool,
     /// Write one JSON object to standard output, and nothing else
     #[arg(long)]
     json: bool,
+}
+
+/// The wire cannot be used for this plan.
+#[derive(Debug)]
+struct WireError(String);
+
+impl std::fmt::Display for WireError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+impl std::error::Error for WireError {}
+
+impl From<LinkError> for WireError {
+    fn from(error: LinkError) -> Self {
+        Self(error.to_string())
+    }
 }
 
 fn main() -> ExitCode {
@@ -58,7 +116,11 @@ fn main() -> ExitCode {
 
 /// Says what went wrong, once on standard error and, if wanted, as JSON; the exit code.
 fn fail(arguments: &Arguments, error: &anyhow::Error) -> u8 {
-    let code = if error.is::<LoadError>() { EXIT_BAD_PLAN } else { EXIT_OTHER };
+    let code = match error {
+        error if error.is::<LoadError>() => EXIT_BAD_PLAN,
+        error if error.is::<WireError>() => EXIT_WIRE,
+        _ => EXIT_OTHER,
+    };
     tell(&format!("execute: {error:#}\n"));
     if arguments.json {
         let object = serde_json::json!({ "error": format!("{error:#}"), "exit_code": code });
@@ -72,19 +134,28 @@ fn run(arguments: &Arguments) -> anyhow::Result<ExitCode> {
     let bytes = read_plan_file(&arguments.plan)?;
     let plan = check_plan(&arguments.plan, &bytes)?;
     let file = arguments.plan.display().to_string();
-    // From here on Ctrl-C is a controlled stop; only then is the motion announced.
-    let mut person = Person::attend(arguments, plan.header().step_count)?;
+    let config = config(arguments, &plan)?;
+    let load = check_wire(arguments, &plan, &config)?;
     if !arguments.json {
-        let clock = if arguments.realtime { "wall clock" } else { "virtual time" };
-        say(&format!("{}Playing on the simulated arm, {clock}.\n", PlanFacts::new(&file, &plan)))?;
+        say(&PlanFacts::new(&file, &plan).to_string())?;
+        say(&format!("  wire      {}{load}\n", arguments.to))?;
     }
-    let result = perform(arguments, &plan, &mut person);
+    if arguments.dry_run {
+        return say_dry(arguments);
+    }
+    let mut record = arguments.record.as_deref().map(Record::create).transpose()?;
+    let result = match &arguments.to {
+        Link::Sim => perform_here(arguments, &plan, config)?,
+        to => perform_there(arguments, &plan, config, to, record.as_mut())?,
+    };
     let report = Report::new(&file, &plan, &result);
+    let written = record.map_or(Ok(()), |record| record.finish(&arguments.to, &report));
     if arguments.json {
         say(&format!("{}\n", serde_json::to_string(&report)?))?;
     } else {
         say(&report.to_string())?;
     }
+    written?;
     Ok(match &report {
         report if report.succeeded() => ExitCode::SUCCESS,
         report if report.stopped_by_a_person() => ExitCode::from(EXIT_STOPPED),
@@ -92,34 +163,166 @@ fn run(arguments: &Arguments) -> anyhow::Result<ExitCode> {
     })
 }
 
-fn perform(arguments: &Arguments, plan: &PlanReader<'_>, person: &mut Person) -> RunResult {
-    let arm = ArmConfig::ideal(plan.header().start_pose());
-    let config = Config::default();
-    let result = if arguments.realtime {
-        play(plan, config, arm, &mut WallClock::start(), person)
+fn config(arguments: &Arguments, plan: &PlanReader<'_>) -> anyhow::Result<Config> {
+    let own_us = plan.header().control_period_us;
+    let period_us = arguments.rate.map_or(Ok(own_us), |rate_hz| {
+        let period_us = (1e6 / rate_hz).round();
+        let range = f64::from(PERIOD_US_MIN)..=f64::from(PERIOD_US_MAX);
+        if !range.contains(&period_us) {
+            bail!(
+                "--rate {rate_hz} Hz cannot be kept: it must lie between {} and {} Hz",
+                1e6 / range.end(),
+                1e6 / range.start()
+            );
+        }
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "a whole number in the range above"
+        )]
+        let period_us = period_us as u32;
+        Ok(period_us)
+    })?;
+    // Any number that nobody else is likely to have; which of them are usable is the executor's to know.
+    #[expect(clippy::cast_possible_truncation, reason = "any 16 bits will do")]
+    let session = (RandomState::new().build_hasher().finish() as u16).max(1);
+    Ok(Config {
+        session,
+        period_us: Some(period_us),
+        reset: arguments.reset,
+        silence_us: 1_000 * arguments.arm_timeout,
+        ..Config::default()
+    })
+}
+
+/// Whether the plan can be played over the wire at all: limits, counts, load. Words for the load.
+fn check_wire(arguments: &Arguments, plan: &PlanReader<'_>, config: &Config) -> Result<String, WireError> {
+    let period_us = config.period_us.unwrap_or(plan.header().control_period_us);
+    let (lsb, span) = scale(&arguments.to, plan);
+    rehearse(plan, lsb, period_us, span).map_err(|error| {
+        WireError(format!("{} cannot be played to {}: {error}", arguments.plan.display(), arguments.to))
+    })?;
+    let rate_hz = 1e6 / f64::from(period_us);
+    let mut words = format!(", {rate_hz:.0} setpoints a second");
+    if let Some(medium) = wire::medium(&arguments.to)? {
+        let percent = medium.load_percent(period_us);
+        if percent > 100.0 {
+            return Err(WireError(format!(
+                "{} is too slow for {rate_hz:.0} setpoints a second: they would load it by {percent:.0} per cent; a lower \
+                 --rate plays the plan more slowly",
+                arguments.to
+            )));
+        }
+        words.push_str(&format!(", a load of at most {percent:.1} %"));
+    }
+    Ok(words)
+}
+
+/// What a count is worth on a wire, and how far apart positions may be there to be told apart.
+fn scale(to: &Link, plan: &PlanReader<'_>) -> (Lsb, Option<u32>) {
+    match to {
+        Link::Sim => (plan.header().lsb, None),
+        Link::Can { .. } => (Dialect::Classic.lsb(), Dialect::Classic.span()),
+        Link::CanFd { .. } | Link::Serial { .. } | Link::Pty => (Dialect::Fd.lsb(), Dialect::Fd.span()),
+    }
+}
+
+fn say_dry(arguments: &Arguments) -> anyhow::Result<ExitCode> {
+    if arguments.json {
+        say("{\"dry_run\":true,\"exit_code\":0}\n")?;
     } else {
-        play(plan, config, arm, &mut VirtualTime, person)
+        say("Everything that can be checked without an arm is in order; nothing was sent.\n")?;
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+fn perform_here(arguments: &Arguments, plan: &PlanReader<'_>, config: Config) -> anyhow::Result<RunResult> {
+    let mut person = Person::attend(arguments, plan, arguments.realtime)?;
+    let arm = ArmConfig::ideal(plan.header().start_pose());
+    let period_us = config.period_us.unwrap_or(plan.header().control_period_us);
+    let result = if arguments.realtime {
+        play(plan, config, arm, &mut WallClock::start(u64::from(period_us) / 10), &mut person)
+    } else {
+        play(plan, config, arm, &mut VirtualTime, &mut person)
     };
     person.finish();
-    result
+    Ok(result)
+}
+
+fn perform_there(
+    arguments: &Arguments,
+    plan: &PlanReader<'_>,
+    config: Config,
+    to: &Link,
+    record: Option<&mut Record>,
+) -> anyhow::Result<RunResult> {
+    let wire = transport::open(to).map_err(WireError::from)?;
+    let mut wire: Box<dyn Transport> = wire.ok_or_else(|| anyhow!("{to} is no wire"))?;
+    // From here on Ctrl-C is a controlled stop; only then may the arm move.
+    let mut person = Person::attend(arguments, plan, true)?;
+    let granted = realtime::prepare((arguments.priority > 0).then_some(arguments.priority));
+    if arguments.measure && !arguments.json {
+        say(&format!("{granted}\n"))?;
+    }
+    let mut spare = None;
+    let recorder = record.map_or_else(|| spare.insert(Box::default()), |record| &mut record.recorder);
+    let mut result = wire::play(plan, config, wire.as_mut(), recorder, &mut person)
+        .context("the wire cannot be waited for")?;
+    person.finish();
+    if !arguments.measure {
+        result.jitter = None;
+    }
+    Ok(result)
+}
+
+/// Where the last frames go when the session is over. The file is there before the arm moves.
+struct Record {
+    path: PathBuf,
+    file: File,
+    recorder: Box<FlightRecorder>,
+}
+
+impl Record {
+    fn create(path: &Path) -> anyhow::Result<Self> {
+        let file = File::create(path).with_context(|| format!("{}: cannot be written", path.display()))?;
+        Ok(Self { path: path.to_owned(), file, recorder: Box::default() })
+    }
+
+    fn finish(self, to: &Link, report: &Report) -> anyhow::Result<()> {
+        let (interface, dialect) = match to {
+            Link::Can { interface, .. } => (interface.as_str(), Dialect::Classic),
+            Link::CanFd { interface, .. } => (interface.as_str(), Dialect::Fd),
+            Link::Sim | Link::Serial { .. } | Link::Pty => ("serial0", Dialect::Fd),
+        };
+        let mut log = Writer::new(BufWriter::new(self.file), interface, dialect);
+        let write = move || -> io::Result<()> {
+            if self.recorder.forgotten() > 0 {
+                log.remark(&format!("{} frames before these are forgotten", self.recorder.forgotten()))?;
+            }
+            for recorded in self.recorder.frames() {
+                log.frame(recorded.at_us, &recorded.frame)?;
+            }
+            log.remark(&report.cause())?;
+            log.into_inner().flush()
+        };
+        write().with_context(|| format!("{}: cannot be written", self.path.display()))
+    }
 }
 
 /// Whoever sits in front of the terminal: sees progress, may press Ctrl-C.
 struct Person {
-    wants_stop: Arc<AtomicBool>,
+    signals: Signals,
     step_count: u32,
     shows_progress: bool,
     next_update_us: u64,
 }
 
 impl Person {
-    fn attend(arguments: &Arguments, step_count: u32) -> anyhow::Result<Self> {
-        let wants_stop = Arc::new(AtomicBool::new(false));
-        let flag = Arc::clone(&wants_stop);
-        ctrlc::set_handler(move || flag.store(true, Ordering::Relaxed))
+    fn attend(arguments: &Arguments, plan: &PlanReader<'_>, takes_time: bool) -> anyhow::Result<Self> {
+        let signals = Signals::install()
             .context("Ctrl-C cannot be caught, and an arm that cannot be stopped must not start")?;
-        let shows_progress = arguments.realtime && !arguments.json && io::stderr().is_terminal();
-        Ok(Self { wants_stop, step_count, shows_progress, next_update_us: 0 })
+        let shows_progress = takes_time && !arguments.json && io::stderr().is_terminal();
+        Ok(Self { signals, step_count: plan.header().step_count, shows_progress, next_update_us: 0 })
     }
 
     fn finish(&self) {
@@ -130,7 +333,7 @@ impl Person {
 }
 
 impl Observer for Person {
-    fn observe(&mut self, now_us: u64, arm: &Status) -> bool {
+    fn observe(&mut self, now_us: u64, arm: &Status) -> StopWish {
         if self.shows_progress && now_us >= self.next_update_us {
             self.next_update_us = now_us.saturating_add(PROGRESS_EVERY_US);
             let percent = 100.0 * f64::from(arm.applied_tick) / f64::from(self.step_count);
@@ -142,7 +345,11 @@ impl Observer for Person {
                 arm.buffered()
             ));
         }
-        self.wants_stop.load(Ordering::Relaxed)
+        self.signals.wish()
+    }
+
+    fn interest(&self) -> Option<Interest<'_>> {
+        Some(self.signals.interest())
     }
 }
 

@@ -1,15 +1,16 @@
-//! How time passes during a run.
+//! How time passes during a run on the simulated arm.
 
-use std::thread;
-use std::time::{Duration, Instant};
+use powderline_host::clock;
+use powderline_host::jitter::{Jitter, JitterSummary};
+use powderline_host::wait::wait_until;
 
 /// Lets time pass.
 pub trait Pace {
     /// Returns at `moment_us` after the begin of the run, or later.
     fn wait_until(&mut self, moment_us: u64);
 
-    /// How much later than wanted at the worst, microseconds.
-    fn worst_lateness_us(&self) -> Option<u64>;
+    /// How late the process woke up, if it slept at all.
+    fn jitter(&self) -> Option<JitterSummary>;
 }
 
 /// Time passes at once.
@@ -19,38 +20,35 @@ pub struct VirtualTime;
 impl Pace for VirtualTime {
     fn wait_until(&mut self, _moment_us: u64) {}
 
-    fn worst_lateness_us(&self) -> Option<u64> {
+    fn jitter(&self) -> Option<JitterSummary> {
         None
     }
 }
 
 /// Time passes by the wall clock. Each wait is for a moment, not for a duration, so that lateness never adds up.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct WallClock {
-    start: Instant,
-    worst_lateness_us: u64,
+    start_us: u64,
+    jitter: Jitter,
 }
 
 impl WallClock {
-    /// Begins now.
+    /// Begins now. A cycle counts as late beyond `late_beyond_us`.
     #[must_use]
-    pub fn start() -> Self {
-        Self { start: Instant::now(), worst_lateness_us: 0 }
+    pub fn start(late_beyond_us: u64) -> Self {
+        Self { start_us: clock::now_us(), jitter: Jitter::new(late_beyond_us) }
     }
 }
 
 impl Pace for WallClock {
     fn wait_until(&mut self, moment_us: u64) {
-        let wanted = Duration::from_micros(moment_us);
-        // A sleep may return early where signals interrupt it.
-        while let Some(left) = wanted.checked_sub(self.start.elapsed()).filter(|left| !left.is_zero()) {
-            thread::sleep(left);
+        // Nothing but the moment is waited for, which cannot fail.
+        if let Ok(woken) = wait_until::<0>(Some(self.start_us.saturating_add(moment_us)), []) {
+            woken.late_us.into_iter().for_each(|late_us| self.jitter.record(late_us));
         }
-        let late = self.start.elapsed().saturating_sub(wanted).as_micros();
-        self.worst_lateness_us = self.worst_lateness_us.max(u64::try_from(late).unwrap_or(u64::MAX));
     }
 
-    fn worst_lateness_us(&self) -> Option<u64> {
-        Some(self.worst_lateness_us)
+    fn jitter(&self) -> Option<JitterSummary> {
+        self.jitter.summary()
     }
 }

@@ -2,18 +2,20 @@
 
 use core::fmt::{self, Write as _};
 
-use powderline_shared::displacement::Lsb;
+use powderline_executor::Telemetry;
+use powderline_host::jitter::JitterSummary;
+use powderline_shared::displacement::{Axis, Lsb, Setpoint};
 use powderline_shared::fault::{Fault, FaultCode};
 use powderline_shared::limits::PeakUse;
 use powderline_shared::plan::{PlanReader, Precision, SKILL_PARAMETERS, StartPose};
-use powderline_shared::pose::Pose;
 use serde::Serialize;
 
-use crate::run::RunResult;
+use crate::run::{FrameCounts, RunResult};
 use powderline_executor::Outcome;
 
-/// Largest accepted difference between the final pose and the plan's end, LSB.
-const HALF_LSB: f64 = 0.5;
+/// Largest accepted difference between the final pose and the plan's end, LSB; more than a half by what floating-point
+/// numbers may be off.
+const HALF_LSB: f64 = 0.5 * (1.0 + 1e-6);
 
 /// Everything about a run.
 #[derive(Clone, Debug, Serialize)]
@@ -30,14 +32,20 @@ pub struct Report {
     pub ticks: Ticks,
     /// Begin to end, seconds of the arm's time.
     pub duration_s: f64,
-    /// Under the wall clock: how late this process was at the worst, seconds.
-    pub worst_lateness_s: Option<f64>,
-    /// Where the arm stands.
-    pub final_pose: StartPose,
+    /// Under the wall clock: how late this process woke up.
+    pub jitter: Option<JitterSummary>,
+    /// On a wire: what became of frames.
+    pub frames: Option<FrameCounts>,
+    /// On a wire: what is to be said of it.
+    pub wire: Option<String>,
+    /// What the executor counted and measured.
+    pub stream: Stream,
+    /// Where the arm stands, as far as it has said.
+    pub final_pose: Option<StartPose>,
     /// Where the plan ends.
     pub plan_end_pose: StartPose,
-    /// Final pose minus plan's end (x, y, z, rx, ry, rz), LSB.
-    pub error_lsb: [f64; 6],
+    /// Where the arm stands minus where the plan ends, both from the arm's anchor (x, y, z, rx, ry, rz), LSB of the wire.
+    pub error_lsb: Option<[f64; 6]>,
     /// Whether each of them is at most half an LSB.
     pub within_half_lsb: bool,
     /// Largest use of the plan's limits, per cent.
@@ -94,6 +102,40 @@ pub struct Stop {
     pub detail: Option<String>,
 }
 
+/// What the executor counted and measured.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Stream {
+    /// Setpoints sent again because the arm did not have them.
+    pub resent: u32,
+    /// Requests made again because nothing had come of them.
+    pub retries: u32,
+    /// Messages that the arm dropped since its power on.
+    pub dropped_by_arm: u16,
+    /// Shortest time from saying something to hearing of it, seconds.
+    pub quickest_round_trip_s: Option<f64>,
+    /// Longest time from saying something to hearing of it, the wait for the arm's next report included, seconds.
+    pub longest_round_trip_s: Option<f64>,
+    /// Largest distance of the arm from where it was due, metres.
+    pub tracking_m: f64,
+    /// Largest angle of the arm from where it was due, radians.
+    pub tracking_rad: f64,
+}
+
+impl Stream {
+    fn new(telemetry: &Telemetry) -> Self {
+        let heard = telemetry.quickest_us < u64::MAX;
+        Self {
+            resent: telemetry.resent,
+            retries: telemetry.retries,
+            dropped_by_arm: telemetry.dropped,
+            quickest_round_trip_s: heard.then(|| seconds(telemetry.quickest_us)),
+            longest_round_trip_s: heard.then(|| seconds(telemetry.round_trip_us)),
+            tracking_m: telemetry.tracking_m,
+            tracking_rad: telemetry.tracking_rad,
+        }
+    }
+}
+
 /// Counts of ticks.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Ticks {
@@ -111,7 +153,7 @@ impl Report {
     pub fn new(file: &str, plan: &PlanReader<'_>, run: &RunResult) -> Self {
         let header = plan.header();
         let end = plan.end_pose();
-        let error_lsb = error_lsb(&end, &run.final_pose, header.lsb);
+        let error_lsb = run.reached.map(|reached| error_lsb(plan, reached, run.lsb));
         Self {
             plan: PlanFacts::new(file, plan),
             completed: run.outcome == Outcome::Completed,
@@ -125,15 +167,19 @@ impl Report {
             },
             ticks: Ticks {
                 planned: header.step_count,
-                applied: run.arm.applied_tick,
+                applied: run.arm.map_or(0, |arm| arm.applied_tick),
                 lost: run.telemetry.lost,
             },
             duration_s: seconds(run.duration_us),
-            worst_lateness_s: run.worst_lateness_us.map(seconds),
-            final_pose: StartPose::from(&run.final_pose),
+            jitter: run.jitter,
+            frames: run.frames,
+            wire: run.wire.clone(),
+            stream: Stream::new(&run.telemetry),
+            final_pose: run.final_pose.as_ref().map(StartPose::from),
             plan_end_pose: StartPose::from(&end),
             error_lsb,
-            within_half_lsb: error_lsb.iter().all(|error| error.abs() <= HALF_LSB),
+            within_half_lsb: error_lsb
+                .is_some_and(|errors| errors.iter().all(|error| error.abs() <= HALF_LSB)),
             peak_use_percent: percent(run.peak_use),
         }
     }
@@ -142,6 +188,17 @@ impl Report {
     #[must_use]
     pub fn succeeded(&self) -> bool {
         self.completed && self.within_half_lsb
+    }
+
+    /// One sentence on how it ended.
+    #[must_use]
+    pub fn cause(&self) -> String {
+        match &self.stop {
+            None => format!("completed: {} of {} ticks", self.ticks.applied, self.ticks.planned),
+            Some(stop) => {
+                format!("stopped at tick {}, fault {}: {}", self.ticks.applied, stop.code, stop.reason)
+            }
+        }
     }
 
     /// Whether a person stopped it, and it stands.
@@ -250,9 +307,11 @@ impl fmt::Display for Report {
         if lost > 0 {
             writeln!(f, "  lost      {lost} setpoints were not there when the arm needed them")?;
         }
-        let worst = self.error_lsb.iter().fold(0.0_f64, |worst, error| worst.max(error.abs()));
-        let verdict = if self.within_half_lsb { "within half an LSB" } else { "more than half an LSB" };
-        writeln!(f, "  end pose  {worst:.3} LSB off the plan's end at most: {verdict}")?;
+        if let Some(errors) = self.error_lsb {
+            let worst = errors.iter().fold(0.0_f64, |worst, error| worst.max(error.abs()));
+            let verdict = if self.within_half_lsb { "within half an LSB" } else { "more than half an LSB" };
+            writeln!(f, "  end pose  {worst:.3} LSB off the plan's end at most: {verdict}")?;
+        }
         let peak = &self.peak_use_percent;
         writeln!(
             f,
@@ -265,16 +324,52 @@ impl fmt::Display for Report {
             peak.angular_acceleration,
             peak.angular_jerk
         )?;
-        self.worst_lateness_s.iter().try_for_each(|late| {
-            writeln!(f, "  clock     this process woke up {:.3} ms late at the worst", late * 1e3)
-        })
+        self.fmt_stream(f)
     }
 }
 
-fn error_lsb(end: &Pose, found: &Pose, lsb: Lsb) -> [f64; 6] {
-    let [x, y, z, rx, ry, rz] = end.displacement_to(found).components();
-    let (length, angle) = (lsb.translation_m(), lsb.rotation_rad());
-    [x / length, y / length, z / length, rx / angle, ry / angle, rz / angle]
+impl Report {
+    fn fmt_stream(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Stream { resent, retries, tracking_m, tracking_rad, .. } = self.stream;
+        if let Some(frames) = self.frames {
+            let FrameCounts { sent, received, rejected, not_taken, garbled } = frames;
+            writeln!(
+                f,
+                "  frames    {sent} sent, {received} received, {rejected} not understood, {not_taken} not taken by the wire, \
+                 {garbled} garbled; {resent} setpoints sent again, {retries} requests repeated"
+            )?;
+        }
+        if let (Some(_), Some(quickest), Some(longest)) =
+            (self.frames, self.stream.quickest_round_trip_s, self.stream.longest_round_trip_s)
+        {
+            writeln!(
+                f,
+                "  answers   {:.3} ms at the quickest, {:.3} ms at the slowest",
+                quickest * 1e3,
+                longest * 1e3
+            )?;
+        }
+        if self.ticks.applied > 0 {
+            writeln!(
+                f,
+                "  tracking  {:.3} mm, {:.3} mrad behind at the most",
+                tracking_m * 1e3,
+                tracking_rad * 1e3
+            )?;
+        }
+        self.wire.iter().try_for_each(|wire| writeln!(f, "  wire      {wire}"))?;
+        self.jitter.iter().try_for_each(|jitter| writeln!(f, "  clock     {jitter}"))
+    }
+}
+
+/// Component by component, as setpoints are rounded.
+fn error_lsb(plan: &PlanReader<'_>, reached: Setpoint, lsb: Lsb) -> [f64; 6] {
+    let end = plan.end_setpoint().cumulative(plan.header().lsb).components();
+    let mut errors = reached.cumulative(lsb).components();
+    for ((error, end), axis) in errors.iter_mut().zip(end).zip(Axis::ALL) {
+        *error = (*error - end) / lsb.of(axis);
+    }
+    errors
 }
 
 fn percent(share: PeakUse) -> PeakUse {

@@ -1,27 +1,36 @@
-//! Executor and simulated arm in one process, joined without a wire.
+//! Executor and simulated arm in one process, joined without a wire; and what there is to know after any run.
 //!
 //! Both see the scheduled moments, never the lateness of the process that they share: under the wall clock the motion is
 //! the same, bit for bit, as under virtual time.
 
+use powderline_executor::{Action, Config, Executor, Outcome, Telemetry};
 use powderline_firmware_sim::clock::VirtualClock;
 use powderline_firmware_sim::controller::{ArmConfig, Controller};
+use powderline_host::jitter::JitterSummary;
+pub use powderline_host::signals::StopWish;
+use powderline_host::wait::Interest;
+use powderline_shared::displacement::{Lsb, Setpoint};
 use powderline_shared::limits::{PeakUse, Violation};
 use powderline_shared::plan::PlanReader;
 use powderline_shared::pose::Pose;
 use powderline_shared::wire::message::{Refusal, Status};
+use serde::Serialize;
 
 use crate::pace::Pace;
-use powderline_executor::{Action, Config, Executor, Outcome, Telemetry};
 
 /// What there is to know after a run.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct RunResult {
     /// How it ended.
     pub outcome: Outcome,
     /// The arm's last report in the session.
-    pub arm: Status,
-    /// Where the arm really stands.
-    pub final_pose: Pose,
+    pub arm: Option<Status>,
+    /// Where the arm has said to be, from its anchor.
+    pub reached: Option<Setpoint>,
+    /// What one of its counts is worth.
+    pub lsb: Lsb,
+    /// Where the arm stands, as far as is known.
+    pub final_pose: Option<Pose>,
     /// What the executor has counted and measured.
     pub telemetry: Telemetry,
     /// Use of the plan's limits by what was sent.
@@ -30,16 +39,40 @@ pub struct RunResult {
     pub violation: Option<Violation>,
     /// Why the arm refused the session.
     pub refusal: Option<Refusal>,
-    /// Scheduled time from begin to end, microseconds.
+    /// From begin to end, microseconds; in virtual time, of that.
     pub duration_us: u64,
-    /// Under the wall clock: how late the process was at the worst, microseconds.
-    pub worst_lateness_us: Option<u64>,
+    /// Under the wall clock: how late the process woke up.
+    pub jitter: Option<JitterSummary>,
+    /// On a wire: what became of frames.
+    pub frames: Option<FrameCounts>,
+    /// On a wire: what is to be said of it.
+    pub wire: Option<String>,
+}
+
+/// What became of frames.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct FrameCounts {
+    /// Given to the wire.
+    pub sent: u32,
+    /// Received.
+    pub received: u32,
+    /// Received, and dropped: damaged, of another session, or of nobody known.
+    pub rejected: u32,
+    /// Given up because the wire had no room for too long.
+    pub not_taken: u64,
+    /// Pieces of a serial line that were no frames.
+    pub garbled: u64,
 }
 
 /// What a person may see and do during a run.
 pub trait Observer {
-    /// Called after every exchange; `true` asks for a controlled stop.
-    fn observe(&mut self, now_us: u64, arm: &Status) -> bool;
+    /// Called after every exchange with the arm's last status; what the person wishes by now.
+    fn observe(&mut self, now_us: u64, arm: &Status) -> StopWish;
+
+    /// What to wait for, so that a wish is seen at once.
+    fn interest(&self) -> Option<Interest<'_>> {
+        None
+    }
 }
 
 /// Sees nothing, stops nothing.
@@ -47,8 +80,8 @@ pub trait Observer {
 pub struct Unattended;
 
 impl Observer for Unattended {
-    fn observe(&mut self, _now_us: u64, _arm: &Status) -> bool {
-        false
+    fn observe(&mut self, _now_us: u64, _arm: &Status) -> StopWish {
+        StopWish::None
     }
 }
 
@@ -63,24 +96,34 @@ pub fn play(
     let mut clock = VirtualClock::default();
     let mut arm = Controller::new(arm);
     let mut executor = Executor::new(clock.now_us(), plan, config);
-    let mut last_report = arm.status();
+    let mut wish = StopWish::None;
     loop {
         let now_us = clock.now_us();
-        if let Some(outcome) = exchange(now_us, config.session, &mut executor, &mut arm, &mut last_report) {
+        if let Some(outcome) = exchange(now_us, &mut executor, &mut arm) {
             return RunResult {
                 outcome,
-                arm: last_report,
-                final_pose: arm.pose(),
+                arm: executor.session_status(),
+                reached: executor.reached(),
+                lsb: config.lsb.unwrap_or(plan.header().lsb),
+                final_pose: Some(arm.pose()),
                 telemetry: executor.telemetry(),
                 peak_use: executor.peak_use(),
                 violation: executor.violation().or(arm.violation()),
                 refusal: executor.refusal(),
                 duration_us: now_us,
-                worst_lateness_us: pace.worst_lateness_us(),
+                jitter: pace.jitter(),
+                frames: None,
+                wire: None,
             };
         }
-        if observer.observe(now_us, &last_report) {
-            executor.handle_stop(now_us);
+        let wished = observer.observe(now_us, &executor.arm_status().copied().unwrap_or(arm.status()));
+        if wished > wish {
+            wish = wished;
+            match wish {
+                StopWish::None => {}
+                StopWish::Controlled => executor.handle_stop(now_us),
+                StopWish::Immediate => executor.handle_hard_stop(now_us),
+            }
         }
         let next_us = executor.poll_at().map_or(now_us, |executor_us| executor_us.min(arm.poll_at()));
         // What is due already, such as the message of a stop that has just been asked for, is exchanged at once.
@@ -91,21 +134,12 @@ pub fn play(
 }
 
 /// Passes messages to and fro until both wait; the outcome, if the session is over.
-fn exchange(
-    now_us: u64,
-    session: u16,
-    executor: &mut Executor<'_>,
-    arm: &mut Controller,
-    last_report: &mut Status,
-) -> Option<Outcome> {
+fn exchange(now_us: u64, executor: &mut Executor<'_>, arm: &mut Controller) -> Option<Outcome> {
     loop {
         let mut quiet = true;
         while let Some(message) = arm.poll(now_us) {
             executor.handle_message(now_us, &message);
             quiet = false;
-        }
-        if let Some(status) = executor.arm_status().filter(|status| status.session == session) {
-            *last_report = *status;
         }
         match executor.poll(now_us) {
             Action::Send(message) => arm.handle_message(now_us, &message),

@@ -6,7 +6,7 @@ use common::{Move, header, one_move, plan_bytes};
 use powderline_executor::{Action, Config, Executor, Outcome};
 use powderline_executor_cli::pace::VirtualTime;
 use powderline_executor_cli::report::Report;
-use powderline_executor_cli::run::{Observer, RunResult, Unattended, play};
+use powderline_executor_cli::run::{Observer, RunResult, StopWish, Unattended, play};
 use powderline_firmware_sim::controller::{ArmConfig, Controller};
 use powderline_shared::displacement::{Displacement, Lsb};
 use powderline_shared::fault::FaultCode;
@@ -37,8 +37,8 @@ fn a_plan_ends_where_it_says_bit_for_bit() {
     let plan = PlanReader::new(&bytes).unwrap();
     let result = play_on(&plan, arm_for(&plan));
     assert_eq!(result.outcome, Outcome::Completed);
-    assert_eq!(result.final_pose, plan.end_pose());
-    assert_eq!((result.arm.applied_tick, result.telemetry.lost), (120, 0));
+    assert_eq!(result.final_pose, Some(plan.end_pose()));
+    assert_eq!((result.arm.unwrap().applied_tick, result.telemetry.lost), (120, 0));
     // Armed at once, 120 periods, three more until acceleration and jerk are gone.
     assert_eq!(result.duration_us, (120 + 3) * 10_000);
 }
@@ -61,7 +61,7 @@ fn the_look_ahead_does_not_change_the_motion() {
         let result = play(&plan, config, arm_for(&plan), &mut VirtualTime, &mut Unattended);
         assert_eq!(
             (result.outcome, result.final_pose),
-            (Outcome::Completed, plan.end_pose()),
+            (Outcome::Completed, Some(plan.end_pose())),
             "{look_ahead}"
         );
     }
@@ -118,7 +118,7 @@ fn each_limit_is_refused_by_executor_and_by_arm_independently() {
         assert!(plan.check_limits().is_err());
         let result = play_on(&plan, arm_for(&plan));
         assert_eq!(fault_code(result.outcome), Some(by_executor));
-        assert!(result.violation.is_some() && result.arm.standstill);
+        assert!(result.violation.is_some() && result.arm.unwrap().standstill);
 
         // The plan is fine by its own limits, the arm has tighter ones. (The LSB is fine enough for the tightest.)
         let lsb = Lsb { translation_nm: 10, rotation_nrad: 10 };
@@ -127,7 +127,7 @@ fn each_limit_is_refused_by_executor_and_by_arm_independently() {
         let arm = ArmConfig { limits: tight, ..arm_for(&plan) };
         let result = play_on(&plan, arm);
         assert_eq!(fault_code(result.outcome), Some(by_arm));
-        assert!(result.violation.is_some() && result.arm.standstill);
+        assert!(result.violation.is_some() && result.arm.unwrap().standstill);
     }
 }
 
@@ -139,7 +139,7 @@ fn an_arm_that_stands_elsewhere_is_not_moved() {
     let elsewhere = plan.header().start_pose().displaced(&off);
     let result = play_on(&plan, ArmConfig::ideal(elsewhere));
     assert_eq!(fault_code(result.outcome), Some(FaultCode::AnchorElsewhere));
-    assert_eq!(result.final_pose, elsewhere);
+    assert_eq!(result.final_pose, Some(elsewhere));
 }
 
 #[test]
@@ -149,7 +149,8 @@ fn a_small_offset_of_the_anchor_is_carried_along() {
     let off = Displacement { translation_m: [1e-4, 0.0, -2e-4], ..Displacement::default() };
     let result = play_on(&plan, ArmConfig::ideal(plan.header().start_pose().displaced(&off)));
     assert_eq!(result.outcome, Outcome::Completed);
-    let difference = plan.end_pose().displacement_to(&result.final_pose).translation() - off.translation();
+    let difference =
+        plan.end_pose().displacement_to(&result.final_pose.unwrap()).translation() - off.translation();
     assert!(difference.norm() < 1e-12);
 }
 
@@ -171,14 +172,14 @@ struct StopAtOnce {
 }
 
 impl Observer for StopAtOnce {
-    fn observe(&mut self, now_us: u64, arm: &Status) -> bool {
+    fn observe(&mut self, now_us: u64, arm: &Status) -> StopWish {
         if arm.state == State::QuickStopActive {
             self.obeyed_us.get_or_insert(now_us);
         }
         if arm.applied_tick >= 50 {
             self.asked_us.get_or_insert(now_us);
         }
-        self.asked_us.is_some()
+        if self.asked_us.is_some() { StopWish::Controlled } else { StopWish::None }
     }
 }
 
@@ -212,8 +213,8 @@ fn whoever_has_something_to_say_is_to_be_polled_at_once() {
 struct StopAt(u32);
 
 impl Observer for StopAt {
-    fn observe(&mut self, _now_us: u64, arm: &Status) -> bool {
-        arm.applied_tick >= self.0
+    fn observe(&mut self, _now_us: u64, arm: &Status) -> StopWish {
+        if arm.applied_tick >= self.0 { StopWish::Controlled } else { StopWish::None }
     }
 }
 
@@ -224,7 +225,7 @@ fn a_person_can_stop_at_any_tick() {
     for tick in 0..120 {
         let result = play(&plan, Config::default(), arm_for(&plan), &mut VirtualTime, &mut StopAt(tick));
         assert_eq!(fault_code(result.outcome), Some(FaultCode::OperatorStop), "{tick}");
-        assert!(result.arm.standstill && result.arm.state != State::OperationEnabled);
+        assert!(result.arm.unwrap().standstill && result.arm.unwrap().state != State::OperationEnabled);
     }
 }
 
@@ -268,7 +269,7 @@ fn a_stop_is_over_when_the_arm_stands_and_not_before() {
     let result = play(&plan, config, arm_for(&plan), &mut VirtualTime, &mut StopAt(60));
     let Outcome::Stopped { fault, standstill } = result.outcome else { panic!("{:?}", result.outcome) };
     assert_eq!(fault.code, FaultCode::OperatorStop);
-    assert!(standstill && result.arm.standstill, "given up while the arm moves");
+    assert!(standstill && result.arm.unwrap().standstill, "given up while the arm moves");
     let took_us = result.duration_us - 60 * 10_000;
     assert!((100_000..500_000).contains(&took_us), "{took_us} us");
 }
@@ -282,7 +283,7 @@ fn a_stop_that_the_arm_does_not_confirm_is_not_reported_as_one() {
     assert!(report.stopped_by_a_person() && report.to_string().starts_with("Stopped at tick"));
 
     let Outcome::Stopped { fault, .. } = run.outcome else { panic!("{:?}", run.outcome) };
-    let unconfirmed = RunResult { outcome: Outcome::Stopped { fault, standstill: false }, ..run };
+    let unconfirmed = RunResult { outcome: Outcome::Stopped { fault, standstill: false }, ..run.clone() };
     let report = Report::new("skill.plan", &plan, &unconfirmed);
     let text = report.to_string();
     assert!(!text.contains("Stopped") && text.contains("may be moving"), "{text}");
@@ -497,9 +498,9 @@ proptest! {
         prop_assert_eq!(result.outcome, Outcome::Completed);
         // Against the exact, unquantised end: half an LSB and no more.
         let exact: f64 = moves.iter().map(|segment| segment.translation_m[0]).sum();
-        let reached = result.final_pose.position_m.x - plan.header().start.position_m[0];
+        let reached = result.final_pose.unwrap().position_m.x - plan.header().start.position_m[0];
         prop_assert!((reached - exact).abs() <= 0.5e-7 * 1.001);
-        prop_assert_eq!(result.final_pose, plan.end_pose());
+        prop_assert_eq!(result.final_pose, Some(plan.end_pose()));
     }
 
     #[test]

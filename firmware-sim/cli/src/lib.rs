@@ -2,4 +2,5 @@
 //! simulated wire with every fault we can think of ([`link`], [`storm`]).
 
 pub mod link;
+pub mod serve;
 pub mod storm;

@@ -2,22 +2,59 @@
 
 use std::io::{self, IsTerminal, Write};
 use std::ops::Range;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use anyhow::{Context, bail};
-use clap::{Parser, Subcommand};
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use powderline_firmware_sim::controller::{ArmConfig, DEFAULT_WATCHDOG_US};
 use powderline_firmware_sim_cli::link::faults::Faults;
 use powderline_firmware_sim_cli::link::world::Logged;
+use powderline_firmware_sim_cli::serve::{self, Announcer, Options};
 use powderline_firmware_sim_cli::storm;
+use powderline_host::link::Link;
+use powderline_shared::plan::{PlanReader, StartPose};
+use powderline_shared::pose::Pose;
+use powderline_shared::wire::Context as WireContext;
 use powderline_shared::wire::frame::Dialect;
 
-/// The simulated arm controller.
+/// The simulated arm controller: on a wire, or on a simulated one that has every fault
 #[derive(Debug, Parser)]
-#[command(version)]
+#[command(version, args_conflicts_with_subcommands = true, arg_required_else_help = true)]
 struct Arguments {
     #[command(subcommand)]
-    command: Command,
+    command: Option<Command>,
+    #[command(flatten)]
+    serve: Serve,
+}
+
+#[derive(Debug, Args)]
+struct Serve {
+    /// Wire to listen on: can:IFACE, canfd:IFACE, serial:DEVICE[@BAUD], or pty, which makes one and says its name
+    #[arg(long, value_name = "WIRE")]
+    on: Option<Link>,
+    /// Stand at the start pose of this plan; without it, at that of the scene bench
+    #[arg(long, value_name = "PLAN")]
+    at: Option<PathBuf>,
+    /// A UR5e beside the bench, with joints that lag; or an ideal arm, which is where it is told to be
+    #[arg(long, value_enum, default_value_t = ArmKind::Ur5e)]
+    arm: ArmKind,
+    /// Time without a sign of life of the executor after which the arm stops, milliseconds
+    #[arg(long, value_name = "MS", default_value_t = DEFAULT_WATCHDOG_US / 1_000, value_parser = clap::value_parser!(u64).range(10..=10_000))]
+    watchdog: u64,
+    /// Write the motion that the arm has made to this file, for `optimise simulate --executed`
+    #[arg(long, value_name = "FILE")]
+    executed: Option<PathBuf>,
+    /// End after the first session that has moved the arm
+    #[arg(long)]
+    once: bool,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum ArmKind {
+    Ur5e,
+    Ideal,
 }
 
 #[derive(Debug, Subcommand)]
@@ -28,7 +65,7 @@ enum Command {
         /// Seeds to run, the last one not included
         #[arg(long, default_value = "0..1000", value_parser = parse_range)]
         seeds: Range<u64>,
-        /// Run this seed only, with its log
+        /// Run this seed only, with its log in candump's format
         #[arg(long, conflicts_with = "seeds")]
         seed: Option<u64>,
         /// Instead, a table of what comes of plain loss and delay
@@ -45,11 +82,12 @@ fn parse_range(text: &str) -> Result<Range<u64>, String> {
 }
 
 fn main() -> ExitCode {
-    let Arguments { command: Command::Storm { seeds, seed, table } } = Arguments::parse();
-    let done = match seed {
-        Some(seed) => replay(seed),
-        None if table => loss_table(seeds),
-        None => storm(seeds),
+    let Arguments { command, serve } = Arguments::parse();
+    let done = match command {
+        Some(Command::Storm { seed: Some(seed), .. }) => replay(seed),
+        Some(Command::Storm { seeds, table: true, .. }) => loss_table(seeds),
+        Some(Command::Storm { seeds, .. }) => storm(seeds),
+        None => serve_arm(&serve),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
@@ -57,6 +95,58 @@ fn main() -> ExitCode {
             eprintln!("firmware-sim: {error:#}");
             ExitCode::FAILURE
         }
+    }
+}
+
+/// Where the scene bench begins; the end-to-end tests hold the two together.
+fn bench_start() -> Pose {
+    let (sine, cosine) = (START_PITCH_RAD / 2.0).sin_cos();
+    let orientation_wxyz = [cosine, 0.0, sine, 0.0];
+    Pose::from(&StartPose { position_m: [0.0455, 0.048, 0.066], orientation_wxyz })
+}
+
+const START_PITCH_RAD: f64 = 80.0 / 180.0 * std::f64::consts::PI;
+
+fn serve_arm(arguments: &Serve) -> anyhow::Result<()> {
+    let Some(on) = arguments.on.clone() else { bail!("nothing to do: give --on WIRE, or the command storm") };
+    let pose = arguments.at.as_deref().map_or_else(|| Ok(bench_start()), start_of)?;
+    let arm = match arguments.arm {
+        ArmKind::Ideal => ArmConfig::ideal(pose),
+        ArmKind::Ur5e => ArmConfig::ur5e(pose).map_err(|error| {
+            anyhow::anyhow!("the arm cannot stand there ({error}); --arm ideal can stand anywhere")
+        })?,
+    };
+    let arm = ArmConfig { watchdog_us: 1_000 * arguments.watchdog, ..arm };
+    let options = Options { on, arm, once: arguments.once };
+    serve::serve(&options, &mut Person { executed: arguments.executed.clone() })
+}
+
+fn start_of(plan: &Path) -> anyhow::Result<Pose> {
+    let named = |error: &dyn std::fmt::Display| anyhow::anyhow!("{}: {error}", plan.display());
+    let bytes = std::fs::read(plan).map_err(|error| named(&error))?;
+    let plan =
+        PlanReader::new(&bytes).map_err(|error| named(&format!("this is not a usable plan: {error}")))?;
+    Ok(plan.header().start_pose())
+}
+
+/// Whoever sits in front of the terminal.
+struct Person {
+    executed: Option<PathBuf>,
+}
+
+impl Announcer for Person {
+    fn say(&mut self, line: &str) {
+        // Should nobody listen any more, the arm goes on all the same.
+        let _ = writeln!(io::stdout(), "{line}");
+    }
+
+    fn executed(&mut self, context: &WireContext, period_us: u32, poses: &[Pose]) -> anyhow::Result<()> {
+        let last = poses.last().map(|pose| pose.position_m).unwrap_or_default();
+        let (ticks, x, y, z) = (poses.len(), last.x, last.y, last.z);
+        self.say(&format!("At rest after {ticks} ticks, at ({x:.6}, {y:.6}, {z:.6}) m."));
+        let Some(path) = &self.executed else { return Ok(()) };
+        let _ = (context, period_us);
+        bail!("{}: not written", path.display())
     }
 }
 

@@ -50,6 +50,15 @@ pub enum Dialect {
 }
 
 impl Dialect {
+    /// How far apart, in counts, two setpoints may be for the second to be understood by the first; any distance if `None`.
+    #[must_use]
+    pub const fn span(self) -> Option<u32> {
+        match self {
+            Self::Classic => Some(32_767),
+            Self::Fd => None,
+        }
+    }
+
     /// Both.
     pub const ALL: [Self; 2] = [Self::Classic, Self::Fd];
 

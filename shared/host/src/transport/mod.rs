@@ -6,6 +6,8 @@ mod pty;
 mod serial;
 mod socketcan;
 
+use std::path::Path;
+
 use powderline_shared::wire::frame::{Dialect, Frame};
 
 pub use error::LinkError;
@@ -14,6 +16,7 @@ pub use pty::Pty;
 pub use serial::Serial;
 pub use socketcan::SocketCan;
 
+use crate::link::Link;
 use crate::wait::Interest;
 
 /// One end of a wire.
@@ -37,10 +40,29 @@ pub trait Transport {
     /// What to wait for; `None` while nobody holds the other end, whose coming back shows only by looking again.
     fn interest(&self) -> Option<Interest<'_>>;
 
+    /// Where the other end is to be opened, if this wire was made for it.
+    fn other_end(&self) -> Option<&Path> {
+        None
+    }
+
     /// Pieces of the line that were no frames, since it was opened; always 0 where the hardware drops them itself.
     fn garbled(&self) -> u64 {
         0
     }
+}
+
+/// Opens a wire; `None` for an arm inside the same process, which has none.
+///
+/// # Errors
+/// Why it cannot be opened.
+pub fn open(link: &Link) -> Result<Option<Box<dyn Transport>>, LinkError> {
+    Ok(match link {
+        Link::Sim => None,
+        Link::Can { interface, .. } => Some(Box::new(SocketCan::open(interface, Dialect::Classic)?)),
+        Link::CanFd { interface, .. } => Some(Box::new(SocketCan::open(interface, Dialect::Fd)?)),
+        Link::Serial { device, baud } => Some(Box::new(Serial::open(device, *baud)?)),
+        Link::Pty => Some(Box::new(Pty::create()?)),
+    })
 }
 
 /// What became of a frame.

@@ -95,6 +95,10 @@ impl Transport for Pty {
         self.is_open().then(|| Interest { fd: self.master.as_fd(), writable: self.ends.has_left() })
     }
 
+    fn other_end(&self) -> Option<&Path> {
+        Some(&self.path)
+    }
+
     fn garbled(&self) -> u64 {
         self.ends.garbled()
     }

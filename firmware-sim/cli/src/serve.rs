@@ -1,0 +1,244 @@
+//! The simulated arm at the end of a wire.
+
+use std::collections::VecDeque;
+use std::io;
+
+use anyhow::Context as _;
+use powderline_firmware_sim::controller::{ArmConfig, Controller};
+use powderline_firmware_sim::endpoint::Endpoint;
+use powderline_host::clock;
+use powderline_host::link::Link;
+use powderline_host::signals::{Signals, StopWish};
+use powderline_host::transport::{self, Incoming, LinkError, Sent, Transport};
+use powderline_host::wait::{Interest, wait_until};
+use powderline_shared::fault::Fault;
+use powderline_shared::pose::Pose;
+use powderline_shared::wire::Context;
+use powderline_shared::wire::frame::Frame;
+use powderline_shared::wire::message::ToArm;
+use powderline_shared::wire::state::{Phase, State};
+
+/// Frames that wait for room on the wire; the oldest give way, for the newest say more.
+const QUEUE: usize = 64;
+
+/// Time between two attempts to open a wire that has failed, microseconds.
+const REOPEN_US: u64 = 250_000;
+
+/// What to serve, and how.
+#[derive(Debug)]
+pub struct Options {
+    /// The wire.
+    pub on: Link,
+    /// The arm.
+    pub arm: ArmConfig,
+    /// Whether to end with the first session that has moved the arm.
+    pub once: bool,
+}
+
+/// What a person gets told while the arm is served.
+pub trait Announcer {
+    /// One line.
+    fn say(&mut self, line: &str);
+    /// A motion is over: the hash of its plan, its period, and the pose at each tick, the anchor first.
+    ///
+    /// # Errors
+    /// If it cannot be written down.
+    fn executed(&mut self, context: &Context, period_us: u32, poses: &[Pose]) -> anyhow::Result<()>;
+}
+
+/// Serves until a person ends it.
+///
+/// # Errors
+/// If the wire cannot be opened, or something cannot be written.
+pub fn serve(options: &Options, announcer: &mut impl Announcer) -> anyhow::Result<()> {
+    let wire =
+        transport::open(&options.on)?.context("firmware-sim needs a wire: can, canfd, serial or pty")?;
+    let signals = Signals::install().context("Ctrl-C cannot be caught")?;
+    let controller = Controller::new(options.arm);
+    let endpoint = Endpoint::new(controller, wire.dialect());
+    let position = endpoint.controller().pose().position_m;
+    let to =
+        wire.other_end().map_or_else(|| options.on.to_string(), |path| format!("serial:{}", path.display()));
+    announcer.say(&format!(
+        "The arm stands at ({:.4}, {:.4}, {:.4}) m and listens on {to}; Ctrl-C ends it.",
+        position.x, position.y, position.z
+    ));
+    let mut server = Server {
+        options,
+        wire: Some(wire),
+        reopen_at_us: 0,
+        signals,
+        endpoint,
+        queue: VecDeque::new(),
+        told: Told::default(),
+        motion: Vec::new(),
+        wish: StopWish::None,
+        start_us: clock::now_us(),
+    };
+    server.run(announcer)
+}
+
+/// What has been said already.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Told {
+    state: Option<State>,
+    phase: Option<Phase>,
+    context: Option<Context>,
+    fault: Option<Fault>,
+}
+
+struct Server<'o> {
+    options: &'o Options,
+    wire: Option<Box<dyn Transport>>,
+    reopen_at_us: u64,
+    signals: Signals,
+    endpoint: Endpoint,
+    queue: VecDeque<Frame>,
+    told: Told,
+    /// Where the arm was at each tick of the motion that is under way.
+    motion: Vec<Pose>,
+    wish: StopWish,
+    /// The arm's clock begins here.
+    start_us: u64,
+}
+
+impl Server<'_> {
+    fn run(&mut self, announcer: &mut impl Announcer) -> anyhow::Result<()> {
+        loop {
+            let result = self.exchange();
+            self.mind_wire(result, announcer);
+            self.tell(announcer)?;
+            if self.is_over() {
+                return Ok(());
+            }
+            self.wait().context("waiting failed")?;
+        }
+    }
+
+    fn now_us(&self) -> u64 {
+        clock::now_us().saturating_sub(self.start_us)
+    }
+
+    /// Takes in what has arrived, hands out what there is to say.
+    fn exchange(&mut self) -> Result<(), LinkError> {
+        let Some(mut wire) = self.wire.take() else {
+            self.collect();
+            self.queue.clear();
+            return Ok(());
+        };
+        let result = self.exchange_on(wire.as_mut());
+        self.wire = Some(wire);
+        result
+    }
+
+    fn exchange_on(&mut self, wire: &mut dyn Transport) -> Result<(), LinkError> {
+        self.collect();
+        while let Some(received) = wire.receive()? {
+            if let Incoming::Frame(frame) = received.what {
+                let now_us = self.now_us();
+                self.endpoint.handle_frame(now_us, &frame);
+                self.collect();
+            }
+        }
+        while let Some(frame) = self.queue.front() {
+            if wire.send(frame)? == Sent::Busy {
+                break;
+            }
+            self.queue.pop_front();
+        }
+        Ok(())
+    }
+
+    /// Whatever the arm says now. What it does must not wait for room on the wire.
+    fn collect(&mut self) {
+        let now_us = self.now_us();
+        while let Some(frame) = self.endpoint.poll(now_us) {
+            if self.queue.len() >= QUEUE {
+                self.queue.pop_front();
+            }
+            self.queue.push_back(frame);
+        }
+        self.motion.extend(self.endpoint.controller_mut().take_ticks());
+    }
+
+    /// A wire that fails is no reason for the arm to end: it stops by itself, and the wire is opened anew.
+    fn mind_wire(&mut self, result: Result<(), LinkError>, announcer: &mut impl Announcer) {
+        if let Err(error) = result {
+            announcer.say(&format!("The wire failed: {error}."));
+            self.wire = None;
+            self.reopen_at_us = self.now_us().saturating_add(REOPEN_US);
+        }
+        if self.wire.is_some() || self.now_us() < self.reopen_at_us {
+            return;
+        }
+        match transport::open(&self.options.on) {
+            Ok(wire) => {
+                self.wire = wire;
+                announcer.say("The wire is there again.");
+            }
+            Err(_) => self.reopen_at_us = self.now_us().saturating_add(REOPEN_US),
+        }
+    }
+
+    /// Says what has changed, and writes down a motion that has come to its end.
+    fn tell(&mut self, announcer: &mut impl Announcer) -> anyhow::Result<()> {
+        let controller = self.endpoint.controller();
+        let status = controller.status();
+        let now = Told {
+            state: Some(status.state),
+            phase: status.phase,
+            context: Some(controller.context()).filter(|context| *context != Context::NONE),
+            fault: controller.fault(),
+        };
+        let (before, period_us) = (self.told, controller.period_us());
+        self.told = now;
+        if let Some(context) = now.context.filter(|_| before.context != now.context) {
+            let (session, hash) = (context.session, context.plan_hash);
+            announcer.say(&format!("Session {session:#06x}: plan {hash:016x}, {period_us} us a tick."));
+        }
+        if let Some(fault) = now.fault.filter(|_| before.fault != now.fault) {
+            announcer.say(&format!("Stopping: {fault}"));
+        }
+        if before.state != now.state || before.phase != now.phase {
+            let phase = now.phase.map_or("", |phase| match phase {
+                Phase::Armed => ", armed",
+                Phase::Streaming => ", following setpoints",
+                Phase::Completing => ", following the last setpoints",
+                Phase::Holding => ", holding the last setpoint",
+            });
+            announcer.say(&format!("State: {}{phase}.", status.state.name()));
+        }
+        if status.standstill && !self.motion.is_empty() {
+            let context = now.context.or(before.context).unwrap_or(Context::NONE);
+            announcer.executed(&context, period_us, &self.motion)?;
+            self.motion.clear();
+        }
+        Ok(())
+    }
+
+    /// A person's wish to end stops a moving arm first; asked again, it ends the program at once.
+    fn is_over(&mut self) -> bool {
+        let wish = self.signals.wish();
+        if wish > self.wish && wish == StopWish::Controlled {
+            let now_us = self.now_us();
+            self.endpoint.controller_mut().handle_message(now_us, &ToArm::Stop);
+        }
+        self.wish = wish;
+        let stands = self.endpoint.controller().status().standstill;
+        let closed = self.endpoint.controller().context() == Context::NONE || self.told.fault.is_some();
+        let done = self.options.once && self.endpoint.controller().has_moved() && closed;
+        wish == StopWish::Immediate || (stands && (wish == StopWish::Controlled || done))
+    }
+
+    fn wait(&mut self) -> io::Result<()> {
+        let mut wake_us = self.endpoint.poll_at();
+        if self.wire.is_none() {
+            wake_us = wake_us.min(self.reopen_at_us);
+        }
+        let moment_us = self.start_us.saturating_add(wake_us);
+        let interest = self.wire.as_ref().and_then(|wire| wire.interest());
+        let wire = interest
+            .map(|interest| Interest { writable: interest.writable || !self.queue.is_empty(), ..interest });
+        wait_until(Some(moment_us), [wire, Some(self.signals.interest())]).map(drop)
+    }
+}
