@@ -136,10 +136,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<ExitCode> {
     let file = arguments.plan.display().to_string();
     let config = config(arguments, &plan)?;
     let load = check_wire(arguments, &plan, &config)?;
-    if !arguments.json {
-        say(&PlanFacts::new(&file, &plan).to_string())?;
-        say(&format!("  wire      {}{load}\n", arguments.to))?;
-    }
+    announce(arguments, &format!("{}  wire      {}{load}\n", PlanFacts::new(&file, &plan), arguments.to))?;
     if arguments.dry_run {
         return say_dry(arguments);
     }
@@ -238,6 +235,8 @@ fn say_dry(arguments: &Arguments) -> anyhow::Result<ExitCode> {
 
 fn perform_here(arguments: &Arguments, plan: &PlanReader<'_>, config: Config) -> anyhow::Result<RunResult> {
     let mut person = Person::attend(arguments, plan, arguments.realtime)?;
+    let clock = if arguments.realtime { "by the wall clock" } else { "in virtual time" };
+    announce(arguments, &format!("Playing on the simulated arm, {clock}.\n"))?;
     let arm = ArmConfig::ideal(plan.header().start_pose());
     let period_us = config.period_us.unwrap_or(plan.header().control_period_us);
     let result = if arguments.realtime {
@@ -261,9 +260,10 @@ fn perform_there(
     // From here on Ctrl-C is a controlled stop; only then may the arm move.
     let mut person = Person::attend(arguments, plan, true)?;
     let granted = realtime::prepare((arguments.priority > 0).then_some(arguments.priority));
-    if arguments.measure && !arguments.json {
-        say(&format!("{granted}\n"))?;
+    if arguments.measure {
+        announce(arguments, &format!("{granted}\n"))?;
     }
+    announce(arguments, &format!("Playing to {to}.\n"))?;
     let mut spare = None;
     let recorder = record.map_or_else(|| spare.insert(Box::default()), |record| &mut record.recorder);
     let mut result = wire::play(plan, config, wire.as_mut(), recorder, &mut person)
@@ -273,6 +273,10 @@ fn perform_there(
         result.jitter = None;
     }
     Ok(result)
+}
+
+fn announce(arguments: &Arguments, text: &str) -> anyhow::Result<()> {
+    if arguments.json { Ok(()) } else { say(text) }
 }
 
 /// Where the last frames go when the session is over. The file is there before the arm moves.
