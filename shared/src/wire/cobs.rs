@@ -7,6 +7,8 @@ use core::fmt;
 
 use heapless::Vec;
 
+use super::fields::append;
+
 /// Ends a packet.
 pub const DELIMITER: u8 = 0;
 
@@ -54,7 +56,7 @@ pub fn encode<const N: usize>(packet: &[u8], out: &mut Vec<u8, N>) -> Result<(),
 
 fn put_block<const N: usize>(bytes: &[u8], code: u8, out: &mut Vec<u8, N>) -> Result<(), NoRoom> {
     out.push(code).map_err(|_| NoRoom)?;
-    out.extend_from_slice(bytes).map_err(|_| NoRoom)
+    append(out, bytes).ok_or(NoRoom)
 }
 
 /// Why what lies between two delimiters is no packet.

@@ -4,6 +4,12 @@ use heapless::Vec;
 
 use super::frame::{Frame, MAX_DATA};
 
+/// Appends bytes; `None`, with some of them appended, if there is no room. (`Vec::extend_from_slice` adds two lengths, which a
+/// build with overflow checks cannot see to be small: a microcontroller's program would not link without a panic.)
+pub(super) fn append<const N: usize>(out: &mut Vec<u8, N>, bytes: &[u8]) -> Option<()> {
+    bytes.iter().try_for_each(|byte| out.push(*byte).ok())
+}
+
 /// Builds the data of a frame. Every layout is a constant of at most 64 bytes, so nothing is ever cut off; golden tests
 /// pin each of them.
 pub(super) struct Put(Vec<u8, MAX_DATA>);
@@ -14,7 +20,7 @@ impl Put {
     }
 
     pub(super) fn bytes(mut self, bytes: &[u8]) -> Self {
-        let _ = self.0.extend_from_slice(bytes);
+        let _ = append(&mut self.0, bytes);
         self
     }
 

@@ -2,6 +2,7 @@
 
 use heapless::Vec;
 
+use super::fields::append;
 use crate::displacement::Lsb;
 
 /// Most data bytes of a frame.
@@ -26,8 +27,9 @@ impl Frame {
     /// A frame as it came from outside; `None` if the identifier or the data are too long for any bus.
     #[must_use]
     pub fn new(id: u16, data: &[u8]) -> Option<Self> {
-        let data = Vec::from_slice(data).ok()?;
-        (id <= MAX_ID).then_some(Self { id, data })
+        let mut frame = Self { id, data: Vec::new() };
+        append(&mut frame.data, data)?;
+        (id <= MAX_ID).then_some(frame)
     }
 }
 

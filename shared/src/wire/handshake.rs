@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::checksum::record_crc32;
 use super::codec::Rejected;
-use super::fields::Take;
+use super::fields::{Take, append};
 use super::frame::{Dialect, Frame, fd_length};
 use super::message::{FromArm, OpenRequest, Refusal, ToArm};
 use crate::plan::StartPose;
@@ -106,10 +106,10 @@ impl Segments {
 
 fn sealed(body: &[u8]) -> Option<Vec<u8, MAX_RECORD>> {
     let mut record = Vec::new();
-    record.extend_from_slice(&u16::try_from(body.len()).ok()?.to_le_bytes()).ok()?;
-    record.extend_from_slice(body).ok()?;
+    append(&mut record, &u16::try_from(body.len()).ok()?.to_le_bytes())?;
+    append(&mut record, body)?;
     let crc = record_crc32(&record);
-    record.extend_from_slice(&crc.to_le_bytes()).ok()?;
+    append(&mut record, &crc.to_le_bytes())?;
     Some(record)
 }
 
@@ -123,7 +123,7 @@ impl Iterator for Segments {
         let last = if taken == rest.len() { LAST } else { 0 };
         let mut data = Vec::new();
         data.push(self.index | last).ok()?;
-        data.extend_from_slice(payload).ok()?;
+        append(&mut data, payload)?;
         if self.dialect == Dialect::Fd {
             data.resize(fd_length(data.len()), 0).ok()?;
         }
@@ -174,7 +174,7 @@ impl Reassembly {
         if index > MAX_INDEX || payload.is_empty() || !fits {
             return None;
         }
-        self.record.extend_from_slice(payload).ok()?;
+        append(&mut self.record, payload)?;
         self.next = Some(index.saturating_add(1));
         Some(last)
     }

@@ -1,7 +1,5 @@
 //! What a decoder remembers: halves that wait for their other half, and which setpoints have been.
 
-use heapless::Deque;
-
 /// Halves of one kind that wait; one for each of the ticks that are usually under way at a time.
 const WAITING: usize = 4;
 
@@ -37,11 +35,11 @@ pub(super) enum Met {
     Pair([i32; 6]),
 }
 
-/// The halves that wait, oldest first.
+/// The halves that wait.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Halves {
-    translations: Deque<Half, WAITING>,
-    rotations: Deque<Half, WAITING>,
+    translations: Waiting,
+    rotations: Waiting,
 }
 
 impl Halves {
@@ -50,13 +48,13 @@ impl Halves {
             Part::Translation => (&mut self.translations, &mut self.rotations),
             Part::Rotation => (&mut self.rotations, &mut self.translations),
         };
-        let before = take(own, &half);
+        let before = own.take(&half);
         if before.is_some_and(|before| before != half) {
-            wait(own, half);
+            own.add(half);
             return Met::Replaced;
         }
-        let Some(found) = take(other, &half) else {
-            wait(own, half);
+        let Some(found) = other.take(&half) else {
+            own.add(half);
             return Met::Waits;
         };
         let ([x, y, z], [rx, ry, rz]) = match part {
@@ -68,24 +66,31 @@ impl Halves {
 
     /// Forgets whatever waits for this half's tick.
     pub(super) fn forget(&mut self, half: &Half) {
-        take(&mut self.translations, half);
-        take(&mut self.rotations, half);
+        self.translations.take(half);
+        self.rotations.take(half);
     }
 }
 
-/// Takes out the half of the same tick and session.
-fn take(halves: &mut Deque<Half, WAITING>, like: &Half) -> Option<Half> {
-    let found = halves.iter().copied().find(|half| half.belongs_to(like))?;
-    halves.retain(|half| !half.belongs_to(like));
-    Some(found)
-}
+/// Halves of one kind, the latest first; with gaps where one has been taken.
+#[derive(Clone, Debug, Default)]
+struct Waiting([Option<Half>; WAITING]);
 
-/// Lets a half wait; the one that has waited longest goes when there is no room.
-fn wait(halves: &mut Deque<Half, WAITING>, half: Half) {
-    if halves.is_full() {
-        halves.pop_front();
+impl Waiting {
+    /// Takes out the half of the same tick and session.
+    fn take(&mut self, like: &Half) -> Option<Half> {
+        self.0.iter_mut().find_map(|slot| slot.take_if(|half| half.belongs_to(like)))
     }
-    let _ = halves.push_back(half);
+
+    /// Puts a half in front. The others move back as far as the first gap; without one the last goes.
+    fn add(&mut self, half: Half) {
+        let mut moved = Some(half);
+        for slot in &mut self.0 {
+            core::mem::swap(slot, &mut moved);
+            if moved.is_none() {
+                break;
+            }
+        }
+    }
 }
 
 /// Which ticks have been decoded: the newest, and whether each of the 63 before it has.

@@ -5,6 +5,7 @@ use core::fmt;
 use heapless::Vec;
 
 use super::cobs::{self, CobsError};
+use super::fields::append;
 use super::frame::{Frame, MAX_DATA};
 
 /// Bytes of the identifier.
@@ -19,10 +20,11 @@ pub const MAX_LINE_BYTES: usize = MAX_PACKET + 2;
 /// The bytes of a frame. A sender puts one 0x00 before its first frame, for whatever the line held before.
 #[must_use]
 pub fn to_line(frame: &Frame) -> Vec<u8, MAX_LINE_BYTES> {
-    let mut packet = Vec::<u8, MAX_PACKET>::from_slice(&frame.id.to_le_bytes()).unwrap_or_default();
+    let mut packet = Vec::<u8, MAX_PACKET>::new();
     let mut line = Vec::new();
     // Both have room for any frame, as a test shows.
-    let _ = packet.extend_from_slice(&frame.data);
+    let _ = append(&mut packet, &frame.id.to_le_bytes());
+    let _ = append(&mut packet, &frame.data);
     let _ = cobs::encode(&packet, &mut line);
     line
 }
