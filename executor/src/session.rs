@@ -442,7 +442,8 @@ impl<'a> Executor<'a> {
             self.arm.is_none_or(|known| (known.state, known.session) != (status.state, status.session));
         self.arm = Some(*status);
         match self.stage {
-            Stage::Enabling if news => self.ask(now_us),
+            // Once operation is enabled the anchor is on its way.
+            Stage::Enabling if news && status.state != State::OperationEnabled => self.ask(now_us),
             Stage::Streaming => self.watch(now_us, ours, status),
             Stage::Leaving if !ours && status.state == State::ReadyToSwitchOn => {
                 self.stage = Stage::Done(Outcome::Completed);

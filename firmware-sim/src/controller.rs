@@ -8,7 +8,7 @@
 //! 4. still nothing, or any limit broken: the rest of the stop, latched.
 //!
 //! Nobody is trusted to be there: a session that is not heard of for [`ArmConfig::watchdog_us`] is over, with a latched fault if
-//! operation is enabled, moving or not. A controller that was itself held up for more than [`OVERRUN_TICKS`] while it moved
+//! operation is enabled, moving or not. A controller that was itself held up for too long while it moved ([`OVERRUN_TICKS`], [`OVERRUN_US`])
 //! does not make up for lost time, it stops.
 //!
 //! Every commanded pose but those of a latched stop passes the limit check first. A stop keeps the limits in force, or, if
@@ -40,8 +40,12 @@ pub const EXTRAPOLATION_TICKS: u32 = 2;
 /// that a stop takes.
 pub const LONGEST_PERIOD_US: u32 = 100_000;
 
-/// Ticks that a controller may be late before it gives up and stops.
+/// Ticks that a controller may be late before it gives up and stops, or [`OVERRUN_US`] if that is more.
 pub const OVERRUN_TICKS: u64 = 2;
+
+/// Time that a controller may be late with ticks that are shorter, microseconds: the arm's drives go on by themselves for
+/// longer than that.
+pub const OVERRUN_US: u64 = 20_000;
 
 /// Ticks on the last setpoint after which velocity, acceleration and jerk are zero.
 const SETTLE_TICKS: u32 = 3;
@@ -557,7 +561,7 @@ impl Controller {
     /// What should have happened while nobody looked is not made up for at a stroke: the stop begins where the arm is now.
     fn check_overrun(&mut self, now_us: u64) {
         let late = self.next_tick_us.map_or(0, |tick_us| now_us.saturating_sub(tick_us));
-        if late <= OVERRUN_TICKS.saturating_mul(u64::from(self.period_us())) {
+        if late <= OVERRUN_TICKS.saturating_mul(u64::from(self.period_us())).max(OVERRUN_US) {
             return;
         }
         self.next_tick_us = Some(now_us);

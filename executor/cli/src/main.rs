@@ -10,6 +10,7 @@ use anyhow::{Context, anyhow, bail};
 use clap::Parser;
 use powderline_executor::Config;
 use powderline_executor::guard::rehearse;
+use powderline_executor::schedule::DEFAULT_LOOK_AHEAD;
 use powderline_executor_cli::load::{LoadError, check_plan, read_plan_file};
 use powderline_executor_cli::pace::{VirtualTime, WallClock};
 use powderline_executor_cli::report::{PlanFacts, Report};
@@ -25,7 +26,7 @@ use powderline_host::wait::Interest;
 use powderline_shared::displacement::Lsb;
 use powderline_shared::plan::{PERIOD_US_MAX, PERIOD_US_MIN, PlanReader};
 use powderline_shared::wire::frame::Dialect;
-use powderline_shared::wire::message::Status;
+use powderline_shared::wire::message::{DEPTH, Status};
 
 const EXIT_FAULT: u8 = 1;
 const EXIT_BAD_PLAN: u8 = 3;
@@ -35,6 +36,9 @@ const EXIT_WIRE: u8 = 6;
 
 /// Least time between two updates of the progress line, microseconds.
 const PROGRESS_EVERY_US: u64 = 100_000;
+
+/// For how long this process may be held up without the arm's noticing, microseconds, as far as the arm has room.
+const HELD_UP_US: u32 = 20_000;
 
 /// Priority asked for under SCHED_FIFO: above ordinary real-time work, below the kernel's own threads.
 const PRIORITY: u8 = 49;
@@ -186,10 +190,17 @@ fn config(arguments: &Arguments, plan: &PlanReader<'_>) -> anyhow::Result<Config
     Ok(Config {
         session,
         period_us: Some(period_us),
+        look_ahead: look_ahead(period_us),
         reset: arguments.reset,
         silence_us: 1_000 * arguments.arm_timeout,
         ..Config::default()
     })
+}
+
+/// Setpoints ahead of the arm's clock: some, and as many as bridge the time for which a process may not run.
+fn look_ahead(period_us: u32) -> u16 {
+    let ticks = HELD_UP_US.div_ceil(period_us.max(1)).min(DEPTH);
+    u16::try_from(ticks).unwrap_or(DEFAULT_LOOK_AHEAD).max(DEFAULT_LOOK_AHEAD)
 }
 
 /// Whether the plan can be played over the wire at all: limits, counts, load. Words for the load.

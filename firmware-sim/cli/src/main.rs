@@ -11,10 +11,11 @@ use clap::{Args, Parser, Subcommand, ValueEnum};
 use powderline_firmware_sim::controller::{ArmConfig, DEFAULT_WATCHDOG_US};
 use powderline_firmware_sim_cli::link::faults::Faults;
 use powderline_firmware_sim_cli::link::world::Logged;
-use powderline_firmware_sim_cli::serve::{self, Announcer, Options};
+use powderline_firmware_sim_cli::serve::{self, Announcer, Options, bench_start};
 use powderline_firmware_sim_cli::storm;
 use powderline_host::link::Link;
-use powderline_shared::plan::{PlanReader, StartPose};
+use powderline_host::realtime;
+use powderline_shared::plan::PlanReader;
 use powderline_shared::pose::Pose;
 use powderline_shared::wire::Context as WireContext;
 use powderline_shared::wire::frame::Dialect;
@@ -43,6 +44,9 @@ struct Serve {
     /// Time without a sign of life of the executor after which the arm stops, milliseconds
     #[arg(long, value_name = "MS", default_value_t = DEFAULT_WATCHDOG_US / 1_000, value_parser = clap::value_parser!(u64).range(10..=10_000))]
     watchdog: u64,
+    /// Priority under SCHED_FIFO, 1 to 99; 0 leaves the process scheduled as usual
+    #[arg(long, value_name = "PRIORITY", default_value_t = PRIORITY, value_parser = clap::value_parser!(u8).range(0..=99))]
+    priority: u8,
     /// Write the motion that the arm has made to this file, for `optimise simulate --executed`
     #[arg(long, value_name = "FILE")]
     executed: Option<PathBuf>,
@@ -50,6 +54,9 @@ struct Serve {
     #[arg(long)]
     once: bool,
 }
+
+/// Priority asked for under SCHED_FIFO: above the executor's, as the arm's own controller would be.
+const PRIORITY: u8 = 50;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum ArmKind {
@@ -98,15 +105,6 @@ fn main() -> ExitCode {
     }
 }
 
-/// Where the scene bench begins; the end-to-end tests hold the two together.
-fn bench_start() -> Pose {
-    let (sine, cosine) = (START_PITCH_RAD / 2.0).sin_cos();
-    let orientation_wxyz = [cosine, 0.0, sine, 0.0];
-    Pose::from(&StartPose { position_m: [0.0455, 0.048, 0.066], orientation_wxyz })
-}
-
-const START_PITCH_RAD: f64 = 80.0 / 180.0 * std::f64::consts::PI;
-
 fn serve_arm(arguments: &Serve) -> anyhow::Result<()> {
     let Some(on) = arguments.on.clone() else { bail!("nothing to do: give --on WIRE, or the command storm") };
     let pose = arguments.at.as_deref().map_or_else(|| Ok(bench_start()), start_of)?;
@@ -117,6 +115,8 @@ fn serve_arm(arguments: &Serve) -> anyhow::Result<()> {
         })?,
     };
     let arm = ArmConfig { watchdog_us: 1_000 * arguments.watchdog, ..arm };
+    // Whatever is granted helps; a controller that is held up all the same says so and stops.
+    let _ = realtime::prepare((arguments.priority > 0).then_some(arguments.priority));
     let options = Options { on, arm, once: arguments.once };
     serve::serve(&options, &mut Person { executed: arguments.executed.clone() })
 }

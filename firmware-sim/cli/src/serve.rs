@@ -12,6 +12,7 @@ use powderline_host::signals::{Signals, StopWish};
 use powderline_host::transport::{self, Incoming, LinkError, Sent, Transport};
 use powderline_host::wait::{Interest, wait_until};
 use powderline_shared::fault::Fault;
+use powderline_shared::plan::StartPose;
 use powderline_shared::pose::Pose;
 use powderline_shared::wire::Context;
 use powderline_shared::wire::frame::Frame;
@@ -21,8 +22,21 @@ use powderline_shared::wire::state::{Phase, State};
 /// Frames that wait for room on the wire; the oldest give way, for the newest say more.
 const QUEUE: usize = 64;
 
+/// How long to go on after the last session, microseconds: some heartbeats.
+const LINGER_US: u64 = 500_000;
+
 /// Time between two attempts to open a wire that has failed, microseconds.
 const REOPEN_US: u64 = 250_000;
+
+/// Where the scene `bench` begins; the end-to-end tests hold the two together.
+#[must_use]
+pub fn bench_start() -> Pose {
+    let (sine, cosine) = (START_PITCH_RAD / 2.0).sin_cos();
+    let orientation_wxyz = [cosine, 0.0, sine, 0.0];
+    Pose::from(&StartPose { position_m: [0.0455, 0.048, 0.066], orientation_wxyz })
+}
+
+const START_PITCH_RAD: f64 = 80.0 / 180.0 * std::f64::consts::PI;
 
 /// What to serve, and how.
 #[derive(Debug)]
@@ -74,6 +88,8 @@ pub fn serve(options: &Options, announcer: &mut impl Announcer) -> anyhow::Resul
         motion: Vec::new(),
         wish: StopWish::None,
         start_us: clock::now_us(),
+        passed_us: 0,
+        done_since_us: None,
     };
     server.run(announcer)
 }
@@ -100,6 +116,10 @@ struct Server<'o> {
     wish: StopWish,
     /// The arm's clock begins here.
     start_us: u64,
+    /// Up to when time has passed for the arm.
+    passed_us: u64,
+    /// Since when there has been nothing more to do.
+    done_since_us: Option<u64>,
 }
 
 impl Server<'_> {
@@ -122,7 +142,8 @@ impl Server<'_> {
     /// Takes in what has arrived, hands out what there is to say.
     fn exchange(&mut self) -> Result<(), LinkError> {
         let Some(mut wire) = self.wire.take() else {
-            self.collect();
+            self.passed_us = self.now_us();
+            self.collect(self.passed_us);
             self.queue.clear();
             return Ok(());
         };
@@ -132,14 +153,19 @@ impl Server<'_> {
     }
 
     fn exchange_on(&mut self, wire: &mut dyn Transport) -> Result<(), LinkError> {
-        self.collect();
+        // In the order and at the moments of arrival, as far as they are known: should this process have been held up, the
+        // arm hears everything in time all the same.
         while let Some(received) = wire.receive()? {
             if let Incoming::Frame(frame) = received.what {
-                let now_us = self.now_us();
-                self.endpoint.handle_frame(now_us, &frame);
-                self.collect();
+                let arrived_us =
+                    received.at_us.saturating_sub(self.start_us).clamp(self.passed_us, self.now_us());
+                self.passed_us = arrived_us;
+                self.endpoint.handle_frame(arrived_us, &frame);
+                self.collect(arrived_us);
             }
         }
+        self.passed_us = self.now_us();
+        self.collect(self.passed_us);
         while let Some(frame) = self.queue.front() {
             if wire.send(frame)? == Sent::Busy {
                 break;
@@ -150,8 +176,7 @@ impl Server<'_> {
     }
 
     /// Whatever the arm says now. What it does must not wait for room on the wire.
-    fn collect(&mut self) {
-        let now_us = self.now_us();
+    fn collect(&mut self, now_us: u64) {
         while let Some(frame) = self.endpoint.poll(now_us) {
             if self.queue.len() >= QUEUE {
                 self.queue.pop_front();
@@ -227,6 +252,10 @@ impl Server<'_> {
         let stands = self.endpoint.controller().status().standstill;
         let closed = self.endpoint.controller().context() == Context::NONE || self.told.fault.is_some();
         let done = self.options.once && self.endpoint.controller().has_moved() && closed;
+        // For a while yet it goes on saying how it ended.
+        let now_us = self.now_us();
+        self.done_since_us = self.done_since_us.or(done.then_some(now_us));
+        let done = self.done_since_us.is_some_and(|since_us| now_us > since_us.saturating_add(LINGER_US));
         wish == StopWish::Immediate || (stands && (wish == StopWish::Controlled || done))
     }
 

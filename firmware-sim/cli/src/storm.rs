@@ -59,7 +59,7 @@ pub fn run_seed(seed: u64, logged: bool) -> (RunOutcome, Vec<(u64, Logged)>) {
 pub fn play(mut dice: Dice, faults: &Faults, logged: bool) -> (RunOutcome, Vec<(u64, Logged)>) {
     let mut bytes = || {
         let moves = motion::random_moves(&mut dice, faults.period_us);
-        motion::plan_bytes(&motion::start(), faults.period_us, &moves)
+        motion::plan_bytes(&motion::start(), motion::limits(), faults.period_us, &moves)
     };
     let (right, wrong) = (bytes(), bytes());
     match (PlanReader::new(&right), PlanReader::new(&wrong)) {

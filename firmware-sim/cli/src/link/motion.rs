@@ -55,12 +55,12 @@ pub fn random_moves(dice: &mut Dice, period_us: u32) -> Vec<Move> {
         .collect()
 }
 
-/// The plan file of the moves, one after another from `start`.
+/// The plan file of the moves, one after another from `start`, with the limits that it promises to keep.
 ///
 /// # Panics
-/// If they do not make a plan; made by [`random_moves`], they do.
+/// If they do not make a plan; those of [`random_moves`] with [`limits`] do.
 #[must_use]
-pub fn plan_bytes(start: &Pose, period_us: u32, moves: &[Move]) -> Vec<u8> {
+pub fn plan_bytes(start: &Pose, limits: Limits, period_us: u32, moves: &[Move]) -> Vec<u8> {
     let header = PlanHeader {
         scene_digest: [0; 32],
         optimiser_version: Version { major: 0, minor: 0, patch: 0 },
@@ -72,7 +72,7 @@ pub fn plan_bytes(start: &Pose, period_us: u32, moves: &[Move]) -> Vec<u8> {
         step_count: moves.iter().map(|part| part.steps).sum(),
         lsb: Lsb::default(),
         start: StartPose::from(start),
-        limits: limits(),
+        limits,
         predicted_loss: 0.0,
         predicted_indicator: 0,
         predicted_transported_count: 0,

@@ -571,7 +571,12 @@ impl<'p> World<'p> {
                 .breach(self.now_us, format!("no reset takes the arm out of the state {state}"));
         }
         let stay = motion::Move { translation_m: [0.0; 3], rotation_rad: [0.0; 3], steps: 3 };
-        let bytes = motion::plan_bytes(&self.arm.controller().pose(), self.faults.period_us, &[stay]);
+        let bytes = motion::plan_bytes(
+            &self.arm.controller().pose(),
+            motion::limits(),
+            self.faults.period_us,
+            &[stay],
+        );
         let Ok(plan) = PlanReader::new(&bytes) else { return };
         let session = u16::try_from(self.dice.between(1, u64::from(u16::MAX))).unwrap_or(1);
         let config = Config { session, ..Config::default() };
