@@ -11,6 +11,8 @@
 //! Setpoint n may be sent when n <= min(e(t) + L, C). The estimate follows the arm's clock even while reports are lost; the
 //! credit, which only reports can raise, bounds what a wrong estimate can do.
 
+use core::num::{NonZeroU32, NonZeroU64};
+
 /// Setpoints ahead of the arm's clock, unless the configuration says otherwise.
 pub const DEFAULT_LOOK_AHEAD: u16 = 4;
 
@@ -21,7 +23,8 @@ const LATENESS_SHARE: u64 = 16;
 /// See the head of this file. Times in microseconds.
 #[derive(Clone, Copy, Debug)]
 pub struct Schedule {
-    period_us: u64,
+    /// Not zero by its type, so that nothing has to be proved where it divides.
+    period_us: NonZeroU64,
     look_ahead: u16,
     round_trip_us: u64,
     applied_tick: u32,
@@ -30,11 +33,11 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    /// No credit yet. A look-ahead of zero could never start; it counts as one.
+    /// No credit yet. A look-ahead of zero could never start; it counts as one, as does a period of zero.
     #[must_use]
     pub fn new(look_ahead: u16, period_us: u32) -> Self {
         Self {
-            period_us: u64::from(period_us.max(1)),
+            period_us: NonZeroU32::new(period_us).unwrap_or(NonZeroU32::MIN).into(),
             look_ahead: look_ahead.max(1),
             round_trip_us: 0,
             applied_tick: 0,
@@ -56,7 +59,7 @@ impl Schedule {
         if !running || applied_tick < self.applied_tick {
             return;
         }
-        let start_us = now_us.saturating_sub(u64::from(applied_tick).saturating_mul(self.period_us));
+        let start_us = now_us.saturating_sub(u64::from(applied_tick).saturating_mul(self.period_us.get()));
         let corrected = self.start_us.map_or(start_us, |known_us| match start_us.checked_sub(known_us) {
             Some(late_us) => known_us.saturating_add(late_us / LATENESS_SHARE),
             None => start_us,
@@ -74,7 +77,7 @@ impl Schedule {
         if wait <= u64::from(self.applied_tick) {
             return Some(0);
         }
-        Some(self.start_us?.saturating_add(wait.saturating_mul(self.period_us)))
+        Some(self.start_us?.saturating_add(wait.saturating_mul(self.period_us.get())))
     }
 
     /// Whether the setpoint of `tick` may be sent now.
@@ -96,7 +99,7 @@ impl Schedule {
     }
 
     fn ahead(&self) -> u64 {
-        u64::from(self.look_ahead).saturating_add(self.round_trip_us.div_ceil(self.period_us))
+        u64::from(self.look_ahead).saturating_add(self.round_trip_us.div_ceil(self.period_us.get()))
     }
 }
 
