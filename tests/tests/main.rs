@@ -10,3 +10,4 @@ mod pipeline;
 mod programs;
 mod refusals;
 mod resources;
+mod wire;

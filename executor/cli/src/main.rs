@@ -38,7 +38,7 @@ const EXIT_WIRE: u8 = 6;
 const PROGRESS_EVERY_US: u64 = 100_000;
 
 /// For how long this process may be held up without the arm's noticing, microseconds, as far as the arm has room.
-const HELD_UP_US: u32 = 20_000;
+const HELD_UP_US: u32 = 80_000;
 
 /// Priority asked for under SCHED_FIFO: above ordinary real-time work, below the kernel's own threads.
 const PRIORITY: u8 = 49;
@@ -69,6 +69,9 @@ struct Arguments {
     /// Time without a report after which the arm counts as silent, milliseconds
     #[arg(long, value_name = "MS", default_value_t = 300, value_parser = clap::value_parser!(u64).range(10..=10_000))]
     arm_timeout: u64,
+    /// Setpoints to be ahead of the arm's clock; by default 80 ms of them, at least 4 and at most 16
+    #[arg(long, value_name = "TICKS", value_parser = clap::value_parser!(u16).range(1..=16))]
+    look_ahead: Option<u16>,
     /// Reset an arm that has a stop latched. Look at it first
     #[arg(long)]
     reset: bool,
@@ -190,14 +193,14 @@ fn config(arguments: &Arguments, plan: &PlanReader<'_>) -> anyhow::Result<Config
     Ok(Config {
         session,
         period_us: Some(period_us),
-        look_ahead: look_ahead(period_us),
+        look_ahead: arguments.look_ahead.unwrap_or(look_ahead(period_us)),
         reset: arguments.reset,
         silence_us: 1_000 * arguments.arm_timeout,
         ..Config::default()
     })
 }
 
-/// Setpoints ahead of the arm's clock: some, and as many as bridge the time for which a process may not run.
+/// As many setpoints as bridge the time for which an ordinary process may not run; some in any case.
 fn look_ahead(period_us: u32) -> u16 {
     let ticks = HELD_UP_US.div_ceil(period_us.max(1)).min(DEPTH);
     u16::try_from(ticks).unwrap_or(DEFAULT_LOOK_AHEAD).max(DEFAULT_LOOK_AHEAD)

@@ -1,0 +1,351 @@
+//! Executor and arm as two programs on a real wire: a pseudo-terminal anywhere, SocketCAN where there is one.
+//!
+//! Tests whose names begin with `vcan_` need the interface `vcan0`. `tests/run` runs them inside `tests/tools/with-vcan`;
+//! elsewhere they are ignored, and fail when they are asked for all the same.
+
+use std::fs;
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdout, Command, Stdio};
+use std::sync::mpsc::{Receiver, channel};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use powderline_firmware_sim::controller::ArmConfig;
+use powderline_firmware_sim_cli::link::motion::{Move, plan_bytes};
+use powderline_firmware_sim_cli::serve::bench_start;
+use powderline_host::candump::{self, Content};
+use serde_json::Value;
+use tempfile::TempDir;
+
+use crate::programs::EXECUTE;
+
+const FIRMWARE_SIM: &str = env!("CARGO_BIN_EXE_tested-firmware-sim");
+
+/// Nothing here takes longer.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Ticks of the plan.
+const TICKS: u32 = 60;
+
+/// Control period: slow, for the machine that tests may be slower still.
+const PERIOD_US: u32 = 40_000;
+
+/// Up, tilting, and down again, within reach of the arm at the bench.
+fn plan(dir: &Path) -> PathBuf {
+    let part = |sign: f64| Move {
+        translation_m: [sign * 0.03, 0.0, sign * 0.04],
+        rotation_rad: [0.0, sign * 0.3, 0.0],
+        steps: TICKS / 2,
+    };
+    let path = dir.join("skill.plan");
+    let limits = ArmConfig::ideal(bench_start()).limits;
+    fs::write(&path, plan_bytes(&bench_start(), limits, PERIOD_US, &[part(1.0), part(-1.0)])).unwrap();
+    path
+}
+
+/// A thousand setpoints a second.
+fn fine_plan(dir: &Path) -> PathBuf {
+    let path = dir.join("fine.plan");
+    let limits = ArmConfig::ideal(bench_start()).limits;
+    let rest = Move { translation_m: [0.0; 3], rotation_rad: [0.0; 3], steps: 10 };
+    fs::write(&path, plan_bytes(&bench_start(), limits, 1_000, &[rest])).unwrap();
+    path
+}
+
+/// A program whose lines are read as they come; ended with the test.
+struct Program {
+    child: Child,
+    lines: Receiver<String>,
+    heard: Vec<String>,
+}
+
+impl Program {
+    fn start(program: &str, arguments: &[&str]) -> Self {
+        let mut child = Command::new(program)
+            .args(arguments)
+            .stdout(Stdio::piped())
+            .stderr(Stdio::inherit())
+            .spawn()
+            .unwrap();
+        let lines = lines_of(child.stdout.take().unwrap());
+        Self { child, lines, heard: Vec::new() }
+    }
+
+    /// Waits for a line that holds `words`.
+    #[track_caller]
+    fn says(&mut self, words: &str) -> String {
+        let until = Instant::now() + PATIENCE;
+        loop {
+            let left = until.saturating_duration_since(Instant::now());
+            match self.lines.recv_timeout(left) {
+                Ok(line) => self.heard.push(line.clone()),
+                Err(error) => panic!("\"{words}\" was never said ({error}): {:#?}", self.heard),
+            }
+            let line = self.heard.last().unwrap();
+            if line.contains(words) {
+                return line.clone();
+            }
+        }
+    }
+
+    /// Waits for the end; the exit code and all lines.
+    fn ends(mut self) -> (Option<i32>, String) {
+        let code = self.child.wait().unwrap().code();
+        self.heard.extend(self.lines.iter());
+        (code, std::mem::take(&mut self.heard).join("\n"))
+    }
+
+    fn kill(&mut self) {
+        self.child.kill().unwrap();
+        self.child.wait().unwrap();
+    }
+}
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        // It may have ended by itself.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn lines_of(out: ChildStdout) -> Receiver<String> {
+    let (sender, receiver) = channel();
+    thread::spawn(move || {
+        for line in BufReader::new(out).lines().map_while(Result::ok) {
+            if sender.send(line).is_err() {
+                return;
+            }
+        }
+    });
+    receiver
+}
+
+/// The arm, listening; and where.
+fn arm(on: &str, more: &[&str]) -> (Program, String) {
+    let mut arm = Program::start(FIRMWARE_SIM, &[&["--on", on, "--watchdog", "2000"], more].concat());
+    let line = arm.says("listens on ");
+    let wire = line.split("listens on ").nth(1).and_then(|rest| rest.split(';').next()).unwrap().to_owned();
+    (arm, wire)
+}
+
+fn execute(plan: &Path, to: &str, more: &[&str]) -> Program {
+    // As far ahead as the arm has room: a machine that tests is a busy one.
+    let arguments = [plan.to_str().unwrap(), "--to", to, "--look-ahead", "16", "--arm-timeout", "2000"];
+    Program::start(EXECUTE, &[&arguments, more].concat())
+}
+
+/// The last line, one JSON object.
+#[track_caller]
+fn json(program: Program, code: i32) -> Value {
+    let (found, out) = program.ends();
+    assert_eq!(found, Some(code), "{out}");
+    serde_json::from_str(&out).unwrap()
+}
+
+#[track_caller]
+fn assert_played(on: &str) {
+    let dir = TempDir::new().unwrap();
+    let (mut arm, wire) = arm(on, &["--once"]);
+    let report = json(execute(&plan(dir.path()), &wire, &["--json"]), 0);
+    assert_eq!((&report["completed"], &report["within_half_lsb"]), (&Value::from(true), &Value::from(true)));
+    assert_eq!(
+        (&report["ticks"]["applied"], &report["standstill"]),
+        (&Value::from(TICKS), &Value::from(true))
+    );
+    assert!(
+        report["stream"]["tracking_m"].as_f64().unwrap() > 1e-4,
+        "an arm that lags must be seen to: {report}"
+    );
+    arm.says("holding the last setpoint");
+    arm.says("State: ready to switch on");
+    assert_eq!(arm.ends().0, Some(0));
+}
+
+#[test]
+fn a_plan_is_played_over_a_pseudo_terminal() {
+    assert_played("pty");
+}
+
+#[test]
+fn an_executor_that_is_killed_leaves_an_arm_that_stops_and_must_be_reset() {
+    assert_survives_a_killed_executor("pty");
+}
+
+#[track_caller]
+fn assert_survives_a_killed_executor(on: &str) {
+    let dir = TempDir::new().unwrap();
+    let plan = plan(dir.path());
+    let (mut arm, wire) = arm(on, &[]);
+    let mut first = execute(&plan, &wire, &["--json"]);
+    arm.says("following setpoints");
+    thread::sleep(Duration::from_millis(800));
+    first.kill();
+    let reason = arm.says("Stopping: fault ");
+    assert!(reason.contains("fault 101") || reason.contains("fault 131"), "{reason}");
+    arm.says("State: fault.");
+    arm.says("At rest after");
+    let report = json(execute(&plan, &wire, &["--json"]), 1);
+    assert_eq!(report["stop"]["code"], 401);
+    assert!(report["stop"]["detail"].as_str().unwrap().contains("reset by a person"), "{report}");
+    // After a reset it is the anchor that is wrong: nothing moves the arm back by itself.
+    let report = json(execute(&plan, &wire, &["--json", "--reset"]), 1);
+    assert_eq!(report["stop"]["code"], 402, "{report}");
+}
+
+#[test]
+fn wires_that_cannot_be_used_are_refused_in_one_sentence() {
+    let dir = TempDir::new().unwrap();
+    let plan = plan(dir.path());
+    for (wire, words) in [
+        ("serial:/dev/does-not-exist", "/dev/does-not-exist"),
+        ("serial:/dev/null@9600", "too slow for 1000 setpoints a second"),
+        ("can:does-not-exist", "does-not-exist"),
+    ] {
+        let fine = fine_plan(dir.path());
+        let plan = if wire.contains("9600") { &fine } else { &plan };
+        let output = Command::new(EXECUTE).args([plan.to_str().unwrap(), "--to", wire]).output().unwrap();
+        let error = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(6), "{wire}: {error}");
+        assert!(error.trim_end().lines().count() == 1 && error.contains(words), "{wire}: {error}");
+    }
+    let output = Command::new(EXECUTE).args([plan.to_str().unwrap(), "--to", "usb:3"]).output().unwrap();
+    assert_eq!(output.status.code(), Some(2));
+}
+
+#[test]
+fn a_rate_at_which_a_plan_breaks_its_limits_is_refused_before_anything_is_sent() {
+    let dir = TempDir::new().unwrap();
+    let plan = plan(dir.path());
+    let output = Command::new(EXECUTE)
+        .args([plan.to_str().unwrap(), "--to", "can:vcan0", "--rate", "1000"])
+        .output()
+        .unwrap();
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(6), "{error}");
+    assert!(
+        error.contains("rounded to the counts of this wire") && error.contains("the limit is"),
+        "{error}"
+    );
+}
+
+// --- SocketCAN ---
+
+fn ip(arguments: &str) {
+    let status = Command::new("ip").args(arguments.split_whitespace()).status().unwrap();
+    assert!(status.success(), "ip {arguments}");
+}
+
+#[test]
+#[ignore = "needs vcan0: run by tests/run inside tests/tools/with-vcan"]
+fn vcan_a_plan_is_played_over_classic_can_and_over_can_fd() {
+    assert_played("can:vcan0");
+    assert_played("canfd:vcan0");
+}
+
+#[test]
+#[ignore = "needs vcan0: run by tests/run inside tests/tools/with-vcan"]
+fn vcan_an_executor_that_is_killed_leaves_an_arm_that_stops_and_must_be_reset() {
+    assert_survives_a_killed_executor("can:vcan0");
+    assert_survives_a_killed_executor("canfd:vcan0");
+}
+
+#[test]
+#[ignore = "needs vcan0: run by tests/run inside tests/tools/with-vcan"]
+fn vcan_an_arm_that_is_killed_is_given_up() {
+    let dir = TempDir::new().unwrap();
+    let (mut arm, wire) = arm("can:vcan0", &[]);
+    let executor = execute(&plan(dir.path()), &wire, &["--json"]);
+    arm.says("following setpoints");
+    arm.kill();
+    let report = json(executor, 1);
+    assert_eq!((&report["stop"]["code"], &report["standstill"]), (&Value::from(111), &Value::from(false)));
+}
+
+#[test]
+#[ignore = "needs vcan0: run by tests/run inside tests/tools/with-vcan"]
+fn vcan_an_interface_taken_down_stops_both_and_comes_back() {
+    let dir = TempDir::new().unwrap();
+    let plan = plan(dir.path());
+    let (mut arm, wire) = arm("can:vcan0", &[]);
+    let executor = execute(&plan, &wire, &["--json"]);
+    arm.says("following setpoints");
+    ip("link set vcan0 down");
+    let report = json(executor, 1);
+    assert_eq!((&report["stop"]["code"], &report["standstill"]), (&Value::from(112), &Value::from(false)));
+    assert!(report["wire"].as_str().unwrap().contains("vcan0 is down"), "{report}");
+    arm.says("Stopping: fault ");
+    ip("link set vcan0 up");
+    arm.says("The wire is there again");
+    let report = json(execute(&plan, &wire, &["--json", "--reset"]), 1);
+    assert_eq!(report["stop"]["code"], 402, "{report}");
+}
+
+#[test]
+#[ignore = "needs vcan0 and can-utils: run by tests/run inside tests/tools/with-vcan"]
+fn vcan_what_is_recorded_is_what_candump_sees_and_foreign_frames_do_no_harm() {
+    let dir = TempDir::new().unwrap();
+    let plan = plan(dir.path());
+    let (record, log) = (dir.path().join("record.log"), dir.path().join("candump.log"));
+    let (mut arm, wire) = arm("can:vcan0", &["--once"]);
+    let candump = fs::File::create(&log).unwrap();
+    let mut candump = Command::new("candump").args(["-L", "vcan0"]).stdout(candump).spawn().unwrap();
+    // Identifiers that are nobody's here, at the pace of the setpoints.
+    let mut cangen = Command::new("cangen")
+        .args(["vcan0", "-g", "20", "-I", "555", "-L", "8", "-D", "r"])
+        .spawn()
+        .unwrap();
+    thread::sleep(Duration::from_millis(300));
+    let report = json(execute(&plan, &wire, &["--json", "--record", record.to_str().unwrap()]), 0);
+    assert!(report["frames"]["rejected"].as_u64().unwrap() > 50, "cangen was not heard: {report}");
+    arm.says("State: ready to switch on");
+    cangen.kill().unwrap();
+    candump.kill().unwrap();
+    (cangen.wait().unwrap(), candump.wait().unwrap());
+    // Each identifier's frames in the order of the bus; the session's, which is less than candump has.
+    let (recorded, seen) = (by_identifier(&record), by_identifier(&log));
+    for id in [0x201, 0x301, 0x401, 0x601, 0x77F, 0x181, 0x281, 0x381, 0x581, 0x701] {
+        let frames = |log: &[(u16, Vec<u8>)]| -> Vec<_> {
+            log.iter().filter(|(found, _)| *found == id).cloned().collect()
+        };
+        let (recorded, seen) = (frames(&recorded), frames(&seen));
+        assert!(!recorded.is_empty() && seen.len() >= recorded.len(), "{id:03X}");
+        let place = seen.windows(recorded.len()).position(|window| window == recorded);
+        assert!(place.is_some(), "{id:03X}: {recorded:02X?} is not a part of {seen:02X?}");
+    }
+    assert!(fs::read_to_string(&record).unwrap().trim_end().ends_with("completed: 60 of 60 ticks"));
+}
+
+fn by_identifier(log: &Path) -> Vec<(u16, Vec<u8>)> {
+    let text = fs::read_to_string(log).unwrap();
+    let frames = candump::read(&text).map(|record| match record.unwrap().content {
+        Content::Frame { frame, .. } => Some((frame.id, frame.data.to_vec())),
+        _ => None,
+    });
+    frames.flatten().collect()
+}
+
+#[test]
+#[ignore = "needs vcan0 and can-utils: run by tests/run inside tests/tools/with-vcan"]
+fn vcan_a_flood_ends_in_a_completed_plan_or_in_a_stop_with_its_reason() {
+    let dir = TempDir::new().unwrap();
+    let plan = plan(dir.path());
+    let (mut arm, wire) = arm("can:vcan0", &[]);
+    // Any identifier, ours among them, any length, any content, as fast as it goes.
+    let mut cangen =
+        Command::new("cangen").args(["vcan0", "-g", "0", "-i", "-x"]).stderr(Stdio::null()).spawn().unwrap();
+    let (code, out) = execute(&plan, &wire, &["--json"]).ends();
+    cangen.kill().unwrap();
+    cangen.wait().unwrap();
+    let report: Value = serde_json::from_str(&out).unwrap();
+    match code {
+        Some(0) => assert_eq!(report["within_half_lsb"], true),
+        Some(1) => assert!(report["stop"]["reason"].as_str().unwrap().ends_with('.'), "{report}"),
+        _ => panic!("{out}"),
+    }
+    // The arm is still there, stands, and can be had again.
+    let report = json(execute(&plan, &wire, &["--json", "--reset"]), if code == Some(0) { 0 } else { 1 });
+    assert!(code == Some(0) || report["stop"]["code"] == 402 || report["completed"] == true, "{report}");
+    arm.kill();
+}
