@@ -693,9 +693,10 @@ impl<'a> Executor<'a> {
         self.heard_us.saturating_add(self.config.silence_us.max(self.some_periods_us()))
     }
 
-    /// When an arm that has not moved on is given up.
+    /// When an arm that has not moved on is given up; later than one that says nothing at all.
     fn stalled_at_us(&self) -> u64 {
-        self.progress_us.saturating_add(self.config.handshake_us.max(self.some_periods_us()))
+        let silence_us = self.config.silence_us.max(self.some_periods_us());
+        self.progress_us.saturating_add(self.config.handshake_us.max(silence_us.saturating_mul(2)))
     }
 
     fn some_periods_us(&self) -> u64 {
