@@ -2,8 +2,8 @@
 //!
 //! The optimiser writes a [`plan`], the executor plays it, the arm's controller performs it. What the three must agree
 //! on, to the last bit, lives here and only here: rotations ([`pose`]), quantised cumulative setpoints
-//! ([`displacement`]), motion limits ([`limits`]), fault codes ([`fault`]), the plan file ([`plan`]) and what executor
-//! and arm say to each other ([`wire`]).
+//! ([`displacement`]), motion limits ([`limits`]), fault codes ([`fault`]), the plan file ([`plan`]), what executor and arm
+//! say to each other ([`wire`]) and the motion that the arm has made ([`trajectory`]).
 //!
 //! No `std`, no allocation, no unsafe code: the same crate runs on the host and on a microcontroller, and `libm` gives both
 //! the same bits. Nothing here is meant to panic; the lints below keep out what can be seen to, which is no proof.
@@ -28,4 +28,5 @@ pub mod fault;
 pub mod limits;
 pub mod plan;
 pub mod pose;
+pub mod trajectory;
 pub mod wire;

@@ -5,6 +5,7 @@
 //!
 //! Two scenes: `bench-small`, where the simulator matters, and the same on a coarser grid, where any simulator would do.
 
+mod executed;
 mod interrupted;
 mod pipeline;
 mod programs;

@@ -6,6 +6,7 @@
 
 mod check;
 mod error;
+mod executed;
 mod gradcheck;
 mod inspect;
 mod interrupt;
@@ -55,7 +56,7 @@ enum Command {
     Run(run::RunArgs),
     /// Validate a scene and say what it will cost
     Check(check::CheckArgs),
-    /// Simulate one skill, or a plan again
+    /// Simulate one skill, a plan again, or what the arm made of a plan
     Simulate(simulate::SimulateArgs),
     /// Compare the gradient with finite differences
     Gradcheck(gradcheck::GradcheckArgs),

@@ -1,7 +1,8 @@
-//! `optimise simulate`: one rollout, of a skill or of a plan.
+//! `optimise simulate`: one rollout, of a skill, of a plan, or of what an arm made of a plan.
 
 use super::{
     CliError, Context, Progress, Resources,
+    executed::{Executed, ExecutedReport},
     inspect::read_plan,
     options::{DEFAULT_PRECISION, PrecisionArg, precision_name},
 };
@@ -35,6 +36,9 @@ pub(super) struct SimulateArgs {
     /// Plan to simulate again
     #[arg(long, value_name = "FILE")]
     pub plan: Option<PathBuf>,
+    /// Motion that the arm made of the plan, as recorded: simulate the powder under that, beside the plan's prediction
+    #[arg(long, value_name = "FILE", requires = "plan", conflicts_with = "theta")]
+    pub executed: Option<PathBuf>,
     /// Seed of the packing [default: 1; a plan brings its own]
     #[arg(long, value_name = "N", conflicts_with = "plan")]
     pub seed: Option<u64>,
@@ -59,6 +63,7 @@ struct Task {
 enum Motion {
     Skill(Theta),
     Plan { header: Box<PlanHeader>, content_hash: u64, controls: Vec<Displacement> },
+    Executed { header: Box<PlanHeader>, content_hash: u64, executed: Box<Executed> },
 }
 
 #[derive(Serialize)]
@@ -75,6 +80,7 @@ struct Report {
     spilled: u32,
     seconds: f64,
     plan: Option<PlanReport>,
+    executed: Option<ExecutedReport>,
 }
 
 /// How the result compares with what the plan says about itself.
@@ -83,7 +89,10 @@ struct PlanReport {
     content_hash: String,
     loss: f64,
     indicator: i64,
-    reproduced: bool,
+    transported: u32,
+    spilled: u32,
+    /// Whether loss and indicator came out exactly so; nobody expects that of an executed motion.
+    reproduced: Option<bool>,
 }
 
 /// Runs the command.
@@ -102,7 +111,7 @@ pub(super) fn execute(arguments: &SimulateArgs, context: &mut Context<'_>) -> Re
         write!(context.out, "{}", report.text())?;
     }
     match &report.plan {
-        Some(plan) if !plan.reproduced => {
+        Some(PlanReport { reproduced: Some(false), .. }) => {
             Err(CliError::Failed("the plan's loss and indicator were not reproduced".into()))
         }
         _ => Ok(()),
@@ -133,9 +142,19 @@ fn plan_task(arguments: &SimulateArgs, path: &Path) -> Result<Task, CliError> {
             "{path} was made for another scene than {name} (digest {plan}, not {scene})"
         )));
     }
-    let controls = controls_of(&plan.setpoints().collect::<Vec<_>>(), header.lsb);
     let settings = arguments.resources.settings(header.seed, header.precision);
-    Ok(Task { scene, settings, motion: Motion::Plan { header: Box::new(header), content_hash, controls } })
+    let header = Box::new(header);
+    let motion = match &arguments.executed {
+        None => {
+            let controls = controls_of(&plan.setpoints().collect::<Vec<_>>(), header.lsb);
+            Motion::Plan { header, content_hash, controls }
+        }
+        Some(path) => {
+            let executed = Box::new(Executed::read(path, &plan, &scene)?);
+            Motion::Executed { header, content_hash, executed }
+        }
+    };
+    Ok(Task { scene, settings, motion })
 }
 
 fn scene_beside(plan: &Path) -> Option<String> {
@@ -174,6 +193,9 @@ impl Task {
         let result = match &self.motion {
             Motion::Skill(theta) => simulator.evaluate(theta, false, &mut tick),
             Motion::Plan { controls, .. } => simulator.simulate(controls, &mut tick),
+            Motion::Executed { executed, .. } => {
+                simulator.simulate_from(&executed.anchor, &executed.controls, &mut tick)
+            }
         };
         progress.clear();
         let seconds = progress.seconds();
@@ -181,10 +203,16 @@ impl Task {
     }
 
     fn report(&self, found: &Evaluation, seconds: f64) -> Report {
-        let (theta, plan) = match &self.motion {
-            Motion::Skill(theta) => (*theta, None),
+        let (theta, plan, executed) = match &self.motion {
+            Motion::Skill(theta) => (*theta, None, None),
             Motion::Plan { header, content_hash, .. } => {
-                (header.theta, Some(compare(header, *content_hash, found)))
+                let reproduced = found.loss.to_bits() == header.predicted_loss.to_bits()
+                    && found.indicator == header.predicted_indicator;
+                (header.theta, Some(PlanReport::new(header, *content_hash, Some(reproduced))), None)
+            }
+            Motion::Executed { header, content_hash, executed } => {
+                let plan = PlanReport::new(header, *content_hash, None);
+                (header.theta, Some(plan), Some(executed.report.clone()))
             }
         };
         Report {
@@ -200,18 +228,36 @@ impl Task {
             spilled: found.spilled,
             seconds,
             plan,
+            executed,
         }
     }
 }
 
-fn compare(header: &PlanHeader, content_hash: u64, found: &Evaluation) -> PlanReport {
-    let reproduced = found.loss.to_bits() == header.predicted_loss.to_bits()
-        && found.indicator == header.predicted_indicator;
-    PlanReport {
-        content_hash: format!("{content_hash:016x}"),
-        loss: header.predicted_loss,
-        indicator: header.predicted_indicator,
-        reproduced,
+impl PlanReport {
+    fn new(header: &PlanHeader, content_hash: u64, reproduced: Option<bool>) -> Self {
+        Self {
+            content_hash: format!("{content_hash:016x}"),
+            loss: header.predicted_loss,
+            indicator: header.predicted_indicator,
+            transported: header.predicted_transported_count,
+            spilled: header.predicted_spilled_count,
+            reproduced,
+        }
+    }
+
+    fn text(&self) -> String {
+        let Self { loss, indicator, .. } = self;
+        match self.reproduced {
+            Some(true) => "Loss and indicator are exactly those that the plan reports.\n".into(),
+            Some(false) => format!("The plan reports a loss of {loss} m and an indicator of {indicator}.\n"),
+            None => {
+                let [transported, spilled] = [self.transported, self.spilled].map(|n| grouped(n.into()));
+                format!(
+                    "The plan predicts a loss of {loss} m, an indicator of {indicator} ({transported} arrive, {spilled} \
+                     spill).\n"
+                )
+            }
+        }
     }
 }
 
@@ -224,15 +270,8 @@ impl Report {
             "{scene}, seed {seed}, {precision}: loss {loss} m, indicator {indicator} ({transported} of {target} wanted \
              particles arrive, {spilled} spill), in {seconds:.1} s.\n"
         );
-        if let Some(plan) = &self.plan {
-            text += &match plan.reproduced {
-                true => "Loss and indicator are exactly those that the plan reports.\n".to_string(),
-                false => format!(
-                    "The plan reports a loss of {} m and an indicator of {}.\n",
-                    plan.loss, plan.indicator
-                ),
-            };
-        }
+        text += &self.plan.as_ref().map(PlanReport::text).unwrap_or_default();
+        text += &self.executed.as_ref().map(ExecutedReport::text).unwrap_or_default();
         text
     }
 }

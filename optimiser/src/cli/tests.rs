@@ -7,7 +7,12 @@ use crate::{
     rollout::{Evaluation, Progress, RolloutError},
     skill::{Control, SkillMap, Theta},
 };
-use powderline_shared::{displacement::Displacement, plan::PlanReader};
+use powderline_shared::{
+    displacement::{Displacement, pose_at},
+    plan::PlanReader,
+    pose::Pose,
+    trajectory::{Sample, TrajectoryHeader},
+};
 use serde_json::Value;
 use std::{
     cell::Cell,
@@ -75,8 +80,21 @@ impl Evaluate for Ends {
         controls: &[Displacement],
         progress: Progress<'_>,
     ) -> Result<Evaluation, RolloutError> {
+        let anchor = *self.map.start_pose();
+        self.simulate_from(&anchor, controls, progress)
+    }
+
+    fn simulate_from(
+        &mut self,
+        anchor: &Pose,
+        controls: &[Displacement],
+        progress: Progress<'_>,
+    ) -> Result<Evaluation, RolloutError> {
         self.tick(progress)?;
-        Ok(Self::judge(controls.iter().map(Displacement::components)).0)
+        let controls = controls.iter().map(Displacement::components);
+        let offset = self.map.start_pose().displacement_to(anchor);
+        // Added last: an anchor at the start pose changes no bit.
+        Ok(Self::judge(controls.chain([offset.components()])).0)
     }
 }
 
@@ -177,6 +195,7 @@ fn arguments_are_consistent() {
         "run bench --epochs 3",
         "--resume runs/x --epochs 40",
         "simulate --plan p --json",
+        "simulate --plan p --executed e",
     ] {
         let arguments = ["optimise"].into_iter().chain(line.split_whitespace());
         assert!(Cli::try_parse_from(arguments).is_ok(), "{line}");
@@ -186,6 +205,8 @@ fn arguments_are_consistent() {
         "simulate",
         "simulate --plan p --theta 0",
         "simulate --plan p --seed 1",
+        "simulate --executed e",
+        "simulate --theta 0,0,0,0,0 --executed e",
         "--threads 0",
         "--memory 5x",
     ] {
@@ -458,6 +479,247 @@ fn plan_reproduces_exactly() {
     assert_eq!(report["theta"][2].as_f64().map(f64::to_bits), Some(header.theta[2].to_bits()));
     let text = optimise(&["simulate", "--plan", &plan]).out;
     assert!(text.contains("exactly those that the plan reports"), "{text}");
+}
+
+/// A plan, and the motion of an arm that performs it to the last bit, to be spoilt.
+struct Performed {
+    place: Place,
+    plan: String,
+    header: TrajectoryHeader,
+    poses: Vec<Pose>,
+}
+
+impl Performed {
+    fn new() -> Self {
+        let place = Place::new();
+        let plan = format!("{}/skill.plan", place.finished("run", 1));
+        let bytes = fs::read(&plan).unwrap();
+        let reader = PlanReader::new(&bytes).unwrap();
+        let (start, lsb) = (reader.header().start_pose(), reader.header().lsb);
+        let after = reader.setpoints().map(|setpoint| pose_at(&start, setpoint, lsb));
+        let poses = std::iter::once(start).chain(after).collect();
+        let period_us = reader.header().control_period_us;
+        Self { place, plan, header: TrajectoryHeader { plan_hash: reader.content_hash(), period_us }, poses }
+    }
+
+    fn last(&self) -> Pose {
+        *self.poses.last().unwrap()
+    }
+
+    fn steps(&self) -> usize {
+        self.poses.len() - 1
+    }
+
+    fn simulate(&self, more: &[&str]) -> Done {
+        let mut text = format!("{}\n", self.header);
+        for (tick, pose) in (0..).zip(&self.poses) {
+            text += &format!("{}\n", Sample { tick, pose: *pose });
+        }
+        self.simulate_text(&text, more)
+    }
+
+    fn simulate_text(&self, text: &str, more: &[&str]) -> Done {
+        self.simulate_for(u64::MAX, text, more)
+    }
+
+    /// With Ctrl-C after `patience` ticks.
+    fn simulate_for(&self, patience: u64, text: &str, more: &[&str]) -> Done {
+        let file = self.place.text("executed.txt");
+        fs::write(&file, text).unwrap();
+        optimise_for(patience, &[&["simulate", "--plan", &self.plan, "--executed", &file], more].concat())
+    }
+
+    fn report(&self) -> Value {
+        let done = self.simulate(&["--json"]);
+        assert_eq!(done.code, 0, "{}", done.err);
+        serde_json::from_str(&done.out).unwrap()
+    }
+}
+
+fn moved(pose: &Pose, x_m: f64, pitch_rad: f64) -> Pose {
+    pose.displaced(&Displacement { translation_m: [x_m, 0.0, 0.0], rotation_rad: [0.0, pitch_rad, 0.0] })
+}
+
+fn near(value: &Value, wanted: f64, tolerance: f64) -> bool {
+    value.as_f64().is_some_and(|value| (value - wanted).abs() <= tolerance)
+}
+
+#[test]
+fn executed_exactly_as_planned_gives_what_the_plan_predicts() {
+    let performed = Performed::new();
+    let report = performed.report();
+    for name in ["indicator", "transported", "spilled"] {
+        assert_eq!(report[name], report["plan"][name], "{name}");
+    }
+    assert!(near(&report["loss"], report["plan"]["loss"].as_f64().unwrap(), 1e-12), "{report}");
+    assert!(report["plan"]["reproduced"].is_null());
+    let executed = &report["executed"];
+    assert_eq!(executed["executed_steps"], performed.steps());
+    assert_eq!(executed["simulated_steps"], performed.steps());
+    assert_eq!((&executed["stopped_early"], &executed["moves_at_end"]), (&false.into(), &false.into()));
+    assert_eq!(
+        (&executed["largest_deviation"]["mm"], &executed["largest_deviation"]["mrad"]),
+        (&0.0.into(), &0.0.into())
+    );
+    let text = performed.simulate(&[]).out;
+    assert!(
+        text.contains("The plan predicts a loss of") && text.contains("off the plan by 0.000 mm"),
+        "{text}"
+    );
+    assert_eq!(text.lines().count(), 3, "{text}");
+}
+
+#[test]
+fn deviations_of_an_executed_motion_are_found_and_count() {
+    let mut performed = Performed::new();
+    let exact = performed.report()["loss"].as_f64().unwrap();
+    performed.poses[100] = moved(&performed.poses[100], 1e-3, 0.0);
+    performed.poses[200] = moved(&performed.poses[200], 0.0, -7e-3);
+    let report = performed.report();
+    let largest = &report["executed"]["largest_deviation"];
+    assert!(near(&largest["mm"], 1.0, 1e-9) && near(&largest["mrad"], 7.0, 1e-9), "{largest}");
+    assert_eq!((&largest["mm_tick"], &largest["mrad_tick"]), (&100.into(), &200.into()));
+    assert_eq!((&report["executed"]["end_deviation"]["mm"]), &0.0);
+    // It comes back to where it should be, and the stand-in only looks at the end.
+    assert!(near(&report["loss"], exact, 1e-12));
+
+    // The whole motion beside the planned one, from the anchor on.
+    let mut aside = Performed::new();
+    aside.poses = aside.poses.iter().map(|pose| moved(pose, 0.4e-3, 0.0)).collect();
+    let report = aside.report();
+    assert!(near(&report["executed"]["end_deviation"]["mm"], 0.4, 1e-9));
+    assert!(!near(&report["loss"], exact, 1e-9), "{report}");
+}
+
+#[test]
+fn an_arm_that_stops_early_is_kept_where_it_stopped() {
+    let mut performed = Performed::new();
+    let planned = performed.steps();
+    performed.poses.truncate(151);
+    let stopped = performed.report();
+    let executed = &stopped["executed"];
+    assert_eq!((&executed["stopped_early"], &executed["executed_steps"]), (&true.into(), &150.into()));
+    assert_eq!(executed["simulated_steps"], planned);
+    assert_eq!(executed["moves_at_end"], true);
+    assert_ne!(stopped["loss"], stopped["plan"]["loss"]);
+    let text = performed.simulate(&[]).out;
+    assert!(text.contains(&format!("it ends at tick 150 of {planned}")), "{text}");
+    assert!(text.contains("still moves"), "{text}");
+    // Recorded while it stands, up to the plan's end, it is the same motion.
+    performed.poses.resize(planned + 1, performed.last());
+    let recorded = performed.report();
+    assert_eq!(recorded["loss"], stopped["loss"]);
+    assert_eq!(
+        (&recorded["executed"]["stopped_early"], &recorded["executed"]["moves_at_end"]),
+        (&false.into(), &false.into())
+    );
+    // An arm that never moves is recorded with its anchor alone.
+    performed.poses.truncate(1);
+    let report = performed.report();
+    assert_eq!(
+        (&report["executed"]["executed_steps"], &report["executed"]["simulated_steps"]),
+        (&0.into(), &planned.into())
+    );
+}
+
+#[test]
+fn an_arm_that_settles_after_the_plan_is_followed_until_it_rests() {
+    let mut performed = Performed::new();
+    let (planned, end) = (performed.steps(), performed.last());
+    // Standing still adds nothing to what is simulated, moving less than anybody can tell neither.
+    performed.poses.extend([moved(&end, 3e-7, 0.0), end, end]);
+    assert_eq!(performed.report()["executed"]["simulated_steps"], planned);
+    performed.poses.truncate(planned + 1);
+    performed.poses.extend([2e-3, 1e-3, 1e-4, 0.0, 0.0, 0.0].map(|x_m| moved(&end, x_m, 0.0)));
+    let report = performed.report();
+    assert_eq!(report["executed"]["executed_steps"], planned + 6);
+    assert_eq!(report["executed"]["simulated_steps"], planned + 4);
+    assert!(near(&report["executed"]["largest_deviation"]["mm"], 2.0, 1e-9));
+    assert_eq!(report["executed"]["largest_deviation"]["mm_tick"], planned + 1);
+    let text = performed.simulate(&[]).out;
+    assert!(
+        text.contains(&format!(
+            "came to rest after the plan's end at tick {planned}, at tick {}",
+            planned + 4
+        )),
+        "{text}"
+    );
+}
+
+#[test]
+fn an_executed_motion_of_another_plan_period_or_place_is_refused() {
+    let mut performed = Performed::new();
+    let sound = performed.header;
+    performed.header.plan_hash ^= 1 << 63;
+    let (found, wanted) = (performed.header.plan_hash, sound.plan_hash);
+    let about = format!("another plan, {found:016x} and not {wanted:016x}");
+    assert_sentence(&performed.simulate(&[]), 2, &about);
+    performed.header = TrajectoryHeader { period_us: 20_000, ..sound };
+    assert_sentence(&performed.simulate(&[]), 2, "a period of 20000 us, but the plan has one of 10000 us");
+    performed.header = sound;
+    let start = performed.poses[0];
+    for (anchor, about) in [
+        (moved(&start, 0.51e-3, 0.0), "begins 0.510 mm and 0.000 mrad off the plan's start pose"),
+        (moved(&start, 0.0, 5.1e-3), "begins 0.000 mm and 5.100 mrad off"),
+        (moved(&start, f64::MAX, 0.0), "off the plan's start pose"),
+    ] {
+        performed.poses[0] = anchor;
+        assert_sentence(&performed.simulate(&[]), 2, about);
+    }
+    performed.poses[0] = moved(&start, 0.49e-3, 4.9e-3);
+    assert_eq!(performed.simulate(&[]).code, 0);
+}
+
+#[test]
+fn an_executed_motion_that_the_powder_cannot_follow_is_refused() {
+    for (x_m, pitch_rad, about) in [
+        (0.0401, 0.0, "mm and 0.0"),
+        (0.0, 1.001, "mrad in the one tick 7"),
+        (
+            f64::MAX,
+            0.0,
+            "in the one tick 7, but the simulated powder follows at most 40.000 mm and 1000 mrad",
+        ),
+    ] {
+        let mut performed = Performed::new();
+        performed.poses.truncate(7);
+        let jump = moved(&performed.last(), x_m, pitch_rad);
+        performed.poses.push(jump);
+        assert_sentence(&performed.simulate(&[]), 2, about);
+    }
+}
+
+#[test]
+fn what_is_no_executed_motion_is_refused() {
+    let performed = Performed::new();
+    let lines = performed.header.to_string();
+    for (text, about) in [
+        (String::new(), "no usable record of an executed motion: it is empty"),
+        (lines.clone(), "it ends after line 3"),
+        (format!("{lines}\n1 0 0 0 1 0 0 0\n"), "in line 4 the tick is 1"),
+        (format!("{lines}\n0 {}", "1".repeat(1 << 20)), "line 4 is longer than 256 bytes"),
+        ("PWDLPLAN".repeat(1000), "it begins with `PWDLPLANPWDLPLANPWDLPLAN..`"),
+    ] {
+        assert_sentence(&performed.simulate_text(&text, &[]), 2, about);
+    }
+    let anchor = Sample { tick: 0, pose: performed.poses[0] };
+    assert_sentence(
+        &performed.simulate_for(2, &format!("{lines}\n{anchor}"), &[]),
+        130,
+        "stopped on request",
+    );
+    let none = performed.place.text("none");
+    assert_sentence(
+        &optimise(&["simulate", "--plan", &performed.plan, "--executed", &none]),
+        2,
+        "cannot be read",
+    );
+    let folder = performed.place.text("run");
+    assert_sentence(
+        &optimise(&["simulate", "--plan", &performed.plan, "--executed", &folder]),
+        2,
+        "cannot be read",
+    );
 }
 
 #[test]

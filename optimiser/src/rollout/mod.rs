@@ -15,7 +15,7 @@ use crate::memory::least_memory;
 use crate::real::Real;
 use crate::scene::Scene;
 use crate::skill::{SkillError, Theta};
-use powderline_shared::{displacement::Displacement, plan::Precision};
+use powderline_shared::{displacement::Displacement, plan::Precision, pose::Pose};
 use thiserror::Error;
 
 /// What one simulated motion achieved.
@@ -122,6 +122,17 @@ pub trait Evaluate {
     /// See [`RolloutError`].
     fn simulate(
         &mut self,
+        controls: &[Displacement],
+        progress: Progress<'_>,
+    ) -> Result<Evaluation, RolloutError>;
+
+    /// The same for a tool that begins at `anchor` and not at the scene's start pose.
+    ///
+    /// # Errors
+    /// See [`RolloutError`].
+    fn simulate_from(
+        &mut self,
+        anchor: &Pose,
         controls: &[Displacement],
         progress: Progress<'_>,
     ) -> Result<Evaluation, RolloutError>;

@@ -76,6 +76,14 @@ impl<T: Real> Simulator<T> {
         Ok(Moment { state: self.in_pool(|r| r.settled(), progress)?, tool })
     }
 
+    /// The settled powder under a tool that waits at `tool`.
+    fn beginning_under(&mut self, tool: &Pose, progress: Progress<'_>) -> Result<Moment<T>, RolloutError> {
+        if *tool == self.anchor {
+            return self.beginning(progress);
+        }
+        Ok(Moment { state: self.in_pool(|r| r.settle_under(tool), progress)?, tool: *tool })
+    }
+
     /// The moment after the given controls.
     pub(crate) fn after(
         &mut self,
@@ -207,7 +215,17 @@ impl<T: Real> Evaluate for Simulator<T> {
         controls: &[Displacement],
         progress: Progress<'_>,
     ) -> Result<Evaluation, RolloutError> {
-        let start = self.beginning(progress)?;
+        let anchor = self.anchor;
+        self.simulate_from(&anchor, controls, progress)
+    }
+
+    fn simulate_from(
+        &mut self,
+        anchor: &Pose,
+        controls: &[Displacement],
+        progress: Progress<'_>,
+    ) -> Result<Evaluation, RolloutError> {
+        let start = self.beginning_under(anchor, progress)?;
         let end = self.after(&start, controls, progress)?;
         Ok(self.judge(&end))
     }
@@ -266,10 +284,17 @@ impl<T: Real> Rollout<'_, T> {
         if let Some(state) = &self.settled {
             return Ok(state.clone());
         }
+        let state = self.settle_under(self.anchor)?;
+        *self.settled = Some(state.clone());
+        Ok(state)
+    }
+
+    /// The powder at rest under a tool that stands still.
+    fn settle_under(&mut self, tool: &Pose) -> Result<State<T>, RolloutError> {
         let particles = Particles::at_rest(self.packing);
         let mut state =
             State::new(self.model, &particles).map_err(|l| lost_error::<T>(self.scene, 0, l, None))?;
-        let tool = resting(self.anchor);
+        let tool = resting(tool);
         let per_step = self.scene.time.substeps as usize;
         for substep in 0..self.scene.time.settle_steps() as usize * per_step {
             if substep.is_multiple_of(per_step) {
@@ -278,7 +303,6 @@ impl<T: Real> Rollout<'_, T> {
             }
             self.step(&mut state, substep, &tool)?;
         }
-        *self.settled = Some(state.clone());
         Ok(state)
     }
 
