@@ -134,9 +134,9 @@ mod tests {
             crc8(0x201, &context, 7 + 256, b"x"),
             crc8(0x201, &context, 7, b"y"),
         ];
-        for (i, a) in sums.iter().enumerate() {
-            assert!(sums.iter().skip(i + 1).all(|b| a != b), "{sums:?}");
-        }
+        // Each of them alone; two changes together may well make up for each other in 8 bits.
+        let [right, wrong @ ..] = sums;
+        assert!(wrong.iter().all(|sum| *sum != right), "{sums:?}");
     }
 
     #[test]

@@ -227,8 +227,8 @@ impl ToArmDecoder {
     /// Takes one frame.
     ///
     /// # Errors
-    /// Why the frame says nothing. The decoder goes on as if it had not come, but a record in progress that it does not
-    /// continue is given up.
+    /// Why the frame says nothing. The decoder goes on as if it had not come; but a record that is complete and damaged is
+    /// given up.
     pub fn handle_frame(&mut self, frame: &Frame) -> Result<Decoded<ToArm>, Rejected> {
         let own = self.context;
         match (frame.id, self.dialect) {
@@ -356,8 +356,8 @@ impl FromArmDecoder {
     /// Takes one frame.
     ///
     /// # Errors
-    /// Why the frame says nothing. The decoder goes on as if it had not come, but a record in progress that it does not
-    /// continue is given up.
+    /// Why the frame says nothing. The decoder goes on as if it had not come; but a record that is complete and damaged is
+    /// given up.
     pub fn handle_frame(&mut self, frame: &Frame) -> Result<Decoded<FromArm>, Rejected> {
         let own = self.context;
         let accepted = |session| own_or_none(own, session);
@@ -475,7 +475,7 @@ pub enum Rejected {
         /// Tick.
         tick: u32,
     },
-    /// A handshake segment is malformed or does not continue a record.
+    /// A handshake segment is one that no record has.
     Segment {
         /// Identifier.
         id: u16,
@@ -516,7 +516,7 @@ impl fmt::Display for Rejected {
                 write!(f, "frame {id:#05x} contradicts an earlier one of the same tick {tick}")
             }
             Self::Segment { id } => {
-                write!(f, "segment {id:#05x} does not continue a record; the next can only begin one")
+                write!(f, "segment {id:#05x} is empty, not full, overlong or beyond the longest record")
             }
             Self::Record { id } => write!(f, "the record in segments {id:#05x} is damaged or has no meaning"),
         }

@@ -4,7 +4,8 @@
 //! record:  [length of body, u16] [body: postcard] [CRC-32 over length and body, u32]
 //! segment: [index 0..=0x3F, 0x80 added on the last] [next bytes of the record]
 //! ```
-//! All segments but the last are full frames. In CAN FD the last is filled up with zeros to a length that exists.
+//! All segments but the last are full frames, so an index says where its bytes belong. In CAN FD the last is filled up with
+//! zeros to a length that exists.
 
 use heapless::Vec;
 use serde::{Deserialize, Serialize};
@@ -22,9 +23,6 @@ const MAX_RECORD: usize = 256;
 
 /// Most bytes of a record's body: less length and checksum.
 const MAX_BODY: usize = 250;
-
-/// Largest index of a segment.
-const MAX_INDEX: u8 = 0x3F;
 
 /// Marks the last segment.
 const LAST: u8 = 0x80;
@@ -133,50 +131,113 @@ impl Iterator for Segments {
     }
 }
 
-/// Puts segments together again.
-#[derive(Clone, Debug, Default)]
+/// One segment, by itself as it should be.
+struct Segment<'a> {
+    index: u8,
+    last: bool,
+    /// Where its bytes belong in the record.
+    begin: usize,
+    end: usize,
+    payload: &'a [u8],
+}
+
+impl<'a> Segment<'a> {
+    /// `None` for one that no record has.
+    fn read(dialect: Dialect, data: &'a [u8]) -> Option<Self> {
+        let (head, payload) = data.split_first()?;
+        let (last, index) = (head & LAST != 0, head & !LAST);
+        let full = dialect.max_data();
+        let fits =
+            if last { data.len() <= full && fd_length(data.len()) == data.len() } else { data.len() == full };
+        let begin = usize::from(index).checked_mul(full.checked_sub(1)?)?;
+        let end = begin.checked_add(payload.len())?;
+        // This bounds the index too: 36 at most.
+        let is_one = !payload.is_empty() && fits && end <= MAX_RECORD;
+        is_one.then_some(Self { index, last, begin, end, payload })
+    }
+}
+
+fn bit(index: u8) -> u64 {
+    1u64.checked_shl(u32::from(index)).unwrap_or(0)
+}
+
+/// The bits of all indices below.
+fn below(index: u8) -> u64 {
+    bit(index).saturating_sub(1)
+}
+
+/// Puts segments together again, in whatever order they come. Those that were lost are filled in when the record is sent
+/// again. One that cannot be of the same record as those kept begins another; then, as once a record is complete, what was
+/// kept is forgotten.
+#[derive(Clone, Debug)]
 pub(super) struct Reassembly {
-    record: Vec<u8, MAX_RECORD>,
-    /// Index of the segment that must come next; `None` if that can only be the first.
-    next: Option<u8>,
+    record: [u8; MAX_RECORD],
+    /// Bit i: the segment of index i is kept.
+    kept: u64,
+    /// The last segment, if it is kept.
+    last: Option<Last>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Last {
+    index: u8,
+    /// Where it ends: the length of the record, padding included.
+    end: usize,
+}
+
+impl Default for Reassembly {
+    fn default() -> Self {
+        Self { record: [0; MAX_RECORD], kept: 0, last: None }
+    }
 }
 
 impl Reassembly {
-    /// Takes one segment; the record's content if it was the last.
+    /// Takes one segment; the record's content if none is missing any more.
     pub(super) fn handle<T: for<'a> Deserialize<'a>>(
         &mut self,
         dialect: Dialect,
         frame: &Frame,
     ) -> Result<Option<T>, Rejected> {
-        let Some(last) = self.append(dialect, &frame.data) else {
-            self.next = None;
-            return Err(Rejected::Segment { id: frame.id });
-        };
-        if !last {
-            return Ok(None);
+        let segment = Segment::read(dialect, &frame.data).ok_or(Rejected::Segment { id: frame.id })?;
+        if !self.may_have(&segment) {
+            *self = Self::default();
         }
-        self.next = None;
-        content(&self.record, dialect).map(Some).ok_or(Rejected::Record { id: frame.id })
+        self.keep(&segment);
+        let Some(length) = self.complete() else { return Ok(None) };
+        let content = self.record.get(..length).and_then(|record| content(record, dialect));
+        *self = Self::default();
+        content.map(Some).ok_or(Rejected::Record { id: frame.id })
     }
 
-    /// Whether the segment was the last; `None` if it does not fit.
-    fn append(&mut self, dialect: Dialect, data: &[u8]) -> Option<bool> {
-        let (head, payload) = data.split_first()?;
-        let (last, index) = (head & LAST != 0, head & !LAST);
-        if index == 0 {
-            self.record.clear();
-        } else if self.next != Some(index) {
-            return None;
+    /// Whether a record could have this segment and all that are kept.
+    fn may_have(&self, segment: &Segment<'_>) -> bool {
+        let Segment { index, last, begin, end, payload } = *segment;
+        if self.kept & bit(index) != 0 && self.record.get(begin..end) != Some(payload) {
+            return false;
         }
-        let full = dialect.max_data();
-        let fits =
-            if last { data.len() <= full && fd_length(data.len()) == data.len() } else { data.len() == full };
-        if index > MAX_INDEX || payload.is_empty() || !fits {
-            return None;
+        match self.last {
+            Some(known) if last => known == Last { index, end },
+            Some(known) => index < known.index,
+            None => !last || self.kept & !below(index) == 0,
         }
-        append(&mut self.record, payload)?;
-        self.next = Some(index.saturating_add(1));
-        Some(last)
+    }
+
+    fn keep(&mut self, segment: &Segment<'_>) {
+        let Segment { index, last, begin, end, payload } = *segment;
+        if let Some(place) = self.record.get_mut(begin..end) {
+            // Of one length; a copy of slices would have to panic if they were not.
+            place.iter_mut().zip(payload).for_each(|(kept, sent)| *kept = *sent);
+            self.kept |= bit(index);
+        }
+        if last {
+            self.last = Some(Last { index, end });
+        }
+    }
+
+    /// Length of the record if all of it is there.
+    fn complete(&self) -> Option<usize> {
+        let last = self.last?;
+        (self.kept == below(last.index) | bit(last.index)).then_some(last.end)
     }
 }
 

@@ -130,15 +130,16 @@ fn resealed_fd(frame: &Frame, change: impl Fn(&mut [u8])) -> Frame {
     Frame::new(frame.id, &data).unwrap()
 }
 
+/// The same for a classic frame whose checksum covers byte 2 of the key.
 fn resealed_classic(frame: &Frame, tick: u32, change: impl Fn(&mut [u8])) -> Frame {
     let mut data = frame.data.to_vec();
     change(&mut data);
     let crc = crc::Crc::<u8>::new(&crc::CRC_8_AUTOSAR);
     let mut digest = crc.digest();
     digest.update(&frame.id.to_le_bytes());
-    digest.update(&samples::SESSION.to_le_bytes());
+    let [.., key] = samples::CONTEXT.key();
+    digest.update(&[key]);
     digest.update(&tick.to_le_bytes());
-    digest.update(&samples::CONTEXT.plan_hash.to_le_bytes());
     let last = data.len() - 1;
     digest.update(&data[..last]);
     data[last] = digest.finalize();

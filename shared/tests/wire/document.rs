@@ -4,12 +4,13 @@ use powderline_shared::fault::FaultCode;
 use powderline_shared::wire::frame::{Dialect, Frame};
 use powderline_shared::wire::ids;
 use powderline_shared::wire::load::Medium;
-use powderline_shared::wire::message::{DEPTH, HEARTBEAT_US, PROTOCOL_VERSION};
+use powderline_shared::wire::message::{DEPTH, FromArm, HEARTBEAT_US, PROTOCOL_VERSION};
 use powderline_shared::wire::serial::to_line;
 use powderline_shared::wire::state::{Command, Event, Phase, State, TRANSITIONS};
 use powderline_shared::wire::words::{StatusBits, controlword, state_bits, statusword};
 
 use crate::golden;
+use crate::samples::{self, CONTEXT, frames_from_arm};
 
 const DOCUMENT: &str = include_str!("../../PROTOCOL.md");
 
@@ -131,6 +132,40 @@ fn numbers_in_the_text() {
     }
 }
 
+/// The variants of the records, which come first in the body and, for refusals, after the session of two bytes.
+#[test]
+fn variants() {
+    let bodies = |wanted: fn(&FromArm) -> Option<String>| {
+        let messages = samples::from_arm().into_iter().map(|(_, message)| message);
+        let named = messages.filter_map(move |message| wanted(&message).map(|name| (message, name)));
+        named.map(|(message, name)| {
+            (frames_from_arm(Dialect::Fd, &[message]).remove(0).data[3..].to_vec(), name)
+        })
+    };
+    let name = |shown: String| shown.split([' ', '{']).next().unwrap().to_string();
+    let rows = |index| {
+        let rows = table("## Handshake", index).into_iter();
+        rows.map(|row| (row[0].parse::<u8>().unwrap(), row[1].to_string())).collect::<Vec<_>>()
+    };
+    let reasons: Vec<_> = bodies(|message| match message {
+        FromArm::Refused { reason, .. } => Some(format!("{reason:?}")),
+        _ => None,
+    })
+    .map(|(body, shown)| (body[3], name(shown)))
+    .collect();
+    assert_eq!(rows(3), reasons);
+    let mut records: Vec<_> = bodies(|message| match message {
+        FromArm::Opened { .. } | FromArm::Refused { .. } | FromArm::Anchored { .. } => {
+            Some(format!("{message:?}"))
+        }
+        _ => None,
+    })
+    .map(|(body, shown)| (body[0], name(shown)))
+    .collect();
+    records.dedup();
+    assert_eq!(rows(2), records);
+}
+
 #[test]
 fn loads() {
     let media = [
@@ -173,6 +208,7 @@ struct Checked {
     frames: usize,
     crc8: usize,
     crc32: usize,
+    keys: usize,
     records: usize,
     lines: usize,
 }
@@ -205,6 +241,13 @@ fn examples() {
                 assert_eq!(covered[..2], last.as_ref().unwrap().id.to_le_bytes());
                 checked.crc8 += 1;
             }
+            "session" => covered = bytes(value),
+            "key" => {
+                let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(&covered);
+                assert_eq!(bytes(value), crc.to_le_bytes()[..3]);
+                assert_eq!(bytes(value), CONTEXT.key());
+                checked.keys += 1;
+            }
             "record" => {
                 record = bytes(value);
                 covered.clear();
@@ -229,8 +272,8 @@ fn examples() {
             _ => panic!("{line}"),
         }
     }
-    let Checked { frames, crc8, crc32, records, lines } = checked;
-    assert_eq!((frames, crc8, crc32, records, lines), (20, 10, 2, 3, 1));
+    let Checked { frames, crc8, crc32, keys, records, lines } = checked;
+    assert_eq!((frames, crc8, crc32, keys, records, lines), (20, 10, 2, 1, 3, 1));
 }
 
 /// A segment holds the bytes of the record that its index stands for.

@@ -51,7 +51,7 @@ fn refusals() -> impl Strategy<Value = Refusal> {
     prop_oneof![
         any::<u16>().prop_map(|arm| Refusal::Version { arm }),
         faults().prop_map(|fault| Refusal::Latched { fault }),
-        select(vec![Refusal::Busy, Refusal::Period, Refusal::Meaningless, Refusal::Coarse]),
+        select(vec![Refusal::Busy, Refusal::Closed, Refusal::Period, Refusal::Meaningless, Refusal::Coarse]),
     ]
 }
 

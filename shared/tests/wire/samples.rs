@@ -42,6 +42,7 @@ pub(crate) fn from_arm() -> Vec<(String, FromArm)> {
     for reason in [
         Refusal::Version { arm: 3 },
         Refusal::Busy,
+        Refusal::Closed,
         Refusal::Latched { fault },
         Refusal::Period,
         Refusal::Meaningless,
