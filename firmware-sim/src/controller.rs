@@ -389,8 +389,14 @@ impl Controller {
             (S::ReadyToSwitchOn | S::SwitchedOn, Command::DisableVoltage | Command::QuickStop) => {
                 self.enter(S::SwitchOnDisabled);
             }
+            // Enabled once more, a session that has moved would have another anchor, and setpoints of the first one that are
+            // said again would lead the arm from there: nothing on the wire tells whose they are.
+            (S::OperationEnabled, Command::SwitchOn) if still && self.has_moved() => {
+                self.drop_one();
+                self.report();
+            }
             (S::OperationEnabled, Command::SwitchOn) if still => {
-                // The session goes on; if it is enabled once more, it is from a new anchor.
+                // The session goes on; if it is enabled once more, it is anchored anew.
                 self.session.iter_mut().for_each(|session| session.anchored = None);
                 self.enter(S::SwitchedOn);
             }
@@ -449,6 +455,11 @@ impl Controller {
         if let Some(session) = self.session.take() {
             self.closed.add(context_of(&session.request));
         }
+    }
+
+    /// Whether a setpoint of the session has been taken.
+    fn has_moved(&self) -> bool {
+        self.anchored().is_some_and(|anchored| anchored.applied_tick > 0)
     }
 
     fn is_still(&self) -> bool {

@@ -583,6 +583,27 @@ fn assert_obeys(bench: &mut Bench, command: Command) {
 }
 
 #[test]
+fn a_session_that_has_moved_is_not_anchored_once_more() {
+    let mut bench = Bench::enabled();
+    let first = bench.arm.anchor();
+    // Before it moves there is no harm in it.
+    [Command::SwitchOn, Command::EnableOperation].map(|command| bench.command(command));
+    assert_eq!((bench.arm.state(), bench.arm.anchor()), (State::OperationEnabled, first));
+    bench.stream(END, |tick| Some(setpoint(tick)));
+    bench.rest();
+    assert_eq!(bench.arm.status().phase, Some(Phase::Holding));
+    let (end, dropped) = (bench.arm.pose(), bench.arm.dropped());
+    // All that the session has said is said again.
+    [Command::SwitchOn, Command::EnableOperation].map(|command| bench.command(command));
+    (1..=DEPTH).for_each(|tick| bench.set(setpoint(tick)));
+    (0..20).for_each(|_| bench.period());
+    assert_eq!((bench.arm.pose(), bench.arm.anchor()), (end, first));
+    assert!(bench.arm.status().standstill && bench.arm.dropped() > dropped);
+    bench.command(Command::Shutdown);
+    assert_eq!(bench.arm.state(), State::ReadyToSwitchOn);
+}
+
+#[test]
 fn a_session_that_is_not_heard_of_is_over() {
     // Standing with power, armed: a fault. Without power: the session is closed, and another may come.
     for steps in 0..=3 {
