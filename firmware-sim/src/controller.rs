@@ -391,7 +391,7 @@ impl Controller {
             }
             // Enabled once more, a session that has moved would have another anchor, and setpoints of the first one that are
             // said again would lead the arm from there: nothing on the wire tells whose they are.
-            (S::OperationEnabled, Command::SwitchOn) if still && self.has_moved() => {
+            (S::OperationEnabled, Command::SwitchOn) if still && self.has_followed() => {
                 self.drop_one();
                 self.report();
             }
@@ -458,7 +458,7 @@ impl Controller {
     }
 
     /// Whether a setpoint of the session has been taken.
-    fn has_moved(&self) -> bool {
+    fn has_followed(&self) -> bool {
         self.anchored().is_some_and(|anchored| anchored.applied_tick > 0)
     }
 

@@ -1,6 +1,7 @@
 //! The simulated arm controller, as a program.
 
-use std::io::{self, IsTerminal, Write};
+use std::fs::{self, File};
+use std::io::{self, BufWriter, IsTerminal, Write};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -17,6 +18,7 @@ use powderline_host::link::Link;
 use powderline_host::realtime;
 use powderline_shared::plan::PlanReader;
 use powderline_shared::pose::Pose;
+use powderline_shared::trajectory::{Sample, TrajectoryHeader};
 use powderline_shared::wire::Context as WireContext;
 use powderline_shared::wire::frame::Dialect;
 
@@ -145,9 +147,23 @@ impl Announcer for Person {
         let (ticks, x, y, z) = (poses.len(), last.x, last.y, last.z);
         self.say(&format!("At rest after {ticks} ticks, at ({x:.6}, {y:.6}, {z:.6}) m."));
         let Some(path) = &self.executed else { return Ok(()) };
-        let _ = (context, period_us);
-        bail!("{}: not written", path.display())
+        write_executed(path, context, period_us, poses)
+            .with_context(|| format!("{}: the motion cannot be written", path.display()))?;
+        self.say(&format!("The motion is in {}.", path.display()));
+        Ok(())
     }
+}
+
+/// Under another name first: a reader finds a whole motion or none.
+fn write_executed(path: &Path, context: &WireContext, period_us: u32, poses: &[Pose]) -> io::Result<()> {
+    let unfinished = path.with_extension("unfinished");
+    let mut file = BufWriter::new(File::create(&unfinished)?);
+    writeln!(file, "{}", TrajectoryHeader { plan_hash: context.plan_hash, period_us })?;
+    for (tick, pose) in (0..).zip(poses) {
+        writeln!(file, "{}", Sample { tick, pose: *pose })?;
+    }
+    file.into_inner()?.sync_all()?;
+    fs::rename(&unfinished, path)
 }
 
 fn storm(seeds: Range<u64>) -> anyhow::Result<()> {
