@@ -37,12 +37,20 @@ impl<T: Clone> Clone for State<T> {
 
     /// Into the memory that is already there.
     fn clone_from(&mut self, from: &Self) {
-        self.particles.groups.clone_from(&from.particles.groups);
-        self.particles.ids.clone_from(&from.particles.ids);
+        copy_exactly(&mut self.particles.groups, &from.particles.groups);
+        copy_exactly(&mut self.particles.ids, &from.particles.ids);
         self.layout.clone_from(&from.layout);
         self.sorted_from.clone_from(&from.sorted_from);
         self.stale = from.stale;
     }
+}
+
+/// Into the memory that is already there, or as much more as is needed. The number of groups changes from sort to sort, and a
+/// vector that is left to grow by itself takes twice the memory at the first group more.
+fn copy_exactly<E: Clone>(to: &mut Vec<E>, from: &[E]) {
+    to.clear();
+    to.reserve_exact(from.len());
+    to.extend_from_slice(from);
 }
 
 impl<T: Real> State<T> {
@@ -254,5 +262,20 @@ pub(crate) fn unsort_bar<T: Real>(state: &State<T>, bar: Vec<Group<T>>) -> Vec<G
     match &state.sorted_from {
         Some((order, groups)) => unsort(&bar, order, *groups),
         None => bar,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_copy_takes_no_more_memory_than_it_needs() {
+        let mut to: Vec<u64> = Vec::with_capacity(1_000);
+        copy_exactly(&mut to, &[7; 1_001]);
+        assert_eq!(to, [7; 1_001]);
+        assert!(to.capacity() < 1_100, "{}", to.capacity());
+        copy_exactly(&mut to, &[8; 10]);
+        assert_eq!(to, [8; 10]);
     }
 }
