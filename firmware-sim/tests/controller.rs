@@ -583,6 +583,31 @@ fn assert_obeys(bench: &mut Bench, command: Command) {
 }
 
 #[test]
+fn what_a_session_has_said_before_does_not_move_the_arm_once_more() {
+    for last_tick in [0, END] {
+        let mut bench = Bench::enabled();
+        bench.stream(END, |tick| (tick <= last_tick).then(|| setpoint(tick)));
+        bench.rest();
+        assert_eq!(bench.arm.state(), State::OperationEnabled);
+        let end = bench.arm.pose();
+        // Disable operation, and the way up again, by the very messages of the session.
+        bench.command(Command::SwitchOn);
+        assert_eq!((bench.arm.state(), bench.arm.status().session), (State::SwitchedOn, NO_SESSION));
+        bench.tell(ToArm::Open(request()));
+        assert!(bench.messages.contains(&FromArm::Refused { session: SESSION, reason: Refusal::Closed }));
+        bench.command(Command::EnableOperation);
+        (1..=DEPTH).for_each(|tick| bench.set(setpoint(tick)));
+        (0..20).for_each(|_| bench.period());
+        assert_eq!((bench.arm.pose(), bench.arm.anchor()), (end, None));
+        // Nor does it keep its power.
+        (0..20).for_each(|_| bench.period());
+        assert_eq!(bench.arm.state(), State::SwitchOnDisabled);
+        bench.tell(ToArm::Open(OpenRequest { session: SESSION + 1, ..request() }));
+        assert_eq!(bench.arm.status().session, SESSION + 1);
+    }
+}
+
+#[test]
 fn a_session_that_is_not_heard_of_is_over() {
     // Standing with power, armed: a fault. Without power: the session is closed, and another may come.
     for steps in 0..=3 {
