@@ -389,17 +389,7 @@ impl Controller {
             (S::ReadyToSwitchOn | S::SwitchedOn, Command::DisableVoltage | Command::QuickStop) => {
                 self.enter(S::SwitchOnDisabled);
             }
-            // Enabled once more, a session that has moved would have another anchor, and setpoints of the first one that are
-            // said again would lead the arm from there: nothing on the wire tells whose they are.
-            (S::OperationEnabled, Command::SwitchOn) if still && self.has_followed() => {
-                self.drop_one();
-                self.report();
-            }
-            (S::OperationEnabled, Command::SwitchOn) if still => {
-                // The session goes on; if it is enabled once more, it is anchored anew.
-                self.session.iter_mut().for_each(|session| session.anchored = None);
-                self.enter(S::SwitchedOn);
-            }
+            (S::OperationEnabled, Command::SwitchOn) if still => self.leave_operation(S::SwitchedOn),
             // Asked again, for the anchor may have been lost.
             (S::OperationEnabled, Command::EnableOperation) => self.repeat_anchor(),
             (S::OperationEnabled, Command::Shutdown) if still => self.leave_operation(S::ReadyToSwitchOn),
@@ -443,7 +433,8 @@ impl Controller {
         self.send(FromArm::Anchored { session, pose });
     }
 
-    /// Closes the session: the next motion needs a new one, with a new anchor.
+    /// Closes the session: the next motion needs a new one, with a new anchor. A session that could be enabled once more
+    /// would be led by its own old messages, said again, from an anchor that they were not meant for.
     fn leave_operation(&mut self, state: State) {
         self.close();
         self.fault = None;
@@ -455,11 +446,6 @@ impl Controller {
         if let Some(session) = self.session.take() {
             self.closed.add(context_of(&session.request));
         }
-    }
-
-    /// Whether a setpoint of the session has been taken.
-    fn has_followed(&self) -> bool {
-        self.anchored().is_some_and(|anchored| anchored.applied_tick > 0)
     }
 
     fn is_still(&self) -> bool {
@@ -581,11 +567,13 @@ impl Controller {
         }
     }
 
-    /// When the session is over if nothing more is heard of it. A latched stop is not a session's any more.
+    /// When the session is over if nothing more is heard of it. A latched stop is not a session's any more; power that a
+    /// session has left on goes with the time that it had.
     fn session_ends_us(&self) -> Option<u64> {
         let latched =
             matches!(self.state, State::QuickStopActive | State::FaultReactionActive | State::Fault);
-        self.session.as_ref().filter(|_| !latched).map(|_| self.heard_us.saturating_add(self.watchdog_us))
+        let held = self.session.is_some() || self.state == State::SwitchedOn;
+        (held && !latched).then(|| self.heard_us.saturating_add(self.watchdog_us))
     }
 
     fn lose_session(&mut self) {

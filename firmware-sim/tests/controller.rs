@@ -583,24 +583,28 @@ fn assert_obeys(bench: &mut Bench, command: Command) {
 }
 
 #[test]
-fn a_session_that_has_moved_is_not_anchored_once_more() {
-    let mut bench = Bench::enabled();
-    let first = bench.arm.anchor();
-    // Before it moves there is no harm in it.
-    [Command::SwitchOn, Command::EnableOperation].map(|command| bench.command(command));
-    assert_eq!((bench.arm.state(), bench.arm.anchor()), (State::OperationEnabled, first));
-    bench.stream(END, |tick| Some(setpoint(tick)));
-    bench.rest();
-    assert_eq!(bench.arm.status().phase, Some(Phase::Holding));
-    let (end, dropped) = (bench.arm.pose(), bench.arm.dropped());
-    // All that the session has said is said again.
-    [Command::SwitchOn, Command::EnableOperation].map(|command| bench.command(command));
-    (1..=DEPTH).for_each(|tick| bench.set(setpoint(tick)));
-    (0..20).for_each(|_| bench.period());
-    assert_eq!((bench.arm.pose(), bench.arm.anchor()), (end, first));
-    assert!(bench.arm.status().standstill && bench.arm.dropped() > dropped);
-    bench.command(Command::Shutdown);
-    assert_eq!(bench.arm.state(), State::ReadyToSwitchOn);
+fn what_a_session_has_said_before_does_not_move_the_arm_once_more() {
+    for last_tick in [0, END] {
+        let mut bench = Bench::enabled();
+        bench.stream(END, |tick| (tick <= last_tick).then(|| setpoint(tick)));
+        bench.rest();
+        assert_eq!(bench.arm.state(), State::OperationEnabled);
+        let end = bench.arm.pose();
+        // Disable operation, and the way up again, by the very messages of the session.
+        bench.command(Command::SwitchOn);
+        assert_eq!((bench.arm.state(), bench.arm.status().session), (State::SwitchedOn, NO_SESSION));
+        bench.tell(ToArm::Open(request()));
+        assert!(bench.messages.contains(&FromArm::Refused { session: SESSION, reason: Refusal::Closed }));
+        bench.command(Command::EnableOperation);
+        (1..=DEPTH).for_each(|tick| bench.set(setpoint(tick)));
+        (0..20).for_each(|_| bench.period());
+        assert_eq!((bench.arm.pose(), bench.arm.anchor()), (end, None));
+        // Nor does it keep its power.
+        (0..20).for_each(|_| bench.period());
+        assert_eq!(bench.arm.state(), State::SwitchOnDisabled);
+        bench.tell(ToArm::Open(OpenRequest { session: SESSION + 1, ..request() }));
+        assert_eq!(bench.arm.status().session, SESSION + 1);
+    }
 }
 
 #[test]
