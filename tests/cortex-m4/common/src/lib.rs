@@ -1,8 +1,6 @@
-//! What both ends need: frames on the serial line, and the poses that must come out the same, bit for bit.
+//! What must come out the same, bit for bit, on the microcontroller and on the host.
 #![no_std]
 #![forbid(unsafe_code)]
-
-pub mod line;
 
 use powderline_shared::displacement::pose_at;
 use powderline_shared::plan::{Fnv1a64, PlanReader};

@@ -6,13 +6,13 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use anyhow::{Context as _, Result, bail, ensure};
-use powderline_cortex_m4_common::line::{self, Decoder};
 use powderline_firmware_sim::controller::{ArmConfig, Controller};
 use powderline_firmware_sim::endpoint::Endpoint;
 use powderline_shared::plan::PlanReader;
 use powderline_shared::pose::norm;
 use powderline_shared::wire::frame::Dialect;
 use powderline_shared::wire::message::Status;
+use powderline_shared::wire::serial::{LineReader, to_line};
 use powderline_shared::wire::state::Phase;
 
 /// How long QEMU may take to open its socket.
@@ -28,9 +28,9 @@ const END_TOLERANCE: f64 = 1e-7;
 pub(crate) fn play(socket: &str, plan: &PlanReader<'_>) -> Result<()> {
     let mut line = connect(socket)?;
     line.set_nonblocking(true)?;
-    let controller = Controller::new(ArmConfig::bench(plan.header().start_pose()));
+    let controller = Controller::new(ArmConfig::ideal(plan.header().start_pose()));
     let mut arm = Endpoint::new(controller, Dialect::Fd);
-    let mut decoder = Decoder::default();
+    let mut reader = LineReader::new();
     let mut clock = Clock::new();
     let mut chunk = [0; 4096];
     loop {
@@ -38,7 +38,7 @@ pub(crate) fn play(socket: &str, plan: &PlanReader<'_>) -> Result<()> {
         match line.read(&mut chunk) {
             Ok(0) => break,
             Ok(count) => {
-                for frame in chunk.iter().take(count).filter_map(|byte| decoder.push(*byte)) {
+                for frame in chunk.iter().take(count).filter_map(|byte| reader.push(*byte)?.ok()) {
                     arm.handle_frame(now_us, &frame);
                 }
             }
@@ -48,7 +48,7 @@ pub(crate) fn play(socket: &str, plan: &PlanReader<'_>) -> Result<()> {
             Err(error) => return Err(error).context("cannot read the serial line"),
         }
         while let Some(frame) = arm.poll(now_us) {
-            if !send(&mut line, &line::encode(&frame))? {
+            if !send(&mut line, &to_line(&frame))? {
                 return judge(arm.controller(), plan);
             }
         }

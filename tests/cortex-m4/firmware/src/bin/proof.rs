@@ -9,7 +9,6 @@ use cortex_m_rt::entry;
 use heapless::Vec;
 use nalgebra::{UnitQuaternion, Vector3};
 use powderline_cortex_m4::report::fail;
-use powderline_cortex_m4_common::line;
 use powderline_executor::{Action, Config, Endpoint, Executor, FrameAction};
 use powderline_shared::displacement::{
     Displacement, Lsb, Quantiser, Setpoint, SetpointError, StepCounts, displacement_between, pose_at,
@@ -21,6 +20,7 @@ use powderline_shared::wire::Context;
 use powderline_shared::wire::codec::{Decoded, Encoder, Frames, FromArmDecoder, Rejected, ToArmDecoder};
 use powderline_shared::wire::frame::{Dialect, Frame};
 use powderline_shared::wire::message::{FromArm, Status, ToArm};
+use powderline_shared::wire::serial::{LineError, LineReader, MAX_LINE_BYTES, to_line};
 use powderline_shared::wire::state::{Event, State, Transition, transition};
 
 type Rotation = UnitQuaternion<f64>;
@@ -96,8 +96,8 @@ fn wire() {
     black_box(FromArmDecoder::set_context as fn(&mut FromArmDecoder, Context));
     black_box(FromArmDecoder::expect as fn(&mut FromArmDecoder, Setpoint));
     black_box(FromArmDecoder::handle_frame as fn(&mut FromArmDecoder, &Frame) -> Heard<FromArm>);
-    black_box(line::encode as fn(&Frame) -> Vec<u8, { line::MAX_ENCODED }>);
-    black_box(line::Decoder::push as fn(&mut line::Decoder, u8) -> Option<Frame>);
+    black_box(to_line as fn(&Frame) -> Vec<u8, MAX_LINE_BYTES>);
+    black_box(LineReader::push as fn(&mut LineReader, u8) -> Option<Result<Frame, LineError>>);
 }
 
 fn executor() {

@@ -8,10 +8,10 @@ use powderline_cortex_m4::clock::Clock;
 use powderline_cortex_m4::report::{Report, fail};
 use powderline_cortex_m4::uart::Uart;
 use powderline_cortex_m4::{PLAN, SESSION, planted_panic, stack};
-use powderline_cortex_m4_common::line::{self, Decoder};
 use powderline_executor::{Config, Endpoint, FrameAction, Outcome};
 use powderline_shared::plan::PlanReader;
 use powderline_shared::wire::frame::Dialect;
+use powderline_shared::wire::serial::{LineReader, to_line};
 
 #[entry]
 fn main() -> ! {
@@ -28,27 +28,30 @@ fn main() -> ! {
     let config = Config { session: SESSION, ..Config::default() };
     let began_us = clock.now_us();
     let mut endpoint = Endpoint::new(began_us, &plan, Dialect::Fd, config);
-    let mut decoder = Decoder::default();
+    let mut reader = LineReader::new();
+    let mut garbled = 0_u64;
     loop {
         while let Some(byte) = uart.receive() {
-            if let Some(frame) = decoder.push(byte) {
+            match reader.push(byte) {
                 // What it rejects it counts.
-                let _ = endpoint.handle_frame(clock.now_us(), &frame);
+                Some(Ok(frame)) => drop(endpoint.handle_frame(clock.now_us(), &frame)),
+                Some(Err(_)) => garbled = garbled.wrapping_add(1),
+                None => {}
             }
         }
         match endpoint.poll(clock.now_us()) {
-            FrameAction::Send(frame) => uart.send(&line::encode(&frame)),
+            FrameAction::Send(frame) => uart.send(&to_line(&frame)),
             // The arm's next byte may be there already: nothing here sleeps.
             FrameAction::Wait => {}
             FrameAction::Finished(outcome) => {
                 let us = clock.now_us().wrapping_sub(began_us);
-                report(&endpoint, &decoder, outcome, us)
+                report(&endpoint, garbled, outcome, us)
             }
         }
     }
 }
 
-fn report(endpoint: &Endpoint<'_>, decoder: &Decoder, outcome: Outcome, us: u64) -> ! {
+fn report(endpoint: &Endpoint<'_>, garbled: u64, outcome: Outcome, us: u64) -> ! {
     let [sent, received, rejected] = endpoint.frame_counts();
     let mut report = Report::new("stream:");
     report
@@ -64,7 +67,7 @@ fn report(endpoint: &Endpoint<'_>, decoder: &Decoder, outcome: Outcome, us: u64)
         .number("frames_sent", u64::from(sent))
         .number("frames_received", u64::from(received))
         .number("frames_rejected", u64::from(rejected))
-        .number("garbled", decoder.garbled())
+        .number("garbled", garbled)
         .number("session_us", us)
         .number("stack_bytes", u64::from(stack::most_used_bytes()));
     report.succeed()
