@@ -1,10 +1,17 @@
 #!/usr/bin/env python3
-"""Holds shared/powderline.dbc against the golden frames of shared/tests/golden, with cantools (pip install cantools).
+"""check_dbc.py [LOG]: holds shared/powderline.dbc against real frames, with cantools (pip install cantools).
 
-Every classic frame must decode and encode back to its own bytes. Setpoints must be those of the FD frames, which hold whole
-counts; words must have the names that the golden files and PROTOCOL.md give them. Exits with 1 at the first mismatch.
+Without LOG, the golden frames of shared/tests/golden: every classic frame must decode and encode back to its own bytes.
+Setpoints must be those of the FD frames, which hold whole counts; words must have the names that the golden files and
+PROTOCOL.md give them.
+
+With LOG, what `candump -L` has written of a session on classic CAN: every frame of an identifier of ours must decode and
+encode back, its words must have names, and the arm must have come to operation enabled. Frames of others are counted.
+
+Exits with 1 at the first mismatch.
 """
 
+import collections
 import re
 import struct
 import sys
@@ -71,6 +78,42 @@ def check_fault_names(database):
     expect({code: str(name) for code, name in choices.items()}, {int(code): name for code, name in rows}, "faults")
 
 
+def named(signals, title):
+    """The names of all signals that stand for a word; one without a name stands for nothing."""
+    for signal in ("State", "Controlword", "ErrorCode", "FaultCode", "NmtState", "Word"):
+        if isinstance(signals.get(signal), int):
+            sys.exit(f"{title}: {signal} {signals[signal]:#x} has no name")
+    return {name: str(value) for name, value in signals.items() if not isinstance(value, (int, float))}
+
+
+def logged(path):
+    """Frames of a log in candump's format: where, identifier, data."""
+    for number, line in enumerate(path.read_text().splitlines(), start=1):
+        found = re.fullmatch(r"\(\d+\.\d+\) \S+ ([0-9A-F]{3}|[0-9A-F]{8})#([0-9A-F]*)( [RT])?", line.strip())
+        if found is None:
+            sys.exit(f"{path}:{number}: not a classic frame as `candump -L` writes it: {line!r}")
+        yield f"{path}:{number}", found[1], bytes.fromhex(found[2])
+
+
+def check_log(database, path):
+    """What the log says, in numbers."""
+    ours = {f"{message.frame_id:03X}": message.frame_id for message in database.messages}
+    counts, states, others = collections.Counter(), collections.Counter(), 0
+    for where, identifier, data in logged(path):
+        if identifier not in ours:
+            others += 1
+            continue
+        signals = decoded(database, where, [(ours[identifier], data)])
+        names = named(signals, where)
+        counts[database.get_message_by_frame_id(ours[identifier]).name] += 1
+        if "State" in names:
+            states[names["State"]] += 1
+    if "operation enabled" not in states:
+        sys.exit(f"{path}: no status says operation enabled, only {sorted(states) or 'none at all'}")
+    print(f"{counts.total()} frames decode, {others} are not ours: {', '.join(f'{n} {of}' for of, n in counts.items())}")
+    print(f"States of the arm: {', '.join(f'{n} x {state}' for state, n in states.items())}")
+
+
 def decoded(database, title, frames):
     """The signals of all frames of a section together, each frame encoded back."""
     signals = {}
@@ -89,6 +132,15 @@ def decoded(database, title, frames):
 def main():
     database = cantools.database.load_file(SHARED / "powderline.dbc")
     check_fault_names(database)
+    if len(sys.argv) > 2 or sys.argv[1:2] in (["-h"], ["--help"]):
+        sys.exit(__doc__)
+    if len(sys.argv) == 2:
+        check_log(database, Path(sys.argv[1]))
+    else:
+        check_golden(database)
+
+
+def check_golden(database):
     fd = dict(sections("wire-v2-fd.txt"))
     checked, seen = 0, set()
     for title, frames in sections("wire-v2-classic.txt"):

@@ -39,7 +39,6 @@
 
 pub mod candump;
 pub mod clock;
-pub mod cobs;
 pub mod interface;
 pub mod jitter;
 pub mod link;

@@ -6,10 +6,10 @@ use std::io::Write;
 use std::path::Path;
 
 use powderline_host::clock;
-use powderline_host::cobs;
 use powderline_host::transport::{Incoming, LinkError, MAX_QUEUED, Pty, Sent, Serial, Transport};
 use powderline_host::wait::wait_until;
 use powderline_shared::wire::frame::{Dialect, Frame};
+use powderline_shared::wire::serial::{MAX_LINE_BYTES, to_line};
 
 /// What has not come by then does not come, microseconds.
 const PATIENCE_US: u64 = 2_000_000;
@@ -82,7 +82,7 @@ fn garbage_is_counted_and_the_next_frame_is_found() {
 #[test]
 fn a_truncated_frame_costs_one_frame_at_most() {
     let (mut pty, mut serial) = joined();
-    let lost = cobs::encode(&frame(0x181, &[1; 20]));
+    let lost = to_line(&frame(0x181, &[1; 20]));
     scribble(pty.path(), &lost[..lost.len() - 5]);
     let swallowed = frame(0x701, &[2; 16]);
     let sent = frame(0x281, &[3; 48]);
@@ -95,7 +95,7 @@ fn a_truncated_frame_costs_one_frame_at_most() {
 #[test]
 fn a_slave_may_close_in_mid_frame_and_another_may_open() {
     let (mut pty, serial) = joined();
-    let unfinished = cobs::encode(&frame(0x181, &[1; 20]));
+    let unfinished = to_line(&frame(0x181, &[1; 20]));
     scribble(pty.path(), &unfinished[..9]);
     drop(serial);
     assert_eq!(next_within(&mut pty, QUIET_US), None);
@@ -122,7 +122,7 @@ fn a_slave_that_is_not_opened_by_us_needs_no_settings() {
     assert_eq!(next_within(&mut pty, QUIET_US), None, "before anybody has opened it");
     let mut line = OpenOptions::new().read(true).write(true).open(pty.path()).unwrap();
     let sent = frame(0x20A, &[0x0A, 0x0D, 0x03, 0x11, 0x13, 0x1A, 0x7F, 0x04]);
-    line.write_all(&cobs::encode(&sent)).unwrap();
+    line.write_all(&to_line(&sent)).unwrap();
     assert_eq!(next(&mut pty), sent, "control characters are data");
     assert_eq!(next_within(&mut pty, QUIET_US), None, "nothing is echoed");
 }
@@ -145,7 +145,7 @@ fn a_line_that_is_not_read_is_busy_and_never_waits() {
     assert_eq!(next_within(&mut serial, QUIET_US), None);
     assert_eq!(pty.send(&sent[0]).unwrap(), Sent::Done);
     assert_eq!(next(&mut serial), sent[0]);
-    assert!(MAX_QUEUED < sent.len() * cobs::MAX_ENCODED);
+    assert!(MAX_QUEUED < sent.len() * MAX_LINE_BYTES);
 }
 
 #[test]

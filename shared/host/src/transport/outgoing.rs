@@ -3,15 +3,15 @@
 use std::os::fd::BorrowedFd;
 
 use heapless::Vec;
+use powderline_shared::wire::serial::MAX_LINE_BYTES;
 use rustix::io::{Errno, write};
 
 use super::Sent;
-use crate::cobs::MAX_ENCODED;
 use crate::system;
 
 /// Most bytes that wait in front of a line, here and in its driver together: more would be setpoints that come too late.
 /// A tick of one executor, with its heartbeat, is 68 bytes; one of an arm, with status, fault and heartbeat, 120.
-pub const MAX_QUEUED: usize = 4 * MAX_ENCODED;
+pub const MAX_QUEUED: usize = 4 * MAX_LINE_BYTES;
 
 /// What is left of frames that were taken in part.
 #[derive(Debug, Default)]

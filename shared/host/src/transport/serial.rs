@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use heapless::Vec;
 use powderline_shared::wire::frame::{Dialect, Frame};
+use powderline_shared::wire::serial::{LineReader, to_line};
 use rustix::fs::{FlockOperation, Mode, OFlags, flock, fstat, major};
 use rustix::io::{Errno, read};
 use rustix::termios::{
@@ -14,8 +15,8 @@ use rustix::termios::{
 
 use super::outgoing::Outgoing;
 use super::{Incoming, LinkError, Received, Sent, Transport};
+use crate::clock;
 use crate::wait::Interest;
-use crate::{clock, cobs};
 
 /// Bytes fetched from the driver at once; a UART's own buffer holds less.
 const CHUNK: usize = 256;
@@ -34,7 +35,9 @@ pub struct Serial {
 /// Both directions of a terminal.
 #[derive(Debug, Default)]
 pub(super) struct Ends {
-    decoder: cobs::Decoder,
+    reader: LineReader,
+    /// Pieces between delimiters that were no frames, since the beginning.
+    garbled: u64,
     /// Bytes fetched and not decoded yet, and how many of them have been.
     fetched: Vec<u8, CHUNK>,
     taken: usize,
@@ -118,8 +121,12 @@ impl Ends {
         loop {
             while let Some(byte) = self.fetched.get(self.taken) {
                 self.taken = self.taken.saturating_add(1);
-                if let Some(frame) = self.decoder.push(*byte) {
-                    return Ok(Some(Received { at_us: clock::now_us(), what: Incoming::Frame(frame) }));
+                match self.reader.push(*byte) {
+                    Some(Ok(frame)) => {
+                        return Ok(Some(Received { at_us: clock::now_us(), what: Incoming::Frame(frame) }));
+                    }
+                    Some(Err(_)) => self.garbled = self.garbled.saturating_add(1),
+                    None => {}
                 }
             }
             if !self.fetch(terminal.as_fd())? {
@@ -149,7 +156,7 @@ impl Ends {
     }
 
     pub(super) fn send(&mut self, terminal: impl AsFd, frame: &Frame) -> Result<Sent, Errno> {
-        self.outgoing.send(terminal.as_fd(), &cobs::encode(frame))
+        self.outgoing.send(terminal.as_fd(), &to_line(frame))
     }
 
     /// Whether something waits to be written.
@@ -158,13 +165,13 @@ impl Ends {
     }
 
     pub(super) fn garbled(&self) -> u64 {
-        self.decoder.garbled()
+        self.garbled
     }
 
     /// Forgets both directions, when the other end has gone.
     pub(super) fn reset(&mut self) {
         self.outgoing.clear();
-        self.decoder.reset();
+        self.reader = LineReader::new();
     }
 }
 
