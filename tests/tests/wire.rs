@@ -303,7 +303,8 @@ fn vcan_what_is_recorded_is_what_candump_sees_and_foreign_frames_do_no_harm() {
     // Asked to end, candump writes out what it holds; killed, it would not.
     let end = format!("kill -INT {} {}", cangen.id(), candump.id());
     assert!(Command::new("sh").args(["-c", &end]).status().unwrap().success());
-    (cangen.wait().unwrap(), candump.wait().unwrap());
+    cangen.wait().unwrap();
+    candump.wait().unwrap();
     // Each identifier's frames in the order of the bus; the session's, which is less than candump has.
     let (recorded, seen) = (by_identifier(&record), by_identifier(&log));
     for id in [0x201, 0x301, 0x401, 0x601, 0x77F, 0x181, 0x281, 0x381, 0x581, 0x701] {
@@ -349,4 +350,28 @@ fn vcan_a_flood_ends_in_a_completed_plan_or_in_a_stop_with_its_reason() {
     let report = json(execute(&plan, &wire, &["--json", "--reset"]), if code == Some(0) { 0 } else { 1 });
     assert!(code == Some(0) || report["stop"]["code"] == 402 || report["completed"] == true, "{report}");
     arm.kill();
+}
+
+/// A program of `tests/can`, with the Python that has its packages.
+fn python(script: &str, argument: &str) {
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("can").join(script);
+    let output = Command::new("python3").arg(&script).arg(argument).output().unwrap();
+    let said = [output.stdout, output.stderr].concat();
+    assert!(output.status.success(), "{}: {}", script.display(), String::from_utf8_lossy(&said));
+}
+
+#[test]
+#[ignore = "needs vcan0, can-utils, python-can and cantools: run by tests/run inside tests/tools/with-vcan"]
+fn vcan_a_client_that_knows_the_protocol_only_moves_the_arm_and_cantools_reads_it() {
+    let dir = TempDir::new().unwrap();
+    let log = dir.path().join("candump.log");
+    let (_arm, _) = arm("can:vcan0", &[]);
+    let candump = fs::File::create(&log).unwrap();
+    let mut candump = Command::new("candump").args(["-L", "vcan0"]).stdout(candump).spawn().unwrap();
+    thread::sleep(Duration::from_millis(300));
+    python("outside_client.py", "vcan0");
+    let end = format!("kill -INT {}", candump.id());
+    assert!(Command::new("sh").args(["-c", &end]).status().unwrap().success());
+    candump.wait().unwrap();
+    python("check_dbc.py", log.to_str().unwrap());
 }
