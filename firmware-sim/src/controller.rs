@@ -145,7 +145,7 @@ impl ClosedSessions {
         if let Some(slot) = self.contexts.get_mut(self.next) {
             *slot = context;
         }
-        self.next = self.next.wrapping_add(1) % self.contexts.len();
+        self.next = self.next.wrapping_add(1).checked_rem(self.contexts.len()).unwrap_or(0);
     }
 
     fn has(&self, context: &Context) -> bool {
