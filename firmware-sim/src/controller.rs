@@ -155,8 +155,7 @@ impl ClosedSessions {
         if let Some(slot) = self.contexts.get_mut(self.next) {
             *slot = context;
         }
-        let next = self.next.saturating_add(1);
-        self.next = if next < self.contexts.len() { next } else { 0 };
+        self.next = self.next.wrapping_add(1).checked_rem(self.contexts.len()).unwrap_or(0);
     }
 
     fn has(&self, context: &Context) -> bool {

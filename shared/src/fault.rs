@@ -98,7 +98,7 @@ fault_codes! {
     ArmJointSpeed = 313, "A pose was commanded for which a joint of the arm would turn faster than it can.";
     ArmSingular = 314, "The arm came too near to a singularity.";
 
-    SessionRefused = 401, "The arm refused the session: its version, period, length, LSB or limits do not fit.";
+    SessionRefused = 401, "The arm refused the session.";
     AnchorElsewhere = 402, "The arm stands too far from the start pose of the plan.";
     StateUnexpected = 403, "The arm left the state that the session needs.";
     HandshakeTimeout = 404, "The arm did not take the next step of the handshake in time.";
