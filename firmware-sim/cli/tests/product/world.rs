@@ -46,7 +46,7 @@ impl Scene {
     pub(crate) fn new(period_us: u32, steps: u32) -> Self {
         let plans = [[0.002, 0.0, 0.0], [0.0, 0.002, 0.0]].map(|translation_m| {
             let part = Move { translation_m, rotation_rad: [0.0; 3], steps };
-            motion::plan_bytes(&motion::start(), period_us, &[part])
+            motion::plan_bytes(&motion::start(), motion::limits(), period_us, &[part])
         });
         Self { plans, period_us }
     }
