@@ -124,7 +124,10 @@ fn lines_of(out: ChildStdout) -> Receiver<String> {
 
 /// The arm, listening; and where.
 fn arm(on: &str, more: &[&str]) -> (Program, String) {
-    let mut arm = Program::start(FIRMWARE_SIM, &[&["--on", on, "--watchdog", "2000"], more].concat());
+    let mut arm = Program::start(
+        FIRMWARE_SIM,
+        &[&["--on", on, "--watchdog", "2000", "--priority", "0"], more].concat(),
+    );
     let line = arm.says("listens on ");
     let wire = line.split("listens on ").nth(1).and_then(|rest| rest.split(';').next()).unwrap().to_owned();
     (arm, wire)
@@ -132,7 +135,17 @@ fn arm(on: &str, more: &[&str]) -> (Program, String) {
 
 fn execute(plan: &Path, to: &str, more: &[&str]) -> Program {
     // As far ahead as the arm has room: a machine that tests is a busy one.
-    let arguments = [plan.to_str().unwrap(), "--to", to, "--look-ahead", "16", "--arm-timeout", "2000"];
+    let arguments = [
+        plan.to_str().unwrap(),
+        "--to",
+        to,
+        "--look-ahead",
+        "16",
+        "--arm-timeout",
+        "2000",
+        "--priority",
+        "0",
+    ];
     Program::start(EXECUTE, &[&arguments, more].concat())
 }
 
