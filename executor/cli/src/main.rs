@@ -60,8 +60,13 @@ const PRIORITY: u8 = 49;
 struct Arguments {
     /// Plan file, as written by optimise (RUN/skill.plan)
     plan: PathBuf,
-    /// Where the arm is: sim, can:IFACE[@BITRATE], canfd:IFACE[@NOMINAL/DATA] or serial:DEVICE[@BAUD]
-    #[arg(long, value_name = "WIRE", default_value = "sim")]
+    /// Where the arm is.
+    #[arg(
+        long,
+        value_name = "WIRE",
+        default_value = "sim",
+        help = "Where the arm is: sim, can:IFACE[@BITRATE], canfd:IFACE[@NOMINAL/DATA] or serial:DEVICE[@BAUD]"
+    )]
     to: Link,
     /// Setpoints a second; the plan's own rate by default. Another rate plays the same path faster or slower
     #[arg(long, value_name = "HZ")]

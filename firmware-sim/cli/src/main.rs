@@ -34,8 +34,12 @@ struct Arguments {
 
 #[derive(Debug, Args)]
 struct Serve {
-    /// Wire to listen on: can:IFACE, canfd:IFACE, serial:DEVICE[@BAUD], or pty, which makes one and says its name
-    #[arg(long, value_name = "WIRE")]
+    /// Wire to listen on.
+    #[arg(
+        long,
+        value_name = "WIRE",
+        help = "Wire to listen on: can:IFACE, canfd:IFACE, serial:DEVICE[@BAUD], or pty, which makes one and says its name"
+    )]
     on: Option<Link>,
     /// Stand at the start pose of this plan; without it, at that of the scene bench
     #[arg(long, value_name = "PLAN")]
