@@ -317,14 +317,8 @@ impl<'p> World<'p> {
 
     /// What people, processes and other nodes may do.
     pub(crate) fn interferences(&self) -> Vec<Step> {
-        let mut steps = vec![
-            Step::WireCut,
-            Step::ArmFrozen(2),
-            Step::ArmFrozen(4),
-            Step::Stranger(Command::FaultReset),
-            Step::Stranger(Command::DisableVoltage),
-            Step::StopFrame,
-        ];
+        let mut steps = vec![Step::WireCut, Step::ArmFrozen(2), Step::ArmFrozen(4), Step::StopFrame];
+        steps.extend(Command::ALL.map(Step::Stranger));
         steps.extend((0..).zip(self.said.iter()).map(|(number, _)| Step::Replay(number)));
         for (slot, _) in self.executors() {
             steps.extend([Step::Kill(slot), Step::Stop(slot), Step::HardStop(slot), Step::LinkLost(slot)]);
