@@ -30,7 +30,7 @@
 //! | a false ending         | "completed" elsewhere than at the plan's end; "stands" while the arm moves                |
 //! | no way out             | after silence, a reset without a session and a new executor, over a wire in order, do not end in a completed plan, or in "stands elsewhere" where it does |
 //! | a stranger obeyed      | a command of anybody but the session, other than to leave a latched stop                  |
-//! | no end                 | an executor that hears nothing more goes on for ever                                      |
+//! | no end, no rest        | an executor that hears nothing more goes on for ever; one that waits asks to be woken at once |
 
 mod projection;
 mod search;

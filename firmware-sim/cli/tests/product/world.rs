@@ -484,6 +484,10 @@ impl<'p> World<'p> {
                 Action::Finished(outcome) => break Some((executor.context().session, outcome)),
             }
         };
+        let restless = ending.is_none() && executor.poll_at().is_none_or(|at_us| at_us <= now_us);
+        if restless {
+            self.breach(format!("executor {slot} waits for a moment that has passed"));
+        }
         self.remember(&said);
         self.to_arm.extend(self.burst(said));
         overflow(&mut self.to_arm);

@@ -62,7 +62,7 @@ impl Look {
 }
 
 impl World<'_> {
-    fn breach(&mut self, what: String) {
+    pub(super) fn breach(&mut self, what: String) {
         self.report.breaches.push(what);
     }
 
