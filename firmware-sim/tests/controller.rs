@@ -12,7 +12,7 @@ use powderline_shared::limits::{Limits, Motion};
 use powderline_shared::pose::Pose;
 use powderline_shared::wire::Context;
 use powderline_shared::wire::message::{
-    DEPTH, FromArm, NO_SESSION, OpenRequest, PROTOCOL_VERSION, Refusal, ToArm,
+    DEPTH, FromArm, NO_SESSION, OpenRequest, PROTOCOL_VERSION, Refusal, Status, ToArm,
 };
 use powderline_shared::wire::state::{Command, Event, Phase, State, transition};
 
@@ -232,6 +232,40 @@ fn another_session_moves_nothing() {
     assert!(bench.messages.contains(&refused));
     bench.rest();
     assert_eq!((bench.arm.pose(), bench.arm.state()), (start(), State::OperationEnabled));
+}
+
+#[test]
+fn an_arm_that_is_not_latched_obeys_its_own_session_only() {
+    for (session, steps) in
+        [NO_SESSION, SESSION + 1].into_iter().flat_map(|session| (0..=4).map(move |n| (session, n)))
+    {
+        let mut bench = Bench::new();
+        bench.tell(ToArm::Open(request()));
+        let up = [Command::Shutdown, Command::SwitchOn, Command::EnableOperation];
+        up.iter().take(steps).for_each(|command| bench.command(*command));
+        if steps > up.len() {
+            (1..=DEPTH).for_each(|tick| bench.set(setpoint(tick)));
+            (0..5).for_each(|_| bench.period());
+            assert!(!bench.arm.status().standstill);
+        }
+        let (before, dropped) = (bench.arm.status(), bench.arm.dropped());
+        Command::ALL.into_iter().for_each(|command| bench.tell(ToArm::Control { session, command }));
+        let after = Status { counter: before.counter, ..bench.arm.status() };
+        assert_eq!((after, usize::from(bench.arm.dropped() - dropped)), (before, Command::ALL.len()));
+    }
+}
+
+#[test]
+fn another_executors_signs_of_life_do_not_keep_a_session() {
+    let mut bench = Bench::enabled();
+    bench.alive = false;
+    for _ in 0..DEFAULT_WATCHDOG_US / u64::from(PERIOD_US) {
+        bench.tell(ToArm::Heartbeat { session: SESSION + 1 });
+        bench.tell(ToArm::Setpoint { session: SESSION + 1, setpoint: setpoint(1) });
+        bench.tell(ToArm::Control { session: NO_SESSION, command: Command::FaultReset });
+        bench.period();
+    }
+    assert_eq!(bench.fault(), Some(FaultCode::ExecutorSilent));
 }
 
 #[test]

@@ -137,6 +137,18 @@ impl Faults {
         events.sort_by_key(|planned| planned.at_us);
         Self { dialect, period_us, to_arm, from_arm, executor_ppm, arm_ppm, events }
     }
+
+    /// Whether nothing goes wrong that a session would not get over without notice: nobody interferes, nothing is lost,
+    /// doubled or damaged, and everything arrives within a control period.
+    #[must_use]
+    pub fn is_gentle(&self) -> bool {
+        let is_gentle = |line: &Line| {
+            let (_, longest_us) = line.delay_us;
+            let rates = [line.drop, line.duplicate, line.corrupt, line.split];
+            rates.iter().all(|rate| *rate <= 0.0) && longest_us <= u64::from(self.period_us)
+        };
+        self.events.is_empty() && is_gentle(&self.to_arm) && is_gentle(&self.from_arm)
+    }
 }
 
 fn random_line(dice: &mut Dice, severity: f64) -> Line {

@@ -540,6 +540,10 @@ impl<'p> World<'p> {
             self.witness.breach(self.now_us, String::from("the run never ends"));
         }
         self.witness.over(self.now_us, self.arm.controller());
+        if self.faults.is_gentle() && self.result.outcomes != [Some(Outcome::Completed)] {
+            let what = format!("nothing went wrong, but the session ended with {:?}", self.result.outcomes);
+            self.witness.breach(self.now_us, what);
+        }
         self.find_way_out();
         self.result.duration_us = self.now_us;
         self.result.bus = self.bus.counts;
@@ -581,7 +585,12 @@ impl<'p> World<'p> {
         let session = u16::try_from(self.dice.between(1, u64::from(u16::MAX))).unwrap_or(1);
         let config = Config { session, ..Config::default() };
         let mut executor = ExecutorEndpoint::new(arm_us, &plan, self.faults.dialect, config);
+        let until_us = arm_us.saturating_add(LONGEST_RUN_US);
         let outcome = loop {
+            if arm_us > until_us {
+                let what = String::from("after a reset the arm plays for ever");
+                return self.witness.breach(self.now_us, what);
+            }
             while let Some(frame) = self.arm.poll(arm_us) {
                 self.log_frame(&frame);
                 let _ = executor.handle_frame(arm_us, &frame);

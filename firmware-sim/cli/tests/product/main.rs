@@ -9,8 +9,9 @@
 //! A regular run delivers each burst, in any order of the two directions, and lets time pass when nothing is under way.
 //! Everything else is a deviation: a burst lost, or one message of it, delivered backwards, twice, or overtaken by the
 //! next; time that passes while messages are under way; a watchdog time of silence on the wire, or of frozen executors;
-//! an arm held up; an executor killed or begun, with and without reset; a reset, a stop frame, or anything that an
-//! executor has said before, from a third node; an operator's stop, soft or hard; an executor told that the wire is gone.
+//! an arm held up; an executor killed or begun, with and without reset; a command without a session, a stop frame, or
+//! anything that an executor has said before, from a third node; an operator's stop, soft or hard; an executor told that
+//! the wire is gone.
 //!
 //! **Exhaustive**: every regular run with up to two deviations of any kind, at any moment, for a slow clock (whose control
 //! period is that of the heartbeat) and a fast one; and with up to four deviations of the wire alone.
@@ -28,7 +29,8 @@
 //! | a stop without reason  | a latched state without a latched fault                                                   |
 //! | a false ending         | "completed" elsewhere than at the plan's end; "stands" while the arm moves                |
 //! | no way out             | after silence, a reset without a session and a new executor, over a wire in order, do not end in a completed plan, or in "stands elsewhere" where it does |
-//! | no end                 | an executor that hears nothing more goes on for ever                                      |
+//! | a stranger obeyed      | a command of anybody but the session, other than to leave a latched stop                  |
+//! | no end, no rest        | an executor that hears nothing more goes on for ever; one that waits asks to be woken at once |
 
 mod projection;
 mod search;

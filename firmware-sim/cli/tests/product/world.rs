@@ -317,14 +317,8 @@ impl<'p> World<'p> {
 
     /// What people, processes and other nodes may do.
     pub(crate) fn interferences(&self) -> Vec<Step> {
-        let mut steps = vec![
-            Step::WireCut,
-            Step::ArmFrozen(2),
-            Step::ArmFrozen(4),
-            Step::Stranger(Command::FaultReset),
-            Step::Stranger(Command::DisableVoltage),
-            Step::StopFrame,
-        ];
+        let mut steps = vec![Step::WireCut, Step::ArmFrozen(2), Step::ArmFrozen(4), Step::StopFrame];
+        steps.extend(Command::ALL.map(Step::Stranger));
         steps.extend((0..).zip(self.said.iter()).map(|(number, _)| Step::Replay(number)));
         for (slot, _) in self.executors() {
             steps.extend([Step::Kill(slot), Step::Stop(slot), Step::HardStop(slot), Step::LinkLost(slot)]);
@@ -490,6 +484,10 @@ impl<'p> World<'p> {
                 Action::Finished(outcome) => break Some((executor.context().session, outcome)),
             }
         };
+        let restless = ending.is_none() && executor.poll_at().is_none_or(|at_us| at_us <= now_us);
+        if restless {
+            self.breach(format!("executor {slot} waits for a moment that has passed"));
+        }
         self.remember(&said);
         self.to_arm.extend(self.burst(said));
         overflow(&mut self.to_arm);

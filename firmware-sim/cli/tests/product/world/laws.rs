@@ -62,7 +62,7 @@ impl Look {
 }
 
 impl World<'_> {
-    fn breach(&mut self, what: String) {
+    pub(super) fn breach(&mut self, what: String) {
         self.report.breaches.push(what);
     }
 
@@ -71,6 +71,7 @@ impl World<'_> {
         let after = Look::at(self.arm());
         self.watch_motion(before, &after);
         self.watch_latched(before, &after, message);
+        self.watch_obedience(before, &after, message);
         self.watch_sessions(before, &after);
     }
 
@@ -141,6 +142,16 @@ impl World<'_> {
                 after.fault,
                 after.state.name()
             ));
+        }
+    }
+
+    /// Only a latched stop is left on the word of somebody who is not in session with the arm.
+    fn watch_obedience(&mut self, before: &Look, after: &Look, message: Option<&ToArm>) {
+        let Some(ToArm::Control { session, command }) = message else { return };
+        let changed = (before.state, before.session) != (after.state, after.session);
+        if changed && *session != before.session && !before.is_latched() {
+            let (from, to) = (before.state.name(), after.state.name());
+            self.breach(format!("{command:?} of session {session:#06x} led from {from} to {to}"));
         }
     }
 
