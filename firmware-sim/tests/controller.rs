@@ -250,6 +250,8 @@ fn an_arm_that_is_not_latched_obeys_its_own_session_only() {
         }
         let (before, dropped) = (bench.arm.status(), bench.arm.dropped());
         Command::ALL.into_iter().for_each(|command| bench.tell(ToArm::Control { session, command }));
+        bench.tell(ToArm::Open(OpenRequest { session: SESSION + 1, ..request() }));
+        assert!(bench.messages.contains(&FromArm::Refused { session: SESSION + 1, reason: Refusal::Busy }));
         let after = Status { counter: before.counter, ..bench.arm.status() };
         assert_eq!((after, usize::from(bench.arm.dropped() - dropped)), (before, Command::ALL.len()));
     }
