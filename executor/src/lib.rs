@@ -30,6 +30,7 @@ pub mod endpoint;
 pub mod guard;
 pub mod player;
 pub mod recorder;
+pub mod round_trip;
 pub mod schedule;
 pub mod session;
 pub mod telemetry;

@@ -5,7 +5,7 @@
 //! | k       | `applied_tick`  | last setpoint that the arm has reported as taken                             |
 //! | t0      | `start_us`      | when the arm took tick 0, by our clock; estimated from its reports           |
 //! | e(t)    | `estimate`      | tick that the arm is thought to be at: floor((t - t0) / h), not below k      |
-//! | L       | `ahead`         | look-ahead, and what the arm goes on during a round trip                     |
+//! | L       | `ahead`         | look-ahead, and what the arm goes on during a round trip; at most what it has room for |
 //! | C       | `credit_until`  | last tick for which the arm has room, as it says                             |
 //!
 //! Setpoint n may be sent when n <= min(e(t) + L, C). The estimate follows the arm's clock even while reports are lost; the
@@ -13,8 +13,12 @@
 
 use core::num::{NonZeroU32, NonZeroU64};
 
-/// Setpoints ahead of the arm's clock, unless the configuration says otherwise.
-pub const DEFAULT_LOOK_AHEAD: u16 = 4;
+use powderline_shared::wire::message::DEPTH;
+
+/// Setpoints ahead of the arm's clock, unless the configuration says otherwise: as many as the arm has room for. A full
+/// buffer leaves the most time for sending again what was lost, and none of the stops waits for what is in it.
+pub const DEFAULT_LOOK_AHEAD: u16 = 16;
+const _: () = assert!(DEFAULT_LOOK_AHEAD as u32 == DEPTH);
 
 /// Share of a late report's lateness by which the estimate is put back: a report that was delayed says little, a clock
 /// that drifts says the same thing in every report.
@@ -98,8 +102,19 @@ impl Schedule {
         self.round_trip_us
     }
 
+    /// How long after the moment at which the setpoint of `tick` could leave at the soonest it leaves now, microseconds;
+    /// `None` before the arm's clock is known. The estimate of that clock follows the reports that came quickest, so this is
+    /// what held up the arm's report, its way here, and this side.
+    #[must_use]
+    pub fn late_us(&self, now_us: u64, tick: u32) -> Option<u64> {
+        let wait = u64::from(tick).checked_sub(self.ahead())?;
+        let due_us = self.start_us?.saturating_add(wait.saturating_mul(self.period_us.get()));
+        Some(now_us.saturating_sub(due_us))
+    }
+
     fn ahead(&self) -> u64 {
-        u64::from(self.look_ahead).saturating_add(self.round_trip_us.div_ceil(self.period_us.get()))
+        let underway = self.round_trip_us.div_ceil(self.period_us.get());
+        u64::from(self.look_ahead).saturating_add(underway).min(DEPTH.into())
     }
 }
 
@@ -154,6 +169,17 @@ mod tests {
         schedule.handle_round_trip(1_000);
         schedule.handle_progress(0, 0, 16, false);
         assert!(schedule.allows(0, 8) && !schedule.allows(0, 9));
+    }
+
+    #[test]
+    fn lateness_is_told_from_the_quickest_reports() {
+        let mut schedule = schedule();
+        assert_eq!(schedule.late_us(0, 5), None);
+        schedule.handle_progress(100, 0, 16, true);
+        assert_eq!(schedule.late_us(100, 4), Some(0));
+        assert_eq!(schedule.late_us(H + 150, 5), Some(50));
+        schedule.handle_progress(H + 40, 1, 17, true);
+        assert_eq!(schedule.late_us(H + 150, 5), Some(110));
     }
 
     #[test]

@@ -151,7 +151,8 @@ pub struct Executor<'a> {
     heard_us: u64,
     reported_us: u64,
     progress_us: u64,
-    asked_us: u64,
+    /// When that was first asked whose answer is waited for.
+    asked_us: Option<u64>,
     retry_at_us: u64,
     give_up_at_us: u64,
     heartbeat_at_us: u64,
@@ -189,7 +190,7 @@ impl<'a> Executor<'a> {
             heard_us: now_us,
             reported_us: now_us,
             progress_us: now_us,
-            asked_us: now_us,
+            asked_us: None,
             retry_at_us: now_us,
             give_up_at_us: now_us.saturating_add(config.handshake_us),
             heartbeat_at_us: now_us.saturating_add(HEARTBEAT_US),
@@ -306,10 +307,7 @@ impl<'a> Executor<'a> {
     /// What has been counted and measured.
     #[must_use]
     pub fn telemetry(&self) -> Telemetry {
-        Telemetry {
-            round_trip_us: self.telemetry.round_trip_us.max(self.schedule.round_trip_us()),
-            ..self.telemetry
-        }
+        self.telemetry
     }
 
     /// The last setpoint that has left, if it is not too long ago.
@@ -358,7 +356,7 @@ impl<'a> Executor<'a> {
     fn opened(&mut self, now_us: u64) {
         self.heard_us = now_us;
         if self.stage == Stage::Opening {
-            self.answered(now_us);
+            // No round trip: an arm may have been asleep until now, or busy with another session.
             self.enter(now_us, Stage::Enabling);
         }
     }
@@ -443,7 +441,10 @@ impl<'a> Executor<'a> {
         self.arm = Some(*status);
         match self.stage {
             // Once operation is enabled the anchor is on its way.
-            Stage::Enabling if news && status.state != State::OperationEnabled => self.ask(now_us),
+            Stage::Enabling if news && status.state != State::OperationEnabled => {
+                self.answered(now_us);
+                self.ask(now_us);
+            }
             Stage::Streaming => self.watch(now_us, ours, status),
             Stage::Leaving if !ours && status.state == State::ReadyToSwitchOn => {
                 self.stage = Stage::Done(Outcome::Completed);
@@ -465,7 +466,7 @@ impl<'a> Executor<'a> {
         let running = matches!(status.phase, Some(Phase::Streaming | Phase::Completing));
         self.schedule.handle_progress(now_us, status.applied_tick, status.credit_until(), running);
         let round_trip_us = self.window.arrived(now_us, status.applied_tick, status.have);
-        round_trip_us.into_iter().for_each(|time_us| self.telemetry.handle_round_trip(time_us));
+        round_trip_us.into_iter().for_each(|time_us| self.telemetry.round_trip.record(time_us));
     }
 
     fn watch(&mut self, now_us: u64, ours: bool, status: &Status) {
@@ -514,8 +515,11 @@ impl<'a> Executor<'a> {
 
     /// A setpoint that should have arrived long ago, by what the arm last said.
     fn missing(&self) -> Option<Setpoint> {
-        let wait_us = self.telemetry.quickest_us.saturating_add(u64::from(self.period_us) / 2);
-        self.window.missing(self.reported_us, wait_us)
+        let round_trip = self.telemetry.round_trip;
+        // On the way, a setpoint may be overtaken by a little without being lost.
+        let overtaken_us =
+            round_trip.shortest_us().unwrap_or(u64::MAX).saturating_add(u64::from(self.period_us) / 2);
+        self.window.missing(self.reported_us, overtaken_us, round_trip.overdue_us())
     }
 
     fn resend(&mut self, now_us: u64) -> Option<Action> {
@@ -545,6 +549,7 @@ impl<'a> Executor<'a> {
             return Some(self.stop_instead(now_us, FaultCode::PlanUnreadable));
         }
         self.telemetry.sent = setpoint.tick;
+        self.telemetry.late_us = self.schedule.late_us(now_us, setpoint.tick);
         Some(self.send_setpoint(now_us, setpoint))
     }
 
@@ -564,11 +569,16 @@ impl<'a> Executor<'a> {
 
     /// Asks the arm for whatever the present stage needs.
     fn ask(&mut self, now_us: u64) {
-        self.asked_us = now_us;
         self.retry_at_us = now_us.saturating_add(self.config.retry_us);
         match self.stage {
             Stage::Opening => self.queue(ToArm::Open(self.open_request())),
-            Stage::Enabling => self.next_step_up().into_iter().for_each(|command| self.command(command)),
+            Stage::Enabling => {
+                if let Some(command) = self.next_step_up() {
+                    // Asked again, it is the first time that counts: which of the two is answered nobody can tell.
+                    self.asked_us.get_or_insert(now_us);
+                    self.command(command);
+                }
+            }
             Stage::Leaving => self.command(Command::Shutdown),
             Stage::Stopping if self.hard => self.queue(ToArm::Stop),
             Stage::Stopping => self.command(Command::QuickStop),
@@ -585,9 +595,11 @@ impl<'a> Executor<'a> {
 
     /// The arm has done what it was asked for.
     fn answered(&mut self, now_us: u64) {
-        let time_us = now_us.saturating_sub(self.asked_us);
-        self.schedule.handle_round_trip(time_us);
-        self.telemetry.handle_round_trip(time_us);
+        if let Some(asked_us) = self.asked_us.take() {
+            let time_us = now_us.saturating_sub(asked_us);
+            self.schedule.handle_round_trip(time_us);
+            self.telemetry.round_trip.record(time_us);
+        }
     }
 
     fn open_request(&self) -> OpenRequest {

@@ -8,6 +8,8 @@ use powderline_shared::wire::message::DEPTH;
 struct Sent {
     setpoint: Setpoint,
     at_us: u64,
+    /// Not for the first time.
+    again: bool,
     arrived: bool,
 }
 
@@ -22,33 +24,37 @@ impl Window {
     pub fn sent(&mut self, now_us: u64, setpoint: Setpoint) {
         let slot = (setpoint.tick % DEPTH) as usize;
         if let Some(slot) = self.slots.get_mut(slot) {
-            *slot = Some(Sent { setpoint, at_us: now_us, arrived: false });
+            let again = slot.is_some_and(|sent| sent.setpoint.tick == setpoint.tick);
+            *slot = Some(Sent { setpoint, at_us: now_us, again, arrived: false });
         }
     }
 
     /// Notes what the arm says it has: all up to `applied_tick`, and those in the mask `have` after it. The longest time
-    /// from sending one until this news of it, microseconds.
+    /// from sending one until this news of it, microseconds; one that was sent twice does not tell which of them it is.
     pub fn arrived(&mut self, now_us: u64, applied_tick: u32, have: u16) -> Option<u64> {
         let news = self.slots.iter_mut().flatten().filter(|sent| {
             !sent.arrived
                 && (sent.setpoint.tick <= applied_tick || has(sent.setpoint.tick, applied_tick, have))
         });
-        let round_trips = news.map(|sent| {
+        let round_trips = news.filter_map(|sent| {
             sent.arrived = true;
-            now_us.saturating_sub(sent.at_us)
+            (!sent.again).then(|| now_us.saturating_sub(sent.at_us))
         });
         round_trips.max()
     }
 
-    /// The first setpoint that should have arrived by now, and has not: `wait_us` have passed since it was sent.
+    /// The first setpoint that should have arrived by now, and has not: `overtaken_us` have passed since it was sent if one
+    /// that was sent later has arrived, `overdue_us` if not.
     #[must_use]
-    pub fn missing(&self, now_us: u64, wait_us: u64) -> Option<Setpoint> {
-        let overdue = self
-            .slots
-            .iter()
-            .flatten()
-            .filter(|sent| !sent.arrived && sent.at_us.saturating_add(wait_us) <= now_us);
-        overdue.map(|sent| sent.setpoint).min_by_key(|setpoint| setpoint.tick)
+    pub fn missing(&self, now_us: u64, overtaken_us: u64, overdue_us: u64) -> Option<Setpoint> {
+        let slots = || self.slots.iter().flatten();
+        let latest_us = slots().filter(|sent| sent.arrived).map(|sent| sent.at_us).max();
+        let missing = slots().filter(|sent| {
+            let overtaken = latest_us.is_some_and(|latest_us| sent.at_us < latest_us);
+            let wait_us = if overtaken { overtaken_us.min(overdue_us) } else { overdue_us };
+            !sent.arrived && sent.at_us.saturating_add(wait_us) <= now_us
+        });
+        missing.map(|sent| sent.setpoint).min_by_key(|setpoint| setpoint.tick)
     }
 
     /// What was sent for a tick, if it is not too long ago.
@@ -79,12 +85,25 @@ mod tests {
             window.sent(u64::from(tick), setpoint(tick));
         }
         assert_eq!(window.arrived(100, 1, 0b101), Some(99));
-        assert_eq!(window.missing(100, 99), None);
-        assert_eq!(window.missing(103, 100), Some(setpoint(3)));
+        assert_eq!(window.missing(100, 99, 99), None);
+        assert_eq!(window.missing(103, 100, 100), Some(setpoint(3)));
         window.sent(103, setpoint(3));
-        assert_eq!(window.missing(150, 100), None);
-        assert_eq!(window.arrived(160, 3, 0b1), Some(57));
-        assert_eq!(window.missing(9_000, 0), None);
+        assert_eq!(window.missing(150, 100, 100), None);
+        assert_eq!(window.arrived(160, 3, 0b1), None);
+        assert_eq!(window.missing(9_000, 0, 0), None);
+    }
+
+    #[test]
+    fn one_that_was_overtaken_is_missing_sooner_than_the_last_one() {
+        let mut window = Window::default();
+        for tick in 1..=3 {
+            window.sent(u64::from(tick), setpoint(tick));
+        }
+        assert_eq!(window.arrived(100, 0, 0b010), Some(98));
+        assert_eq!(window.missing(100, 10, 1_000), Some(setpoint(1)));
+        window.sent(100, setpoint(1));
+        assert_eq!(window.missing(1_002, 10, 1_000), None);
+        assert_eq!(window.missing(1_003, 10, 1_000), Some(setpoint(3)));
     }
 
     #[test]

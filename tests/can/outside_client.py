@@ -228,7 +228,8 @@ class Heard:
     anchor: tuple | None = None
     #: Tick and counts.
     actual: tuple = (0, (0,) * 6)
-    sent: tuple = (0, (0,) * 6)
+    #: Counts of each tick that was sent.
+    sent: dict = field(default_factory=lambda: {0: (0,) * 6})
     #: Code and tick.
     fault: tuple | None = None
     lost: int = 0
@@ -258,8 +259,8 @@ class Heard:
         return self.session if of_session else NONE
 
     def full_tick(self, session, low):
-        """Nearest to the greater of the ticks of the last status and of the setpoint sent last."""
-        reference = max(self.sent[0], self.status.tick if self.status else 0)
+        """Nearest to the greater of the ticks of the last status and of the setpoints sent."""
+        reference = max(*self.sent, 0, self.status.tick if self.status else 0)
         return low if session == NONE else nearest(reference, low, 16)
 
     def take_status(self, identifier, data):
@@ -287,10 +288,13 @@ class Heard:
 
     def take_half(self, identifier, data):
         *low, low_tick, crc = struct.unpack("<HHHBB", data)
-        near = self.actual if self.sent[0] <= self.actual[0] + DEPTH else self.sent
+        latest = max(*self.sent, self.actual[0], self.status.tick if self.status else 0)
+        tick = nearest(latest, low_tick, 8)
+        sent = min(self.sent, key=lambda of: (abs(of - tick), of))
+        last = self.actual[0]
+        near = self.actual[1] if abs(tick - last) <= max(3, abs(tick - sent)) else self.sent[sent]
         begin = 0 if identifier == ACTUAL_T else 3
-        counts = tuple(nearest(count, bits, 16) for count, bits in zip(near[1][begin : begin + 3], low))
-        tick = nearest(near[0], low_tick, 8)
+        counts = tuple(nearest(count, bits, 16) for count, bits in zip(near[begin : begin + 3], low))
         self.check(self.session, identifier, tick, struct.pack("<3i", *counts), crc)
         self.halves[identifier] = (tick, counts)
         pair = [self.halves.get(of) for of in (ACTUAL_T, ACTUAL_R)]
@@ -362,7 +366,7 @@ class Client:
             low = struct.pack("<3HBB", *(count & 0xFFFF for count in half), tick & 0xFF, crc)
             self.send((identifier, low))
         self.sent_at_s[tick] = time.monotonic()
-        self.heard.sent = max(self.heard.sent, (tick, counts))
+        self.heard.sent[tick] = counts
 
     def listen(self, until_s):
         """Takes in one frame, if one comes in time."""

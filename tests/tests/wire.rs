@@ -158,18 +158,7 @@ fn arm(on: &str, more: &[&str]) -> (Program, String) {
 }
 
 fn execute(plan: &Path, to: &str, more: &[&str]) -> Program {
-    // As far ahead as the arm has room: a machine that tests is a busy one.
-    let arguments = [
-        plan.to_str().unwrap(),
-        "--to",
-        to,
-        "--look-ahead",
-        "16",
-        "--arm-timeout",
-        "2000",
-        "--priority",
-        "0",
-    ];
+    let arguments = [plan.to_str().unwrap(), "--to", to, "--arm-timeout", "2000", "--priority", "0"];
     Program::start(EXECUTE, &[&arguments, more].concat())
 }
 

@@ -26,7 +26,7 @@ use powderline_host::wait::Interest;
 use powderline_shared::displacement::Lsb;
 use powderline_shared::plan::{PERIOD_US_MAX, PERIOD_US_MIN, PlanReader};
 use powderline_shared::wire::frame::Dialect;
-use powderline_shared::wire::message::{DEPTH, Status};
+use powderline_shared::wire::message::Status;
 
 const EXIT_FAULT: u8 = 1;
 const EXIT_BAD_PLAN: u8 = 3;
@@ -36,9 +36,6 @@ const EXIT_WIRE: u8 = 6;
 
 /// Least time between two updates of the progress line, microseconds.
 const PROGRESS_EVERY_US: u64 = 100_000;
-
-/// For how long this process may be held up without the arm's noticing, microseconds, as far as the arm has room.
-const HELD_UP_US: u32 = 80_000;
 
 /// Priority asked for under SCHED_FIFO: above ordinary real-time work, below the kernel's own threads.
 const PRIORITY: u8 = 49;
@@ -74,9 +71,9 @@ struct Arguments {
     /// Time without a report after which the arm counts as silent, milliseconds
     #[arg(long, value_name = "MS", default_value_t = 300, value_parser = clap::value_parser!(u64).range(10..=10_000))]
     arm_timeout: u64,
-    /// Setpoints to be ahead of the arm's clock; by default 80 ms of them, at least 4 and at most 16
-    #[arg(long, value_name = "TICKS", value_parser = clap::value_parser!(u16).range(1..=16))]
-    look_ahead: Option<u16>,
+    /// Setpoints to be ahead of the arm's clock; by default as many as it has room for
+    #[arg(long, value_name = "TICKS", default_value_t = DEFAULT_LOOK_AHEAD, value_parser = clap::value_parser!(u16).range(1..=16))]
+    look_ahead: u16,
     /// Reset an arm that has a stop latched. Look at it first
     #[arg(long)]
     reset: bool,
@@ -198,17 +195,11 @@ fn config(arguments: &Arguments, plan: &PlanReader<'_>) -> anyhow::Result<Config
     Ok(Config {
         session,
         period_us: Some(period_us),
-        look_ahead: arguments.look_ahead.unwrap_or(look_ahead(period_us)),
+        look_ahead: arguments.look_ahead,
         reset: arguments.reset,
         silence_us: 1_000 * arguments.arm_timeout,
         ..Config::default()
     })
-}
-
-/// As many setpoints as bridge the time for which an ordinary process may not run; some in any case.
-fn look_ahead(period_us: u32) -> u16 {
-    let ticks = HELD_UP_US.div_ceil(period_us.max(1)).min(DEPTH);
-    u16::try_from(ticks).unwrap_or(DEFAULT_LOOK_AHEAD).max(DEFAULT_LOOK_AHEAD)
 }
 
 /// Whether the plan can be played over the wire at all: limits, counts, load. Words for the load.

@@ -123,13 +123,12 @@ pub struct Stream {
 
 impl Stream {
     fn new(telemetry: &Telemetry) -> Self {
-        let heard = telemetry.quickest_us < u64::MAX;
         Self {
             resent: telemetry.resent,
             retries: telemetry.retries,
             dropped_by_arm: telemetry.dropped,
-            quickest_round_trip_s: heard.then(|| seconds(telemetry.quickest_us)),
-            longest_round_trip_s: heard.then(|| seconds(telemetry.round_trip_us)),
+            quickest_round_trip_s: telemetry.round_trip.shortest_us().map(seconds),
+            longest_round_trip_s: telemetry.round_trip.longest_us().map(seconds),
             tracking_m: telemetry.tracking_m,
             tracking_rad: telemetry.tracking_rad,
         }

@@ -106,8 +106,12 @@ impl Player<'_, '_> {
         loop {
             self.receive();
             let outcome = loop {
+                let sent_before = self.endpoint.executor().telemetry().sent;
                 match self.endpoint.poll(self.now_us()) {
-                    FrameAction::Send(frame) => self.enqueue(frame),
+                    FrameAction::Send(frame) => {
+                        self.note_lateness(sent_before);
+                        self.enqueue(frame);
+                    }
                     FrameAction::Wait => break None,
                     FrameAction::Finished(outcome) => break Some(outcome),
                 }
@@ -157,6 +161,14 @@ impl Player<'_, '_> {
         let now_us = self.now_us();
         self.endpoint.executor_mut().handle_link_lost(now_us);
         self.failure.get_or_insert(error);
+    }
+
+    /// One cycle for each setpoint: how long after its moment it leaves for the first time.
+    fn note_lateness(&mut self, sent_before: u32) {
+        let telemetry = self.endpoint.executor().telemetry();
+        if telemetry.sent != sent_before {
+            telemetry.late_us.into_iter().for_each(|late_us| self.jitter.record(late_us));
+        }
     }
 
     fn enqueue(&mut self, frame: Frame) {
@@ -210,13 +222,7 @@ impl Player<'_, '_> {
         let retry_us = clock::now_us().saturating_add(BUSY_US);
         let moment_us = if self.busy { due_us.min(retry_us) } else { due_us };
         let interests: [Option<Interest<'_>>; 2] = [self.wire.interest(), observer.interest()];
-        // A moment that has passed already is no wake-up: there was something to say at once.
-        let slept = clock::now_us() < moment_us;
-        let woken = wait_until(Some(moment_us), interests)?;
-        if slept && moment_us == due_us {
-            woken.late_us.into_iter().for_each(|late_us| self.jitter.record(late_us));
-        }
-        Ok(())
+        wait_until(Some(moment_us), interests).map(drop)
     }
 
     fn result(&mut self, outcome: powderline_executor::Outcome) -> RunResult {

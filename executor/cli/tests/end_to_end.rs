@@ -434,7 +434,8 @@ fn stream_until_silent(plan: &PlanReader<'_>, arm: &mut Controller) {
 /// The joined pair with setpoints dropped by a rule; what an observer at the arm sees, tick by tick.
 fn play_with_losses(plan: &PlanReader<'_>, drops: impl Fn(u32) -> bool) -> (Outcome, Controller, [f64; 6]) {
     let mut arm = Controller::new(arm_for(plan));
-    let mut executor = Executor::new(0, plan, Config::default());
+    // Not the default: so few setpoints ahead that the arm starts before the stream breaks off.
+    let mut executor = Executor::new(0, plan, Config { look_ahead: 4, ..Config::default() });
     let period_us = plan.header().control_period_us;
     let (mut now_us, mut seen, mut peak) = (0, Motion::at_rest(arm.pose()), [0.0_f64; 6]);
     loop {

@@ -60,13 +60,15 @@ pub(super) fn half(
     frame: &Frame,
     part: Part,
     context: &Context,
-    reference: &Setpoint,
+    tick_reference: u32,
+    reference: impl Fn(u32) -> Setpoint,
 ) -> Result<Half, Rejected> {
     let (payload, crc) = parts(frame, 8)?;
     let mut take = Take(payload);
     let fields = (|| Some(([take.u16()?, take.u16()?, take.u16()?], take.u8()?)))();
     let (low, tick) = complete(fields, frame)?;
-    let [x, y, z, rx, ry, rz] = reference.counts;
+    let tick = nearest_with_low8(tick_reference, tick);
+    let [x, y, z, rx, ry, rz] = reference(tick).counts;
     let mut counts = match part {
         Part::Translation => [x, y, z],
         Part::Rotation => [rx, ry, rz],
@@ -74,7 +76,6 @@ pub(super) fn half(
     for (count, low) in counts.iter_mut().zip(low) {
         *count = nearest_with_low16(count.cast_unsigned(), low).cast_signed();
     }
-    let tick = nearest_with_low8(reference.tick, tick);
     if crc8(frame.id, context, tick, Put::new().counts(&counts).as_slice()) != crc {
         return Err(Rejected::Checksum { id: frame.id });
     }

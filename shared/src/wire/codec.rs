@@ -1,8 +1,9 @@
 //! Messages to frames, and back.
 //!
 //! Classic frames hold the low 16 bits of each count and the low 8 of the tick. A decoder rebuilds the whole numbers as
-//! those nearest to a reference, what it decoded last, and the checksum, which covers the whole numbers, tells whether it
-//! rebuilt them right. So a decoder must not miss more than 32.767 mm, 327.67 mrad or 127 ticks of a motion.
+//! those nearest to a reference, the setpoint of the nearest tick that it knows, and the checksum, which covers the whole
+//! numbers, tells whether it rebuilt them right. So a decoder must not miss more than 32.767 mm, 327.67 mrad or 127 ticks of
+//! a motion in a row.
 
 use core::fmt;
 
@@ -11,11 +12,14 @@ use heapless::Vec;
 use super::checksum::Context;
 use super::frame::{Dialect, Frame};
 use super::handshake::{FromArmRecord, Reassembly, Segments, ToArmRecord};
-use super::history::{Had, Half, Halves, Met, Part};
-use super::message::{DEPTH, FromArm, NO_SESSION, Status, ToArm};
+use super::history::{Had, Half, Halves, Met, Part, Track};
+use super::message::{FromArm, NO_SESSION, Status, ToArm};
 use super::words::{self, StatusBits};
 use super::{classic, fd, ids};
 use crate::displacement::Setpoint;
+
+/// Ticks within which a report tells best where the arm is at another: setpoints are that far apart at most.
+const NEAR_TICKS: u32 = 3;
 
 /// Data of [`ToArm::Stop`].
 const STOP_WORD: &[u8; 4] = b"STOP";
@@ -193,8 +197,8 @@ fn one<M>(message: M) -> Decoded<M> {
 pub struct ToArmDecoder {
     dialect: Dialect,
     context: Context,
-    /// The decoded setpoint of the highest tick.
-    newest: Setpoint,
+    /// The decoded setpoints.
+    track: Track,
     halves: Halves,
     had: Had,
     reassembly: Reassembly,
@@ -207,7 +211,7 @@ impl ToArmDecoder {
         Self {
             dialect,
             context: Context::NONE,
-            newest: Setpoint::ANCHOR,
+            track: Track::default(),
             halves: Halves::default(),
             had: Had::default(),
             reassembly: Reassembly::default(),
@@ -257,7 +261,8 @@ impl ToArmDecoder {
     }
 
     fn half(&mut self, frame: &Frame, part: Part) -> Result<Decoded<ToArm>, Rejected> {
-        let half = classic::half(frame, part, &self.context, &self.newest)?;
+        let reference = |tick| self.track.nearest(tick);
+        let half = classic::half(frame, part, &self.context, self.had.newest(), reference)?;
         match self.halves.meet(part, half) {
             Met::Waits => Ok(Vec::new()),
             Met::Replaced => {
@@ -280,9 +285,7 @@ impl ToArmDecoder {
     }
 
     fn found(&mut self, setpoint: Setpoint) -> ToArm {
-        if setpoint.tick >= self.newest.tick {
-            self.newest = setpoint;
-        }
+        self.track.note(setpoint);
         self.had.note(setpoint.tick);
         ToArm::Setpoint { session: self.context.session, setpoint }
     }
@@ -315,8 +318,10 @@ pub struct FromArmDecoder {
     context: Context,
     /// The actual displacement decoded last.
     actual: Setpoint,
-    /// The setpoint sent last.
-    expected: Setpoint,
+    /// The setpoints sent.
+    sent: Track,
+    /// The highest of their ticks.
+    newest: u32,
     /// The tick of the status decoded last.
     tick: u32,
     halves: Halves,
@@ -331,7 +336,8 @@ impl FromArmDecoder {
             dialect,
             context: Context::NONE,
             actual: Setpoint::ANCHOR,
-            expected: Setpoint::ANCHOR,
+            sent: Track::default(),
+            newest: 0,
             tick: 0,
             halves: Halves::default(),
             reassembly: Reassembly::default(),
@@ -348,9 +354,10 @@ impl FromArmDecoder {
         }
     }
 
-    /// Tells which setpoint was sent last: where the arm must be nearly, should many reports have been lost.
+    /// Tells which setpoint is sent: where the arm must nearly be at that tick, should reports have been lost.
     pub fn expect(&mut self, setpoint: Setpoint) {
-        self.expected = setpoint;
+        self.sent.note(setpoint);
+        self.newest = self.newest.max(setpoint.tick);
     }
 
     /// Takes one frame.
@@ -388,15 +395,15 @@ impl FromArmDecoder {
     }
 
     fn tick_reference(&self) -> u32 {
-        self.tick.max(self.expected.tick)
+        self.tick.max(self.newest)
     }
 
-    /// What an actual displacement must be near to. The arm is somewhere on the way from its last report to the setpoint
-    /// sent last, and no further than [`DEPTH`] ticks behind that: so whichever of the two is within [`DEPTH`] ticks
-    /// will do. (Trying both would take a wrong bit in one for the right bit in the other too often.)
-    fn actual_reference(&self) -> &Setpoint {
-        let near = self.expected.tick <= self.actual.tick.saturating_add(DEPTH);
-        if near { &self.actual } else { &self.expected }
+    /// What the actual displacement of a tick must be near to: the last one, or, if that is some ticks old, the setpoint
+    /// nearest to the tick. (Trying both would take a wrong bit in one for the right bit in the other too often.)
+    fn actual_reference(&self, tick: u32) -> Setpoint {
+        let sent = self.sent.nearest(tick);
+        let away = tick.abs_diff(self.actual.tick);
+        if away <= NEAR_TICKS.max(tick.abs_diff(sent.tick)) { self.actual } else { sent }
     }
 
     fn status(&mut self, frame: &Frame) -> Result<Decoded<FromArm>, Rejected> {
@@ -410,7 +417,9 @@ impl FromArmDecoder {
     }
 
     fn half(&mut self, frame: &Frame, part: Part) -> Result<Decoded<FromArm>, Rejected> {
-        let half = classic::half(frame, part, &self.context, self.actual_reference())?;
+        let reference = |tick| self.actual_reference(tick);
+        let latest = self.tick_reference().max(self.actual.tick);
+        let half = classic::half(frame, part, &self.context, latest, reference)?;
         let Half { session, tick, .. } = half;
         match self.halves.meet(part, half) {
             // An arm that stands reports one tick again and again, and not always quite the same counts.

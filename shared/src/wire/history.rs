@@ -1,5 +1,11 @@
 //! What a decoder remembers: halves that wait for their other half, and which setpoints have been.
 
+use super::message::DEPTH;
+use crate::displacement::Setpoint;
+
+/// Setpoints remembered: as many as an arm has room for, and some that it has taken already.
+const REMEMBERED: u32 = DEPTH + 4;
+
 /// Halves of one kind that wait; one for each of the ticks that are usually under way at a time.
 const WAITING: usize = 4;
 
@@ -93,6 +99,30 @@ impl Waiting {
     }
 }
 
+/// The setpoints of the last ticks, which others are told from; at first the anchor.
+#[derive(Clone, Debug)]
+pub(super) struct Track([Setpoint; REMEMBERED as usize]);
+
+impl Default for Track {
+    fn default() -> Self {
+        Self([Setpoint::ANCHOR; REMEMBERED as usize])
+    }
+}
+
+impl Track {
+    pub(super) fn note(&mut self, setpoint: Setpoint) {
+        if let Some(slot) = self.0.get_mut((setpoint.tick % REMEMBERED) as usize) {
+            *slot = setpoint;
+        }
+    }
+
+    /// The one whose tick is nearest, the earlier of two.
+    pub(super) fn nearest(&self, tick: u32) -> Setpoint {
+        let nearest = self.0.iter().min_by_key(|setpoint| (setpoint.tick.abs_diff(tick), setpoint.tick));
+        nearest.copied().unwrap_or(Setpoint::ANCHOR)
+    }
+}
+
 /// Which ticks have been decoded: the newest, and whether each of the 63 before it has.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Had {
@@ -116,6 +146,10 @@ impl Had {
         } else {
             self.ticks |= self.bit(tick);
         }
+    }
+
+    pub(super) fn newest(&self) -> u32 {
+        self.newest
     }
 
     /// Whether a tick has been decoded, or is so old that nobody waits for it.

@@ -51,10 +51,10 @@ pub(crate) fn from_arm() -> Vec<(String, FromArm)> {
         all.push((format!("refused {reason:?}"), FromArm::Refused { session: SESSION, reason }));
     }
     all.push(("anchored".into(), FromArm::Anchored { session: SESSION, pose: anchor() }));
-    all.extend(statuses().into_iter().map(|(name, status)| (name, FromArm::Status(status))));
     for reached in setpoints() {
         all.push((format!("actual tick {}", reached.tick), FromArm::Actual { session: SESSION, reached }));
     }
+    all.extend(statuses().into_iter().map(|(name, status)| (name, FromArm::Status(status))));
     let early = Fault { tick: 41, ..fault };
     all.push(("fault".into(), FromArm::Fault { session: SESSION, fault: early }));
     let unbound = Fault { code: FaultCode::OperatorStop, tick: 40_000 };

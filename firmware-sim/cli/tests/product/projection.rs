@@ -40,8 +40,8 @@ const LEFT_OUT: [&str; 29] = [
     "echo_until",
     // Round trips, and the executor's estimate of the arm's clock: they decide when setpoints beyond the look-ahead leave,
     // and the plans here are hardly longer than that.
+    "round_trip",
     "round_trip_us",
-    "quickest_us",
     "start_us",
     "asked_us",
     // When the arm was looked at last.

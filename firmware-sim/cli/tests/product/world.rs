@@ -32,6 +32,9 @@ const MOST_STARTED: u8 = 3;
 /// When executors give up a handshake, microseconds.
 const HANDSHAKE_US: u64 = 600_000;
 
+/// Setpoints ahead of the arm's clock.
+const LOOK_AHEAD: u16 = 4;
+
 /// The two plans, which lead from the same start along different axes.
 pub(crate) struct Scene {
     plans: [Vec<u8>; 2],
@@ -372,8 +375,14 @@ impl<'p> World<'p> {
     }
 
     fn start(&mut self, slot: usize, reset: bool) {
-        let config =
-            Config { session: session_of(slot), reset, handshake_us: HANDSHAKE_US, ..Config::default() };
+        // So few setpoints ahead that the arm starts before it has the whole plan, and may miss the rest.
+        let config = Config {
+            session: session_of(slot),
+            reset,
+            handshake_us: HANDSHAKE_US,
+            look_ahead: LOOK_AHEAD,
+            ..Config::default()
+        };
         // What the one before has said about the session binds the next no more.
         self.at_rest.retain(|session| slot_of(*session) != Some(slot));
         self.nodes[slot] = Part::running(Executor::new(self.now_us, &self.scene.plan(slot), config));
