@@ -308,6 +308,48 @@ fn vcan_an_interface_taken_down_stops_both_and_comes_back() {
     assert_eq!(report["stop"]["code"], 402, "{report}");
 }
 
+/// A queue before the interface that lets next to nothing through.
+struct Clogged;
+
+impl Clogged {
+    fn new() -> Self {
+        tc("qdisc add dev vcan0 root tbf rate 8bit burst 20 limit 40");
+        Self
+    }
+}
+
+impl Drop for Clogged {
+    fn drop(&mut self) {
+        tc("qdisc del dev vcan0 root");
+    }
+}
+
+fn tc(arguments: &str) {
+    let status = Command::new("tc").args(arguments.split_whitespace()).status().unwrap();
+    assert!(status.success(), "tc {arguments}");
+}
+
+/// How often a process has gone to sleep so far.
+fn sleeps(process: &Child) -> u64 {
+    let status = fs::read_to_string(format!("/proc/{}/status", process.id())).unwrap();
+    let line = status.lines().find_map(|line| line.strip_prefix("voluntary_ctxt_switches:"));
+    line.unwrap().trim().parse().unwrap()
+}
+
+#[test]
+#[ignore = "needs vcan0 and tc: run by tests/run inside tests/tools/with-vcan"]
+fn vcan_a_bus_that_takes_nothing_is_not_waited_for_by_spinning() {
+    let _clogged = Clogged::new();
+    let (arm, _) = arm("can:vcan0", &[]);
+    // Its reports, ten a second, soon find the queue full.
+    thread::sleep(Duration::from_secs(1));
+    let before = sleeps(&arm.child);
+    thread::sleep(Duration::from_secs(2));
+    let slept = sleeps(&arm.child) - before;
+    // In real time, a process that never sleeps lets nobody else run who could make room.
+    assert!(slept >= 10, "slept {slept} times in 2 s");
+}
+
 #[test]
 #[ignore = "needs vcan0 and can-utils: run by tests/run inside tests/tools/with-vcan"]
 fn vcan_what_is_recorded_is_what_candump_sees_and_foreign_frames_do_no_harm() {

@@ -9,7 +9,7 @@ use powderline_host::clock;
 use powderline_host::interface::Interface;
 use powderline_host::jitter::Jitter;
 use powderline_host::link::Link;
-use powderline_host::transport::{BusEvent, Incoming, LinkError, Sent, Transport};
+use powderline_host::transport::{BUSY_US, BusEvent, Incoming, LinkError, Sent, Transport};
 use powderline_host::wait::{Interest, wait_until};
 use powderline_shared::plan::PlanReader;
 use powderline_shared::wire::frame::{Dialect, Frame};
@@ -24,9 +24,6 @@ pub const RECORDED: usize = 4096;
 
 /// Frames that wait for room on the wire; the oldest give way, for the newest say more.
 const QUEUE: usize = 64;
-
-/// How long to wait before a frame is tried again that the wire had no room for, microseconds.
-const BUSY_US: u64 = 1_000;
 
 /// The recorder of a session.
 pub type FlightRecorder = Recorder<RECORDED>;

@@ -9,8 +9,8 @@ use powderline_firmware_sim::endpoint::Endpoint;
 use powderline_host::clock;
 use powderline_host::link::Link;
 use powderline_host::signals::{Signals, StopWish};
-use powderline_host::transport::{self, Incoming, LinkError, Sent, Transport};
-use powderline_host::wait::{Interest, wait_until};
+use powderline_host::transport::{self, BUSY_US, Incoming, LinkError, Sent, Transport};
+use powderline_host::wait::wait_until;
 use powderline_shared::fault::Fault;
 use powderline_shared::plan::StartPose;
 use powderline_shared::pose::Pose;
@@ -84,6 +84,7 @@ pub fn serve(options: &Options, announcer: &mut impl Announcer) -> anyhow::Resul
         signals,
         endpoint,
         queue: VecDeque::new(),
+        busy: false,
         told: Told::default(),
         motion: Vec::new(),
         wish: StopWish::None,
@@ -110,6 +111,8 @@ struct Server<'o> {
     signals: Signals,
     endpoint: Endpoint,
     queue: VecDeque<Frame>,
+    /// Whether the wire had no room the last time.
+    busy: bool,
     told: Told,
     /// Where the arm was at each tick of the motion that is under way.
     motion: Vec<Pose>,
@@ -166,8 +169,10 @@ impl Server<'_> {
         }
         self.passed_us = self.now_us();
         self.collect(self.passed_us);
+        self.busy = false;
         while let Some(frame) = self.queue.front() {
             if wire.send(frame)? == Sent::Busy {
+                self.busy = true;
                 break;
             }
             self.queue.pop_front();
@@ -265,9 +270,9 @@ impl Server<'_> {
             wake_us = wake_us.min(self.reopen_at_us);
         }
         let moment_us = self.start_us.saturating_add(wake_us);
-        let interest = self.wire.as_ref().and_then(|wire| wire.interest());
-        let wire = interest
-            .map(|interest| Interest { writable: interest.writable || !self.queue.is_empty(), ..interest });
+        let retry_us = clock::now_us().saturating_add(BUSY_US);
+        let moment_us = if self.busy { moment_us.min(retry_us) } else { moment_us };
+        let wire = self.wire.as_ref().and_then(|wire| wire.interest());
         wait_until(Some(moment_us), [wire, Some(self.signals.interest())]).map(drop)
     }
 }

@@ -70,9 +70,14 @@ pub fn open(link: &Link) -> Result<Option<Box<dyn Transport>>, LinkError> {
 pub enum Sent {
     /// The wire has it.
     Done,
-    /// The wire has no room now; nothing of the frame is kept.
+    /// The wire has no room now; nothing of the frame is kept. Try again after [`BUSY_US`].
     Busy,
 }
+
+/// When to try a frame again that the wire had no room for, microseconds. Only time helps: a socket counts as writable
+/// while the queue behind it is full, and a process that waited for that would spin, before everybody else if it runs in
+/// real time.
+pub const BUSY_US: u64 = 1_000;
 
 /// Something that has arrived.
 #[derive(Clone, Debug, PartialEq, Eq)]
