@@ -76,7 +76,7 @@ fault_codes! {
     ArmStalled = 113, "The arm reports, but no longer moves on to the next setpoint.";
     PlanUnreadable = 121, "The plan in memory could not be read to its end.";
     ExecutorSilent = 131, "The executor stopped sending signs of life.";
-    ArmOverrun = 132, "The arm's controller was held up for longer than two ticks while it moved.";
+    ArmOverrun = 132, "The arm's controller was held up for too long while it moved.";
 
     GuardWorkspace = 201, "The executor refused a setpoint outside the workspace.";
     GuardLinearVelocity = 202, "The executor refused a setpoint that breaks the limit on linear velocity.";
