@@ -1,10 +1,13 @@
 //! What the machine can do: multiply-adds a second, bytes a second, and what the system says of memory.
 
 use std::hint::black_box;
+use std::sync::OnceLock;
 use std::time::Instant;
 
 use powderline_shared::plan::Precision;
 use pulp::{Simd, WithSimd};
+
+use crate::mpm::laps::Reading;
 
 /// Sums that are independent of each other: enough to hide the latency of two units, and few enough for 16 registers.
 const SUMS: usize = 12;
@@ -105,6 +108,25 @@ fn kibibytes(file: &str, name: &str) -> Option<u64> {
     Some(size.trim().strip_suffix(" kB")?.parse::<u64>().ok()? << 10)
 }
 
+/// Nanoseconds since the first reading, and those that the threads of this process have had a processor, all together: what
+/// other processes take of the machine shows in the first only.
+pub(crate) fn nanoseconds() -> Reading {
+    static START: OnceLock<Instant> = OnceLock::new();
+    let wall_ns = START.get_or_init(Instant::now).elapsed().as_nanos() as u64;
+    [wall_ns, processor_ns().unwrap_or(wall_ns)]
+}
+
+#[cfg(unix)]
+fn processor_ns() -> Option<u64> {
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
+    Some(u64::try_from(time.tv_sec).ok()? * 1_000_000_000 + u64::try_from(time.tv_nsec).ok()?)
+}
+
+#[cfg(not(unix))]
+fn processor_ns() -> Option<u64> {
+    None
+}
+
 /// How long the threads of this process have waited for a processor so far, ns, all together; none where the system does not
 /// tell.
 pub(crate) fn waited_ns() -> Option<u64> {
@@ -129,6 +151,14 @@ mod tests {
             pulp::Arch::new().dispatch(MultiplyAdds64),
             (expected / 2).max(2 * u64::from(ROUNDS) * 12)
         );
+    }
+
+    #[test]
+    fn both_clocks_go_on() {
+        let before = nanoseconds();
+        black_box(fma_rate(Precision::F64));
+        let after = nanoseconds();
+        assert!(before[0] < after[0] && before[1] < after[1], "{before:?} {after:?}");
     }
 
     #[test]

@@ -1,16 +1,16 @@
 //! What is run, what is read off, and what comes of it.
 
 use std::ops::Range;
-use std::sync::OnceLock;
-use std::time::Instant;
 
 use powderline_shared::plan::Precision;
 use serde::Serialize;
 
+use super::BenchError;
+use super::counted::{Counted, Elementary, operations};
+use super::machine::{self, nanoseconds};
 use super::problem::{Problem, SUBSTEPS};
-use super::{BenchError, machine};
 use crate::memory::{PARTICLE_SCALARS, fewest_states};
-use crate::mpm::laps::{Lap, Pass, Reading, Stage};
+use crate::mpm::laps::{Gauge, Lap, Pass, Reading, Stage};
 use crate::real::Real;
 use crate::rollout::{Moment, Progress, RolloutError, Simulator, thread_pool};
 
@@ -73,12 +73,6 @@ pub const STAGES: [Stage; 8] = [
     Stage::Unsort,
 ];
 
-/// Nanoseconds since the first reading.
-fn nanoseconds() -> Reading {
-    static START: OnceLock<Instant> = OnceLock::new();
-    [START.get_or_init(Instant::now).elapsed().as_nanos() as u64, 0]
-}
-
 /// A bed with a bowl in it, at some moment.
 pub struct Bench<T: Real> {
     problem: Problem,
@@ -86,12 +80,13 @@ pub struct Bench<T: Real> {
     moment: Moment<T>,
     /// Control steps done.
     step: usize,
+    gauge: Gauge,
 }
 
 /// What a run took: in all, and stage by stage.
 struct Taken {
-    /// Moments when a control step began, and when the last one ended.
-    stamps: Vec<Instant>,
+    /// Readings when a control step began, and when the last one ended.
+    stamps: Vec<Reading>,
     laps: Vec<Lap>,
 }
 
@@ -101,15 +96,20 @@ impl<T: Real> Bench<T> {
     /// # Errors
     /// See [`BenchError`].
     pub fn new(particles: usize, grid: usize, threads: usize) -> Result<Self, BenchError> {
-        Self::of(Problem::new(particles, grid)?, threads)
+        Self::of(Problem::new(particles, grid)?, threads, nanoseconds)
     }
 
-    fn of(problem: Problem, threads: usize) -> Result<Self, BenchError> {
+    fn of(problem: Problem, threads: usize, gauge: Gauge) -> Result<Self, BenchError> {
         let pool = thread_pool(threads)?;
         // Memory is looked after before; what is kept is bounded by number.
         let mut simulator = Simulator::new(&problem.scene, problem.packing.clone(), pool, u64::MAX);
         let moment = simulator.beginning(&mut |_, _| true)?;
-        Ok(Self { problem, simulator, moment, step: 0 })
+        Ok(Self { problem, simulator, moment, step: 0, gauge })
+    }
+
+    /// Substeps of so many control steps.
+    fn substeps(&self, steps: usize) -> usize {
+        steps * self.problem.scene.time.substeps as usize
     }
 
     fn next(&self, steps: usize) -> Range<usize> {
@@ -119,10 +119,10 @@ impl<T: Real> Bench<T> {
     /// Goes on by so many control steps.
     fn forward(&mut self, steps: usize, progress: Progress<'_>) -> Result<Taken, RolloutError> {
         let controls = self.problem.controls(self.next(steps));
-        let mut stamps = Vec::with_capacity(steps + 1);
-        self.simulator.laps().follow(nanoseconds);
+        let (gauge, mut stamps) = (self.gauge, Vec::with_capacity(steps + 1));
+        self.simulator.laps().follow(self.gauge);
         let end = self.simulator.after(&self.moment, &controls, &mut |done, total| {
-            stamps.push(Instant::now());
+            stamps.push(gauge());
             progress(done, total)
         });
         let laps = self.simulator.laps().take();
@@ -134,12 +134,12 @@ impl<T: Real> Bench<T> {
     /// The gradient of the loss after so many control steps, from here; stays here.
     fn gradient(&mut self, steps: usize, progress: Progress<'_>) -> Result<Taken, RolloutError> {
         let controls = self.problem.controls(self.next(steps));
-        let kept = fewest_states((steps * SUBSTEPS as usize) as u64, PASSES) as usize;
+        let kept = fewest_states(self.substeps(steps) as u64, PASSES) as usize;
         self.simulator.keep_at_most(kept);
-        self.simulator.laps().follow(nanoseconds);
-        let began = Instant::now();
+        self.simulator.laps().follow(self.gauge);
+        let began = (self.gauge)();
         let gradient = self.simulator.control_gradient(&self.moment, &controls, progress);
-        let stamps = vec![began, Instant::now()];
+        let stamps = vec![began, (self.gauge)()];
         let laps = self.simulator.laps().take();
         gradient?;
         Ok(Taken { stamps, laps })
@@ -147,7 +147,7 @@ impl<T: Real> Bench<T> {
 
     /// The material of the powder as it is, by itself.
     fn material(&mut self) -> Vec<Lap> {
-        self.simulator.laps().follow(nanoseconds);
+        self.simulator.laps().follow(self.gauge);
         self.simulator.material(&self.moment);
         self.simulator.laps().take()
     }
@@ -178,7 +178,11 @@ impl<T: Real> Bench<T> {
     }
 }
 
-/// Nanoseconds per particle and substep: over the blocks of the run, the middle, the smallest and the average.
+/// What one block of a run took of wall time and of processor time (of all threads together), ns per particle and
+/// substep.
+type Block = [f64; 2];
+
+/// Nanoseconds per particle and substep, over the blocks of the run.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Timing {
     /// Median over the blocks.
@@ -187,18 +191,51 @@ pub struct Timing {
     pub min_ns: f64,
     /// Average over the blocks.
     pub mean_ns: f64,
+    /// Median of the processor time, all threads together: other processes on the machine do not show here.
+    pub processor_ns: f64,
+}
+
+/// The middle number, or the mean of the two in the middle; 0 of none.
+fn median(mut numbers: Vec<f64>) -> f64 {
+    numbers.sort_by(f64::total_cmp);
+    let at = |index: usize| numbers.get(index).copied().unwrap_or_default();
+    0.5 * (at(numbers.len() / 2) + at(numbers.len().saturating_sub(1) / 2))
 }
 
 impl Timing {
-    /// All zero without blocks.
-    fn of(mut blocks: Vec<f64>) -> Self {
-        blocks.sort_by(f64::total_cmp);
-        let n = blocks.len();
-        let at = |index: usize| blocks.get(index).copied().unwrap_or_default();
+    fn of(blocks: &[Block]) -> Self {
+        let wall = || blocks.iter().map(|[wall, _]| *wall);
         Self {
-            median_ns: 0.5 * (at(n / 2) + at(n.saturating_sub(1) / 2)),
-            min_ns: at(0),
-            mean_ns: blocks.iter().sum::<f64>() / n.max(1) as f64,
+            median_ns: median(wall().collect()),
+            min_ns: wall().reduce(f64::min).unwrap_or_default(),
+            mean_ns: wall().sum::<f64>() / blocks.len().max(1) as f64,
+            processor_ns: median(blocks.iter().map(|[_, processor]| *processor).collect()),
+        }
+    }
+}
+
+/// The arithmetic of a stage or of a rollout.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Arithmetic {
+    /// Floating-point operations per particle and substep, as counted in this bed.
+    pub operations: f64,
+    /// How many of them are divisions and square roots, which take longer than the floor says.
+    pub divisions_and_roots: f64,
+    /// What they would take at the rate of fused multiply-adds, ns: the best that arithmetic allows.
+    pub floor_ns: f64,
+    /// Processor time over what the operations take of it at that rate; none without operations.
+    pub multiple: Option<f64>,
+}
+
+impl Arithmetic {
+    fn of(counted: [f64; 2], time: &Timing, fma_gflops: f64, threads: usize) -> Self {
+        let [operations, divisions_and_roots] = counted;
+        let processor_floor_ns = operations / fma_gflops;
+        Self {
+            operations,
+            divisions_and_roots,
+            floor_ns: processor_floor_ns / threads as f64,
+            multiple: (operations > 0.0).then(|| time.processor_ns / processor_floor_ns),
         }
     }
 }
@@ -213,6 +250,9 @@ pub struct StageReport {
     /// What it takes.
     #[serde(flatten)]
     pub time: Timing,
+    /// What it computes.
+    #[serde(flatten)]
+    pub arithmetic: Arithmetic,
 }
 
 /// A whole rollout.
@@ -223,6 +263,9 @@ pub struct WholeReport {
     /// What it takes, for each substep of the motion.
     #[serde(flatten)]
     pub time: Timing,
+    /// What it computes.
+    #[serde(flatten)]
+    pub arithmetic: Arithmetic,
     /// Substeps of the motion in one rollout.
     pub substeps: usize,
     /// How often each of them was advanced, on average.
@@ -291,12 +334,12 @@ pub struct Report {
     pub memory: Memory,
 }
 
-/// Measured blocks, as nanoseconds per particle and substep.
+/// What was measured.
 #[derive(Default)]
 struct Blocks {
-    stages: [Vec<f64>; ENTRIES.len()],
-    forward: Vec<f64>,
-    gradient: Vec<f64>,
+    stages: [Vec<Block>; ENTRIES.len()],
+    forward: Vec<Block>,
+    gradient: Vec<Block>,
     /// Substeps advanced in gradients, and substeps of their motions.
     advanced: [usize; 2],
     fma_rates: Vec<f64>,
@@ -304,15 +347,29 @@ struct Blocks {
     waited: Option<[u64; 2]>,
 }
 
+/// A part of the total for each of `count` things.
+fn each(total: Reading, count: usize) -> Block {
+    total.map(|total| total as f64 / count.max(1) as f64)
+}
+
+fn difference(after: Reading, before: Reading) -> Reading {
+    [after[0] - before[0], after[1] - before[1]]
+}
+
+/// Per particle and pass: an entry's share of the laps; none where they do not have its pass.
+fn share(laps: &[Lap], (pass, stage, ..): (Pass, Stage, &str, &str), particles: usize) -> Option<Block> {
+    let readings = || laps.iter().filter(|lap| lap.pass == pass).map(|lap| lap.stages[stage as usize]);
+    let count = readings().count();
+    let total = readings().fold([0; 2], |sum, reading| [sum[0] + reading[0], sum[1] + reading[1]]);
+    (count > 0).then(|| each(total, count * particles))
+}
+
 impl Blocks {
-    /// The laps of one block; `passes` are those that it is about.
-    fn take_stages(&mut self, laps: &[Lap], passes: &[Pass], particles: usize) {
+    /// The laps of one block, as far as they belong to a pass.
+    fn take_stages(&mut self, laps: &[Lap], pass: Pass, particles: usize) {
         for (entry, blocks) in ENTRIES.iter().zip(&mut self.stages) {
-            let of_pass = || laps.iter().filter(|lap| lap.pass == entry.0);
-            let count = of_pass().count();
-            if count > 0 && passes.contains(&entry.0) {
-                let total_ns: u64 = of_pass().map(|lap| lap.stages[entry.1 as usize][0]).sum();
-                blocks.push(total_ns as f64 / (count * particles) as f64);
+            if entry.0 == pass {
+                blocks.extend(share(laps, *entry, particles));
             }
         }
     }
@@ -320,20 +377,36 @@ impl Blocks {
     fn take_forward(&mut self, taken: &Taken, particles: usize) {
         let substeps = SUBSTEPS as usize;
         for (laps, stamps) in taken.laps.chunks(substeps).zip(taken.stamps.windows(2)) {
-            self.take_stages(laps, &[Pass::Forward], particles);
-            let block_ns = (stamps[1] - stamps[0]).as_nanos() as f64;
-            self.forward.push(block_ns / (substeps * particles) as f64);
+            self.take_stages(laps, Pass::Forward, particles);
+            self.forward.push(each(difference(stamps[1], stamps[0]), substeps * particles));
         }
     }
 
-    fn take_gradient(&mut self, taken: &Taken, steps: usize, particles: usize) {
-        let substeps = steps * SUBSTEPS as usize;
-        self.take_stages(&taken.laps, &[Pass::Adjoint], particles);
-        let whole_ns = (taken.stamps[1] - taken.stamps[0]).as_nanos() as f64;
-        self.gradient.push(whole_ns / (substeps * particles) as f64);
+    fn take_gradient(&mut self, taken: &Taken, substeps: usize, particles: usize) {
+        self.take_stages(&taken.laps, Pass::Adjoint, particles);
+        self.gradient.push(each(difference(taken.stamps[1], taken.stamps[0]), substeps * particles));
         self.advanced[0] += taken.laps.iter().filter(|lap| lap.pass == Pass::Forward).count();
         self.advanced[1] += substeps;
     }
+}
+
+/// Operations per particle and substep of each entry, and how many of them are divisions and roots, counted in the first
+/// substep of the bed and its adjoint.
+fn counts<T: Elementary>(
+    settings: &Settings,
+    watch: Watch<'_>,
+) -> Result<[[f64; 2]; ENTRIES.len()], BenchError> {
+    let problem = Problem::new(settings.particles, settings.grid)?.by_substeps();
+    let mut bench = Bench::<Counted<T>>::of(problem, 1, operations)?;
+    let mut told = |done, total| watch("counting operations", done, total);
+    let laps = if settings.forward_only {
+        bench.forward(1, &mut told)?.laps
+    } else {
+        let mut laps = bench.gradient(1, &mut told)?.laps;
+        laps.extend(bench.material());
+        laps
+    };
+    Ok(ENTRIES.map(|entry| share(&laps, entry, settings.particles).unwrap_or_default()))
 }
 
 /// Memory that a measurement needs, bytes, generously.
@@ -362,7 +435,7 @@ pub fn run(settings: &Settings, watch: Watch<'_>) -> Result<Report, BenchError> 
     }
 }
 
-fn measure<T: Real>(
+fn measure<T: Elementary>(
     settings: &Settings,
     precision: &'static str,
     watch: Watch<'_>,
@@ -376,11 +449,19 @@ fn measure<T: Real>(
     let blocks = measure_blocks(settings, &mut bench, [steps, part], watch)?;
     let peak_bytes = machine::peak_bytes();
     let (particle_blocks, lanes) = bench.moment.blocks_and_lanes();
+    // Before what follows takes memory of its own.
     drop(bench);
 
-    let read_gb_per_s = machine::read_rate();
-    let scalar_bytes = size_of::<T>() as f64;
-    let traffic = 2.0 * PARTICLE_SCALARS as f64 * scalar_bytes;
+    let counts = counts::<T>(settings, watch)?;
+    let machine = machine_of(&blocks, settings.threads);
+    let memory = Memory {
+        peak_bytes,
+        forward_peak_bytes,
+        ..memory_of(settings.particles, lanes, size_of::<T>(), machine.read_gb_per_s)
+    };
+    let arithmetic = |counted: [f64; 2], time: &Timing| {
+        Arithmetic::of(counted, time, machine.fma_gflops, settings.threads)
+    };
     Ok(Report {
         particles: settings.particles,
         grid: settings.grid,
@@ -390,26 +471,34 @@ fn measure<T: Real>(
         warm_up_substeps: WARM_UP * SUBSTEPS as usize,
         particle_blocks,
         filled_lanes: settings.particles as f64 / lanes as f64,
-        machine: Machine {
-            vector_bits: machine::vector_bits(),
-            fma_gflops: Timing::of(blocks.fma_rates.clone()).median_ns,
-            fma_gflops_max: blocks.fma_rates.iter().copied().fold(0.0, f64::max),
-            read_gb_per_s,
-            waiting_share: blocks
-                .waited
-                .map(|[waited, all]| waited as f64 / (all.max(1) as f64 * settings.threads as f64)),
-        },
-        stages: stages(&blocks),
-        whole: whole(&blocks, part),
-        memory: Memory {
-            peak_bytes,
-            forward_peak_bytes,
-            state_bytes_per_particle: (PARTICLE_SCALARS as f64 * scalar_bytes + 8.0) * lanes as f64
-                / settings.particles as f64,
-            traffic_bytes_per_particle: traffic,
-            traffic_ns: traffic / read_gb_per_s,
-        },
+        stages: stages(&blocks, &counts, &arithmetic),
+        whole: whole(&blocks, part, &counts, &arithmetic),
+        machine,
+        memory,
     })
+}
+
+fn machine_of(blocks: &Blocks, threads: usize) -> Machine {
+    let share = |[waited, all]: [u64; 2]| waited as f64 / (all.max(1) as f64 * threads as f64);
+    Machine {
+        vector_bits: machine::vector_bits(),
+        fma_gflops: median(blocks.fma_rates.clone()),
+        fma_gflops_max: blocks.fma_rates.iter().copied().fold(0.0, f64::max),
+        read_gb_per_s: machine::read_rate(),
+        waiting_share: blocks.waited.map(share),
+    }
+}
+
+fn memory_of(particles: usize, lanes: usize, scalar_bytes: usize, read_gb_per_s: f64) -> Memory {
+    let state = PARTICLE_SCALARS as f64 * scalar_bytes as f64;
+    Memory {
+        peak_bytes: None,
+        forward_peak_bytes: None,
+        // Identity and origin go with each lane.
+        state_bytes_per_particle: (state + 8.0) * lanes as f64 / particles as f64,
+        traffic_bytes_per_particle: 2.0 * state,
+        traffic_ns: 2.0 * state / read_gb_per_s,
+    }
 }
 
 fn check_memory(settings: &Settings, part: usize) -> Result<(), BenchError> {
@@ -431,7 +520,7 @@ fn measure_blocks<T: Real>(
 ) -> Result<Blocks, BenchError> {
     let particles = settings.particles;
     let mut blocks = Blocks::default();
-    let (began, waited_before) = (Instant::now(), machine::waited_ns());
+    let (began, waited_before) = (nanoseconds(), machine::waited_ns());
     let mut done = 0;
     while done < steps {
         let part = part.min(steps - done);
@@ -445,41 +534,92 @@ fn measure_blocks<T: Real>(
         blocks.fma_rates.push(machine::fma_rate(settings.precision));
         if !settings.forward_only {
             let taken = bench.gradient(part, &mut |d, t| told(0, 4 * width, d, t))?;
-            blocks.take_gradient(&taken, part, particles);
-            let laps = bench.material();
-            blocks.take_stages(&laps, &[Pass::Material], particles);
+            blocks.take_gradient(&taken, bench.substeps(part), particles);
+            for _ in 0..part {
+                let laps = bench.material();
+                blocks.take_stages(&laps, Pass::Material, particles);
+            }
         }
         let taken = bench.forward(part, &mut |d, t| told(4 * width, 5 * width, d, t))?;
         blocks.take_forward(&taken, particles);
         done += part;
     }
     let waited = machine::waited_ns().zip(waited_before).map(|(after, before)| after.saturating_sub(before));
-    blocks.waited = waited.map(|waited| [waited, began.elapsed().as_nanos() as u64]);
+    blocks.waited = waited.map(|waited| [waited, nanoseconds()[0] - began[0]]);
     Ok(blocks)
 }
 
-fn stages(blocks: &Blocks) -> Vec<StageReport> {
-    let all = ENTRIES.iter().zip(&blocks.stages).filter(|(_, times)| !times.is_empty());
-    all.map(|((_, _, part, name), times)| StageReport { part, name, time: Timing::of(times.clone()) })
-        .collect()
+/// Puts counts and times together.
+type Judge<'a> = &'a dyn Fn([f64; 2], &Timing) -> Arithmetic;
+
+fn stages(blocks: &Blocks, counts: &[[f64; 2]; ENTRIES.len()], judge: Judge<'_>) -> Vec<StageReport> {
+    let all = ENTRIES.iter().zip(&blocks.stages).zip(counts).filter(|((_, times), _)| !times.is_empty());
+    all.map(|(((_, _, part, name), times), counted)| {
+        let time = Timing::of(times);
+        StageReport { part, name, time, arithmetic: judge(*counted, &time) }
+    })
+    .collect()
 }
 
-fn whole(blocks: &Blocks, part: usize) -> Vec<WholeReport> {
+fn whole(
+    blocks: &Blocks,
+    part: usize,
+    counts: &[[f64; 2]; ENTRIES.len()],
+    judge: Judge<'_>,
+) -> Vec<WholeReport> {
     let substeps = part * SUBSTEPS as usize;
-    let forward = WholeReport {
-        name: "forward",
-        time: Timing::of(blocks.forward.clone()),
-        substeps,
-        advances: 1.0,
-        kept_states: 0,
+    let of = |pass: Pass| {
+        let counts = ENTRIES.iter().zip(counts).filter(|(entry, _)| entry.0 == pass);
+        counts.fold([0.0; 2], |sum, (_, counted)| [sum[0] + counted[0], sum[1] + counted[1]])
     };
-    let [advanced, of] = blocks.advanced;
-    let gradient = (of > 0).then(|| WholeReport {
-        name: "forward and gradient",
-        time: Timing::of(blocks.gradient.clone()),
-        substeps,
-        advances: advanced as f64 / of as f64,
-        kept_states: fewest_states(substeps as u64, PASSES),
+    let (once, adjoint) = (of(Pass::Forward), of(Pass::Adjoint));
+    let report = |name, blocks: &[Block], advances: f64, counted: [f64; 2], kept_states: u64| {
+        let time = Timing::of(blocks);
+        WholeReport { name, time, arithmetic: judge(counted, &time), substeps, advances, kept_states }
+    };
+    let forward = report("forward", &blocks.forward, 1.0, once, 0);
+    let [advanced, in_all] = blocks.advanced;
+    let gradient = (in_all > 0).then(|| {
+        let advances = advanced as f64 / in_all as f64;
+        let counted = [0, 1].map(|i| advances * once[i] + adjoint[i]);
+        let kept = fewest_states(substeps as u64, PASSES);
+        report("forward and gradient", &blocks.gradient, advances, counted, kept)
     });
     [forward].into_iter().chain(gradient).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn medians_lie_in_the_middle() {
+        assert_eq!(median(vec![]), 0.0);
+        assert_eq!(median(vec![3.0]), 3.0);
+        assert_eq!(median(vec![9.0, 1.0, 2.0]), 2.0);
+        assert_eq!(median(vec![9.0, 1.0, 2.0, 4.0]), 3.0);
+    }
+
+    #[test]
+    fn counting_does_not_depend_on_the_precision_but_for_elementary_functions() {
+        let settings = Settings {
+            particles: 1_000,
+            grid: 16,
+            substeps: 1,
+            threads: 1,
+            precision: Precision::F32,
+            forward_only: false,
+            memory_bytes: None,
+        };
+        let narrow = counts::<f32>(&settings, &mut |_, _, _| true).expect("fits");
+        let wide = counts::<f64>(&settings, &mut |_, _, _| true).expect("fits");
+        let lanes = 1_056.0 / 1_000.0;
+        for (entry, (narrow, wide)) in ENTRIES.iter().zip(narrow.iter().zip(&wide)) {
+            println!("{entry:?}: {narrow:?} {wide:?}");
+        }
+        let difference = |entry: usize| wide[entry][0] - narrow[entry][0];
+        // Three logarithms and three exponentials in a return map, more exponentials in its adjoint.
+        let functions = 3 * (f64::LN_1P[0] - f32::LN_1P[0]) + 3 * (f64::EXP_M1[0] - f32::EXP_M1[0]);
+        assert!((difference(10) - functions as f64 * lanes).abs() < 1e-9, "{}", difference(10));
+    }
 }

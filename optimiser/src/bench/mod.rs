@@ -3,6 +3,7 @@
 //! The stages are not run one by one for this: the rollout's own substeps are, and the time is read off between their
 //! stages (`mpm/laps.rs`). So the stages add up to the whole, and meet the caches as they are.
 
+mod counted;
 mod machine;
 mod measure;
 mod problem;
@@ -12,8 +13,10 @@ use thiserror::Error;
 use crate::rollout::RolloutError;
 
 pub use crate::mpm::laps::Stage;
+pub use counted::Elementary;
 pub use measure::{
-    Bench, Machine, Memory, Report, STAGES, Settings, StageReport, Timing, Watch, WholeReport, run,
+    Arithmetic, Bench, Machine, Memory, Report, STAGES, Settings, StageReport, Timing, Watch, WholeReport,
+    run,
 };
 pub use problem::{PARTICLES_PER_CELL, SUBSTEPS};
 

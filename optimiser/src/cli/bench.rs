@@ -1,7 +1,7 @@
 //! `optimise bench`: what each stage of the simulator takes.
 
 use super::{CliError, Context, Progress, format_size, options::PrecisionArg, parse_size};
-use crate::bench::{BenchError, Report, Settings, Timing, run};
+use crate::bench::{Arithmetic, BenchError, Report, Settings, Timing, run};
 use crate::report::words::grouped;
 use crate::scene::MAX_PARTICLES;
 use clap::Args;
@@ -115,18 +115,22 @@ fn write_text(out: &mut String, report: &Report) -> std::fmt::Result {
     if let Some(share) = machine.waiting_share {
         write!(out, " The threads waited {:.0} % of the time for a processor.", 100.0 * share)?;
     }
-    writeln!(out, "\n\nns per particle and substep{:>22}{:>9}{:>9}", "median", "min", "mean")?;
+    writeln!(
+        out,
+        "\n\n{:38}{:>9}{:>9}{:>9}{:>11}{:>12}{:>9}{:>7}",
+        "ns per particle and substep", "median", "min", "mean", "processor", "operations", "floor", "times"
+    )?;
     let mut part = "";
     for stage in &report.stages {
         if stage.part != part {
             part = stage.part;
             writeln!(out, "\n{part}")?;
         }
-        row(out, stage.name, &stage.time)?;
+        row(out, stage.name, &stage.time, &stage.arithmetic)?;
     }
     writeln!(out, "\nwhole")?;
     for whole in &report.whole {
-        row(out, whole.name, &whole.time)?;
+        row(out, whole.name, &whole.time, &whole.arithmetic)?;
     }
     if let Some(gradient) = report.whole.iter().find(|whole| whole.advances > 1.0) {
         writeln!(
@@ -138,8 +142,15 @@ fn write_text(out: &mut String, report: &Report) -> std::fmt::Result {
     write_memory(out, report)
 }
 
-fn row(out: &mut String, name: &str, time: &Timing) -> std::fmt::Result {
-    writeln!(out, "  {name:36}{:>11.1}{:>9.1}{:>9.1}", time.median_ns, time.min_ns, time.mean_ns)
+fn row(out: &mut String, name: &str, time: &Timing, arithmetic: &Arithmetic) -> std::fmt::Result {
+    let Timing { median_ns, min_ns, mean_ns, processor_ns } = time;
+    write!(out, "  {name:36}{median_ns:>9.1}{min_ns:>9.1}{mean_ns:>9.1}{processor_ns:>11.1}")?;
+    match arithmetic.multiple {
+        Some(multiple) => {
+            writeln!(out, "{:>12.0}{:>9.1}{multiple:>7.1}", arithmetic.operations, arithmetic.floor_ns)
+        }
+        None => writeln!(out, "{:>12}", 0),
+    }
 }
 
 fn write_memory(out: &mut String, report: &Report) -> std::fmt::Result {
