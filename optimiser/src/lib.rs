@@ -1,5 +1,6 @@
 //! From a bench description to a motion: simulation, gradient, skill, optimiser, plan.
 
+pub mod bench;
 pub mod cli;
 pub mod memory;
 mod mpm;

@@ -76,7 +76,7 @@ fn grid_bytes(scene: &Scene, scalar_bytes: u64) -> u64 {
 }
 
 /// Smallest `c` with `binomial(c + passes, passes) >= steps`.
-fn fewest_states(steps: u64, passes: u32) -> u64 {
+pub(crate) fn fewest_states(steps: u64, passes: u32) -> u64 {
     let reach =
         |states: u64| (1..=passes).fold(1.0, |b, k| b * (states + u64::from(k)) as f64 / f64::from(k));
     let (mut low, mut high) = (1, steps.max(1));

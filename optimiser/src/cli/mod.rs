@@ -4,6 +4,7 @@
 //! Results go to standard output, progress and errors (one sentence) to standard error. With `--json` standard output
 //! holds one JSON object and nothing else.
 
+mod bench;
 mod check;
 mod error;
 mod executed;
@@ -62,6 +63,8 @@ enum Command {
     Gradcheck(gradcheck::GradcheckArgs),
     /// Say what a plan holds
     Inspect(inspect::InspectArgs),
+    /// Measure what each stage of the simulator takes
+    Bench(bench::BenchArgs),
 }
 
 /// Where a command gets its simulator from.
@@ -127,5 +130,6 @@ where
         Some(Command::Simulate(arguments)) => simulate::execute(&arguments, context),
         Some(Command::Gradcheck(arguments)) => gradcheck::execute(&arguments, context),
         Some(Command::Inspect(arguments)) => inspect::execute(&arguments, context),
+        Some(Command::Bench(arguments)) => bench::execute(&arguments, context),
     }
 }

@@ -16,6 +16,7 @@
 pub(crate) mod contact;
 pub(crate) mod g2p;
 pub(crate) mod grid_update;
+pub(crate) mod laps;
 pub(crate) mod layout;
 pub(crate) mod material;
 pub(crate) mod obstacle;

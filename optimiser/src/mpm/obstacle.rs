@@ -122,7 +122,7 @@ fn block_centre<T: Real>(grid: &Grid, coord: [i32; 3]) -> [T; 3] {
     grid.block_origin(coord).map(|o| T::of(o + 0.5 * BLOCK_EDGE as f64 * grid.dx))
 }
 
-fn distance<T: Real>(piece: &Piece<T>, motion: &Motion<T>, x: [T; 3]) -> T {
+pub(crate) fn distance<T: Real>(piece: &Piece<T>, motion: &Motion<T>, x: [T; 3]) -> T {
     let y = tr_mul_vec(&motion.rotation, sub(x, motion.position));
     with_solid!(piece.shape, solid => solid.distance::<T>(y).0)
 }

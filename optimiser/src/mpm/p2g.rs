@@ -224,3 +224,42 @@ fn stress_adjoint<T: Real>(model: &Model<T>, input: &Group<T>, a_dx_bar: &[Lanes
         set_mat(&mut bar.c, l, c_bar);
     }
 }
+
+/// The material of some groups without the transfers around it, to see what it takes by itself.
+pub(crate) struct ReturnMap<'a, T> {
+    pub(crate) model: &'a Model<T>,
+    pub(crate) input: &'a [Group<T>],
+    pub(crate) output: &'a mut [Group<T>],
+}
+
+impl<T: Real> pulp::NullaryFnOnce for ReturnMap<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        for (input, output) in self.input.iter().zip(self.output) {
+            let mut payload = Payload::ZERO;
+            stress(self.model, input, output, &mut payload);
+            std::hint::black_box(&payload);
+        }
+    }
+}
+
+/// Adjoint of [`ReturnMap`]. The cotangents are whatever numbers `bar` holds; those of the stress are taken from the
+/// input's affine velocities.
+pub(crate) struct ReturnMapAdjoint<'a, T> {
+    pub(crate) model: &'a Model<T>,
+    pub(crate) input: &'a [Group<T>],
+    pub(crate) bar: &'a mut [Group<T>],
+}
+
+impl<T: Real> pulp::NullaryFnOnce for ReturnMapAdjoint<'_, T> {
+    type Output = ();
+
+    #[inline(always)]
+    fn call(self) {
+        for (input, bar) in self.input.iter().zip(self.bar) {
+            stress_adjoint(self.model, input, &input.c, bar);
+        }
+    }
+}

@@ -8,8 +8,9 @@ use crate::mpm::Model;
 use crate::mpm::contact::{Motion, MotionBar};
 use crate::mpm::g2p::{TileToParticles, TileToParticlesAdjoint};
 use crate::mpm::grid_update::{UpdateNodes, UpdateNodesAdjoint};
+use crate::mpm::laps::{Laps, Pass, Stage};
 use crate::mpm::layout::{BLOCK_NODES, Layout, Lost, Nodes, empty_tile, sort, unsort};
-use crate::mpm::p2g::{ParticlesToTile, ParticlesToTileAdjoint, Payload};
+use crate::mpm::p2g::{ParticlesToTile, ParticlesToTileAdjoint, Payload, ReturnMap, ReturnMapAdjoint};
 use crate::mpm::particles::{Group, LANES, Particles};
 use crate::mpm::stencil::Tile;
 use crate::real::Real;
@@ -91,6 +92,7 @@ pub(crate) struct Workspace<T> {
     momentum_bar: Vec<Nodes<T>>,
     payloads: Vec<Payload<T>>,
     spare: Vec<Group<T>>,
+    pub(crate) laps: Laps,
 }
 
 /// Slices of a group array, one per block.
@@ -113,6 +115,7 @@ impl<T: Real> Workspace<T> {
             momentum_bar: Vec::new(),
             payloads: Vec::new(),
             spare: Vec::new(),
+            laps: Laps::default(),
         }
     }
 
@@ -138,6 +141,7 @@ impl<T: Real> Workspace<T> {
         tool: &Motion<T>,
         state: &mut State<T>,
     ) -> Result<(), Lost> {
+        self.laps.begin(Pass::Forward);
         let layout = Arc::clone(&state.layout);
         self.fit(&layout, state.particles.groups.len());
         let mut output = std::mem::take(&mut self.spare);
@@ -153,8 +157,11 @@ impl<T: Real> Workspace<T> {
             .reduce(|| true, |a, b| a && b);
         std::mem::swap(&mut state.particles.groups, &mut output);
         self.spare = output;
+        self.laps.mark(Stage::GridToParticles);
         state.stale = !inside;
-        state.freshen(model)
+        let freshened = state.freshen(model);
+        self.laps.mark(Stage::Sort);
+        freshened
     }
 
     /// Material, scatter and grid update; leaves momentum and velocity in the workspace.
@@ -179,12 +186,14 @@ impl<T: Real> Workspace<T> {
         } else {
             jobs.for_each(|((output, tile), block)| scatter(output, tile, block, None));
         }
+        self.laps.mark(Stage::ParticlesToGrid);
         let tiles = &self.tiles;
         layout.nodes.par_iter().zip(&mut self.momentum).zip(&mut self.velocity).for_each(
             |((node, momentum), velocity)| {
                 model.arch.dispatch(UpdateNodes { model, tool, node, tiles, momentum, velocity });
             },
         );
+        self.laps.mark(Stage::GridUpdate);
     }
 
     /// Adjoint of [`Self::advance`], the sort at its end excepted: turns the cotangent `bar` of the state after the
@@ -196,6 +205,7 @@ impl<T: Real> Workspace<T> {
         state: &State<T>,
         bar: &mut [Group<T>],
     ) -> MotionBar {
+        self.laps.begin(Pass::Adjoint);
         let layout = &*state.layout;
         let input = &state.particles.groups;
         self.fit(layout, input.len());
@@ -222,6 +232,7 @@ impl<T: Real> Workspace<T> {
                 })
             })
             .collect();
+        self.laps.mark(Stage::GridToParticlesAdjoint);
         let (tiles, momentum) = (&self.tiles, &self.momentum);
         let at_nodes: Vec<MotionBar> = layout
             .nodes
@@ -239,6 +250,7 @@ impl<T: Real> Workspace<T> {
                 })
             })
             .collect();
+        self.laps.mark(Stage::GridUpdateAdjoint);
         let (nodes_bar, payloads) = (&self.momentum_bar, &self.payloads);
         split(layout, bar).into_par_iter().zip(&layout.blocks).for_each(|(bar, block)| {
             let range = block.first_group..block.first_group + block.groups();
@@ -253,7 +265,30 @@ impl<T: Real> Workspace<T> {
         });
         let mut total = MotionBar::default();
         at_particles.iter().chain(&at_nodes).for_each(|b| total.add(b));
+        self.laps.mark(Stage::ParticlesToGridAdjoint);
         total
+    }
+
+    /// The material and its adjoint without the transfers around them, for the measuring tool. Leaves nothing behind.
+    pub(crate) fn material(&mut self, model: &Model<T>, state: &State<T>) {
+        self.laps.begin(Pass::Material);
+        let input = &state.particles.groups;
+        self.fit(&state.layout, input.len());
+        let mut output = std::mem::take(&mut self.spare);
+        let of_block =
+            |block: &crate::mpm::layout::Block| &input[block.first_group..block.first_group + block.groups()];
+        self.laps.skip();
+        let jobs = split(&state.layout, &mut output).into_par_iter().zip(&state.layout.blocks);
+        jobs.for_each(|(output, block)| {
+            model.arch.dispatch(ReturnMap { model, input: of_block(block), output });
+        });
+        self.laps.mark(Stage::ReturnMap);
+        let jobs = split(&state.layout, &mut output).into_par_iter().zip(&state.layout.blocks);
+        jobs.for_each(|(bar, block)| {
+            model.arch.dispatch(ReturnMapAdjoint { model, input: of_block(block), bar });
+        });
+        self.laps.mark(Stage::ReturnMapAdjoint);
+        self.spare = output;
     }
 }
 

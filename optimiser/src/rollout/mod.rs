@@ -9,6 +9,7 @@ mod simulator;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use simulator::Moment;
 pub use simulator::Simulator;
 
 use crate::memory::least_memory;
@@ -185,7 +186,7 @@ pub fn simulator<T: Real>(scene: &Scene, settings: &SimulatorSettings) -> Result
     Ok(Simulator::new(scene, scene.particle_positions_m(settings.seed), pool, settings.memory_bytes))
 }
 
-fn thread_pool(threads: usize) -> Result<rayon::ThreadPool, RolloutError> {
+pub(crate) fn thread_pool(threads: usize) -> Result<rayon::ThreadPool, RolloutError> {
     let builder = rayon::ThreadPoolBuilder::new().num_threads(threads);
     builder.build().map_err(|_| RolloutError::Threads { threads })
 }

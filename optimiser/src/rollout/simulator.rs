@@ -6,8 +6,9 @@ use powderline_shared::pose::Pose;
 use crate::memory::{BRANCHES, STANDING_STATES, fixed_bytes};
 use crate::mpm::Model;
 use crate::mpm::contact::MotionBar;
+use crate::mpm::laps::{Laps, Stage};
 use crate::mpm::layout::Lost;
-use crate::mpm::particles::{Group, Particles, set_vec};
+use crate::mpm::particles::{Group, LANES, Particles, set_vec};
 use crate::mpm::substep::{State, Workspace, unsort_bar};
 use crate::real::Real;
 use crate::rollout::branches::{self, Family};
@@ -41,6 +42,15 @@ pub struct Simulator<T: Real> {
     packing: Vec<[f64; 3]>,
     pool: rayon::ThreadPool,
     memory_bytes: u64,
+    /// States to keep at most, whatever memory would allow.
+    most_kept: usize,
+}
+
+impl<T> Moment<T> {
+    /// Blocks of the grid that hold particles, and lanes of their groups, particles in them or not.
+    pub(crate) fn blocks_and_lanes(&self) -> (usize, usize) {
+        (self.state.layout.blocks.len(), self.state.particles.groups.len() * LANES)
+    }
 }
 
 impl<T: Real> Simulator<T> {
@@ -63,7 +73,23 @@ impl<T: Real> Simulator<T> {
             packing,
             pool,
             memory_bytes,
+            most_kept: usize::MAX,
         }
+    }
+
+    /// Keeps no more states than this at a time while a gradient is computed, even if memory would allow more.
+    pub(crate) fn keep_at_most(&mut self, states: usize) {
+        self.most_kept = states;
+    }
+
+    /// What each stage of the substeps to come takes.
+    pub(crate) fn laps(&mut self) -> &mut Laps {
+        &mut self.workspace.laps
+    }
+
+    /// Runs the material and its adjoint by themselves, for what they take.
+    pub(crate) fn material(&mut self, moment: &Moment<T>) {
+        self.in_pool(|r| r.workspace.material(r.model, &moment.state), &mut |_, _| true);
     }
 
     fn path(&self, anchor: Pose, controls: Vec<Displacement>) -> Path {
@@ -159,6 +185,7 @@ impl<T: Real> Simulator<T> {
             spare: &mut self.spare,
             packing: &self.packing,
             memory_bytes: self.memory_bytes,
+            most_kept: self.most_kept,
             progress,
         };
         self.pool.install(|| job(&mut rollout))
@@ -271,6 +298,7 @@ struct Rollout<'a, T: Real> {
     spare: &'a mut Vec<State<T>>,
     packing: &'a [[f64; 3]],
     memory_bytes: u64,
+    most_kept: usize,
     progress: Progress<'a>,
 }
 
@@ -331,7 +359,7 @@ impl<T: Real> Rollout<'_, T> {
     }
 
     fn gradient(&mut self, start: State<T>, path: &Path) -> Result<(Evaluation, Vec<Control>), RolloutError> {
-        let slots = slots(self.scene, self.memory_bytes, &start, self.workspace);
+        let slots = slots(self.scene, self.memory_bytes, &start, self.workspace).min(self.most_kept);
         let total = advances(schedule(path.len(), slots)) + ADJOINT_WORK * path.len() as u64;
         let mut done = 0;
         let mut back = path.pull_back();
@@ -370,7 +398,9 @@ impl<T: Real> Rollout<'_, T> {
                     let tool_bar = self.workspace.retreat(self.model, &path.motion(step), &working, &mut bar);
                     self.check_finite(step, &tool_bar, &working, &bar)?;
                     back.take(step, tool_bar);
+                    self.workspace.laps.skip();
                     end = Some((evaluation, unsort_bar(&working, bar)));
+                    self.workspace.laps.mark(Stage::Unsort);
                     done += ADJOINT_WORK;
                     self.report(done, total)?;
                 }

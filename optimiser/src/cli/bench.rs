@@ -1,0 +1,171 @@
+//! `optimise bench`: what each stage of the simulator takes.
+
+use super::{CliError, Context, Progress, format_size, options::PrecisionArg, parse_size};
+use crate::bench::{Arithmetic, BenchError, Report, Settings, Timing, run};
+use crate::report::words::grouped;
+use crate::scene::MAX_PARTICLES;
+use clap::Args;
+use powderline_shared::plan::Precision;
+use std::fmt::Write;
+
+/// Arguments of `optimise bench`.
+#[derive(Clone, Debug, Args)]
+pub(super) struct BenchArgs {
+    /// Particles, eight in a cell; from 1,000 to 4,000,000
+    #[arg(long, value_name = "N", default_value_t = 20_000,
+        value_parser = clap::value_parser!(u32).range(1_000..=MAX_PARTICLES as i64))]
+    pub particles: u32,
+    /// Cells along each edge of the grid
+    #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u16).range(16..=256))]
+    pub grid: u16,
+    /// Substeps to measure, rounded up to whole control steps of 20
+    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    pub steps: u32,
+    /// Threads
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: u16,
+    /// Number format of the powder's state
+    #[arg(long, default_value = "f32")]
+    pub precision: PrecisionArg,
+    /// Neither gradient nor adjoint
+    #[arg(long)]
+    pub forward_only: bool,
+    /// Most memory to use, such as 500MB or 2GiB [default: what the system can give]
+    #[arg(long, value_name = "SIZE", value_parser = parse_size)]
+    pub memory: Option<u64>,
+    /// Print one JSON object
+    #[arg(long)]
+    pub json: bool,
+}
+
+impl From<BenchError> for CliError {
+    fn from(error: BenchError) -> Self {
+        match error {
+            BenchError::Rollout(error) => error.into(),
+            BenchError::Grid { .. } | BenchError::Memory { .. } => Self::Input(error.to_string()),
+        }
+    }
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// One sentence.
+pub(super) fn execute(arguments: &BenchArgs, context: &mut Context<'_>) -> Result<(), CliError> {
+    let settings = Settings {
+        particles: arguments.particles as usize,
+        grid: arguments.grid.into(),
+        substeps: arguments.steps as usize,
+        threads: arguments.threads.into(),
+        precision: Precision::from(arguments.precision),
+        forward_only: arguments.forward_only,
+        memory_bytes: arguments.memory,
+    };
+    let interrupt = context.interrupt.clone();
+    let mut progress = Progress::new(context.err, context.live);
+    let mut task = String::new();
+    let report = run(&settings, &mut |doing, done, total| {
+        if task != doing {
+            task = doing.into();
+            progress.begin(doing, 0, &[]);
+        }
+        progress.tick(done, total);
+        !interrupt.is_requested()
+    });
+    progress.clear();
+    let report = report?;
+    if arguments.json {
+        return context.json(&report);
+    }
+    write!(context.out, "{}", text(&report))?;
+    Ok(())
+}
+
+fn text(report: &Report) -> String {
+    let mut out = String::new();
+    // Writing to a string does not fail.
+    let _ = write_text(&mut out, report);
+    out
+}
+
+fn write_text(out: &mut String, report: &Report) -> std::fmt::Result {
+    let threads = if report.threads == 1 { "thread" } else { "threads" };
+    writeln!(
+        out,
+        "{} particles in {}^3 cells, {}, {} {threads}; {} substeps after {} to warm up.",
+        grouped(report.particles as i64),
+        report.grid,
+        report.precision,
+        report.threads,
+        report.substeps,
+        report.warm_up_substeps
+    )?;
+    let machine = &report.machine;
+    writeln!(
+        out,
+        "Vectors of {} bits; {:.0} GFLOP/s a thread in multiply-adds (at best {:.0}); reads {:.0} GB/s.",
+        machine.vector_bits, machine.fma_gflops, machine.fma_gflops_max, machine.read_gb_per_s
+    )?;
+    write!(
+        out,
+        "{:.0} % of the lanes in {} blocks are filled.",
+        100.0 * report.filled_lanes,
+        report.particle_blocks
+    )?;
+    if let Some(share) = machine.waiting_share {
+        write!(out, " The threads waited {:.0} % of the time for a processor.", 100.0 * share)?;
+    }
+    writeln!(
+        out,
+        "\n\n{:38}{:>9}{:>9}{:>9}{:>11}{:>12}{:>9}{:>7}",
+        "ns per particle and substep", "median", "min", "mean", "processor", "operations", "floor", "times"
+    )?;
+    let mut part = "";
+    for stage in &report.stages {
+        if stage.part != part {
+            part = stage.part;
+            writeln!(out, "\n{part}")?;
+        }
+        row(out, stage.name, &stage.time, &stage.arithmetic)?;
+    }
+    writeln!(out, "\nwhole")?;
+    for whole in &report.whole {
+        row(out, whole.name, &whole.time, &whole.arithmetic)?;
+    }
+    if let Some(gradient) = report.whole.iter().find(|whole| whole.advances > 1.0) {
+        writeln!(
+            out,
+            "\nThe gradient of {} substeps keeps {} states and advances each substep {:.2} times, beside the adjoint.",
+            gradient.substeps, gradient.kept_states, gradient.advances
+        )?;
+    }
+    write_memory(out, report)
+}
+
+fn row(out: &mut String, name: &str, time: &Timing, arithmetic: &Arithmetic) -> std::fmt::Result {
+    let Timing { median_ns, min_ns, mean_ns, processor_ns } = time;
+    write!(out, "  {name:36}{median_ns:>9.1}{min_ns:>9.1}{mean_ns:>9.1}{processor_ns:>11.1}")?;
+    match arithmetic.multiple {
+        Some(multiple) => {
+            writeln!(out, "{:>12.0}{:>9.1}{multiple:>7.1}", arithmetic.operations, arithmetic.floor_ns)
+        }
+        None => writeln!(out, "{:>12}", 0),
+    }
+}
+
+fn write_memory(out: &mut String, report: &Report) -> std::fmt::Result {
+    let memory = &report.memory;
+    let size = |bytes: Option<u64>| bytes.map_or("unknown".into(), format_size);
+    writeln!(
+        out,
+        "Peak memory {}, {} before the first gradient; a state has {:.0} bytes a particle.",
+        size(memory.peak_bytes),
+        size(memory.forward_peak_bytes),
+        memory.state_bytes_per_particle
+    )?;
+    writeln!(
+        out,
+        "A substep moves {:.0} bytes a particle at least: {:.1} ns if they come from memory.",
+        memory.traffic_bytes_per_particle, memory.traffic_ns
+    )
+}
