@@ -6,6 +6,30 @@
 use core::fmt::{Debug, Display};
 use core::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
+/// Coefficients of a polynomial, lowest first, by interpolation at Chebyshev's nodes.
+#[derive(Clone, Copy, Debug)]
+pub struct Series {
+    /// How many.
+    pub terms: usize,
+    /// The coefficients; zeros after the last.
+    pub coefficients: [f64; Self::MOST],
+}
+
+impl Series {
+    /// Most terms of a series.
+    pub const MOST: usize = 24;
+
+    const fn new(coefficients: &[f64]) -> Self {
+        let mut all = [0.0; Self::MOST];
+        let mut k = 0;
+        while k < coefficients.len() {
+            all[k] = coefficients[k];
+            k += 1;
+        }
+        Self { terms: coefficients.len(), coefficients: all }
+    }
+}
+
 /// `f32` or `f64`. Every method is branch-free, so that loops over lanes vectorise.
 pub trait Real:
     Copy
@@ -28,6 +52,12 @@ pub trait Real:
     const ZERO: Self;
     /// 1.
     const ONE: Self;
+    /// A square that is as good as 0: its root and the reciprocals of both are still numbers.
+    const TINY: Self;
+    /// `ln(1 + x)/x` for `|x| <= 0.33` by powers of `x`; relative error 7e-9 (`f32`), 7e-18 (`f64`).
+    const LN_1P_SERIES: Series;
+    /// `(exp(x) - 1)/x` for `|x| <= 0.45` by powers of `x`; relative error 2e-9 (`f32`), 1e-19 (`f64`).
+    const EXP_M1_SERIES: Series;
     /// Nearest value of this type.
     fn of(x: f64) -> Self;
     /// The value as `f64`, exact.
@@ -45,6 +75,11 @@ pub trait Real:
     fn exp_m1(self) -> Self;
     /// Neither infinite nor NaN.
     fn is_finite(self) -> bool;
+    /// Runs a kernel with the widest instruction set that the machine has.
+    #[inline(always)]
+    fn run<K: pulp::NullaryFnOnce>(arch: pulp::Arch, kernel: K) -> K::Output {
+        arch.dispatch(kernel)
+    }
 
     /// The larger of both; NaN if `self` is NaN.
     #[inline(always)]
@@ -71,6 +106,28 @@ pub trait Real:
 impl Real for f32 {
     const ZERO: Self = 0.0;
     const ONE: Self = 1.0;
+    const TINY: Self = 1e-36;
+    const LN_1P_SERIES: Series = Series::new(&[
+        1.0,
+        -0.500_000_003_2,
+        0.333_331_749_5,
+        -0.249_998_543_6,
+        0.200_115_221_2,
+        -0.166_772_599_7,
+        0.139_957_992,
+        -0.122_335_266_3,
+        0.140_099_737_4,
+        -0.126_628_593_5,
+    ]);
+    const EXP_M1_SERIES: Series = Series::new(&[
+        1.0,
+        0.500_000_022_6,
+        0.166_666_669_2,
+        0.041_665_773_51,
+        0.008_333_234_16,
+        0.001_397_702_712,
+        0.000_199_391_511_3,
+    ]);
 
     #[inline(always)]
     fn of(x: f64) -> Self {
@@ -134,6 +191,45 @@ impl Real for f32 {
 impl Real for f64 {
     const ZERO: Self = 0.0;
     const ONE: Self = 1.0;
+    const TINY: Self = 1e-290;
+    const LN_1P_SERIES: Series = Series::new(&[
+        1.0,
+        -0.499_999_999_999_999_6,
+        0.333_333_333_333_333,
+        -0.250_000_000_000_247_9,
+        0.200_000_000_000_237_63,
+        -0.166_666_666_617_651_34,
+        0.142_857_142_810_166_73,
+        -0.125_000_004_433_732_1,
+        0.111_111_115_360_304_73,
+        -0.099_999_780_160_679_12,
+        0.090_908_880_225_646_35,
+        -0.083_339_860_410_744_6,
+        0.076_929_331_906_611_5,
+        -0.071_307_819_752_378_56,
+        0.066_550_955_715_301_59,
+        -0.063_896_543_778_684_12,
+        0.060_161_650_312_942_82,
+        -0.045_846_138_871_568_56,
+        0.043_329_823_869_893_556,
+        -0.085_941_122_333_295_23,
+        0.082_039_776_290_324_83,
+    ]);
+    const EXP_M1_SERIES: Series = Series::new(&[
+        1.0,
+        0.5,
+        0.166_666_666_666_666_66,
+        0.041_666_666_666_667_01,
+        0.008_333_333_333_333_356,
+        0.001_388_888_888_875_14,
+        0.000_198_412_698_411_782_1,
+        2.480_158_753_434_036e-05,
+        2.755_731_937_910_904e-06,
+        2.755_712_770_748_758_6e-07,
+        2.505_198_074_135_779_7e-08,
+        2.095_237_635_928_004_2e-09,
+        1.610_944_674_065_208_7e-10,
+    ]);
 
     #[inline(always)]
     fn of(x: f64) -> Self {
@@ -250,6 +346,27 @@ mod tests {
                 (f64::from(Real::exp_m1(narrow)) - want).abs() <= 3.6e-7 * want.abs(),
                 "exp_m1({narrow})"
             );
+        }
+    }
+
+    #[test]
+    fn series_are_as_near_as_they_say() {
+        let value = |series: &super::Series, x: f64| {
+            series.coefficients[..series.terms].iter().rev().fold(0.0, |sum, c| sum * x + c)
+        };
+        for i in (-1000..=1000).filter(|i| *i != 0) {
+            let unit = f64::from(i) / 1000.0;
+            let (x, y) = (0.33 * unit, 0.45 * unit);
+            let (ln, exp) = (x.ln_1p() / x, y.exp_m1() / y);
+            for (narrow, wide) in [
+                (value(&f32::LN_1P_SERIES, x) / ln, value(&f64::LN_1P_SERIES, x) / ln),
+                (value(&f32::EXP_M1_SERIES, y) / exp, value(&f64::EXP_M1_SERIES, y) / exp),
+            ] {
+                assert!(
+                    (narrow - 1.0).abs() < 7.1e-9 && (wide - 1.0).abs() < 9e-16,
+                    "{unit}: {narrow} {wide}"
+                );
+            }
         }
     }
 

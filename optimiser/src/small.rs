@@ -104,3 +104,34 @@ pub(crate) fn compose<T: Real>(u: &Mat3<T>, w: Vec3<T>) -> Sym3<T> {
         |i: usize, j: usize| u[i][0] * w[0] * u[j][0] + u[i][1] * w[1] * u[j][1] + u[i][2] * w[2] * u[j][2];
     [entry(0, 0), entry(1, 1), entry(2, 2), entry(0, 1), entry(0, 2), entry(1, 2)]
 }
+
+#[inline(always)]
+pub(crate) fn trace<T: Real>(a: Sym3<T>) -> T {
+    a[0] + a[1] + a[2]
+}
+
+/// `sum_ij a_ij b_ij` over all nine entries.
+#[inline(always)]
+pub(crate) fn inner<T: Real>(a: Sym3<T>, b: Sym3<T>) -> T {
+    let off = a[3] * b[3] + a[4] * b[4] + a[5] * b[5];
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + (off + off)
+}
+
+/// `a + x I`
+#[inline(always)]
+pub(crate) fn plus_diagonal<T: Real>(a: Sym3<T>, x: T) -> Sym3<T> {
+    [a[0] + x, a[1] + x, a[2] + x, a[3], a[4], a[5]]
+}
+
+/// `s a + t b`
+#[inline(always)]
+pub(crate) fn blend<T: Real>(s: T, a: Sym3<T>, t: T, b: Sym3<T>) -> Sym3<T> {
+    let entry = |i: usize| s * a[i] + t * b[i];
+    [entry(0), entry(1), entry(2), entry(3), entry(4), entry(5)]
+}
+
+/// `s a`
+#[inline(always)]
+pub(crate) fn scale_sym<T: Real>(s: T, a: Sym3<T>) -> Sym3<T> {
+    [s * a[0], s * a[1], s * a[2], s * a[3], s * a[4], s * a[5]]
+}

@@ -9,7 +9,7 @@
 //! the particles have to be sorted again.
 
 use crate::mpm::particles::{Group, LANES, NOBODY, Particles};
-use crate::mpm::stencil::{TILE_EDGE, TILE_NODES, Tile};
+use crate::mpm::stencil::{TILE_EDGE, TILE_LENGTH, Tile};
 use crate::real::Real;
 use crate::scene::{BLOCK_CELLS, PADDING_BLOCKS, Scene};
 
@@ -289,5 +289,5 @@ pub(crate) fn load_tile<T: Real>(block: &Block, nodes: &[Nodes<T>], tile: &mut T
 
 /// A tile of zeros.
 pub(crate) const fn empty_tile<T: Real>() -> Tile<T> {
-    [[T::ZERO; 4]; TILE_NODES]
+    [[T::ZERO; 4]; TILE_LENGTH]
 }

@@ -6,21 +6,25 @@
 //! | `E`, `E_tr`, `E'` | `strain` | `b^e - I`: at the start, trial, after the return (symmetric, dimensionless) |
 //! | `L` | `l` | `dt C`, displacement gradient of one substep |
 //! | `q`, `q'` | `q` | volume correction (Tampubolon et al. 2017, section 4.3.4) |
-//! | `w_i`, `U` | `w`, `u` | eigenvalues and eigenvectors of `E_tr` |
-//! | `eps_i` | `eps` | Hencky strains `ln(1 + w_i)/2 + q/3` |
-//! | `t`, `d`, `n` | `t`, `d`, `n` | trace, direction and length of the deviator of `eps` |
+//! | `a`, `B` | `a`, `b` | `tr E_tr/3`; deviator of `E_tr` divided by `1 + a` |
+//! | `eps` | | Hencky strain `ln(I + E_tr)/2 + q/3 I = (ln(1 + a)/2 + q/3) I + ln(I + B)/2` |
+//! | `t`, `e`, `n` | `t`, `e`, `n` | trace and deviator of `eps`; the deviator's norm |
 //! | `c` | `slope` | cone slope in strain space, `alpha (3 lambda + 2 mu)/(2 mu)` |
 //! | `t_c` | `tip` | trace at the cone's tip: 0 without cohesion |
 //! | `k` | `keep` | part of the deviator that is kept: 1 elastic, `c (t_c - t)/n` on the cone, 0 at the tip |
-//! | `tau` | `tau` | Kirchhoff stress `U diag(2 mu eps' + lambda tr eps') U^T`, Pa |
+//! | `eps'` | `mean`, `k e` | after the return: `min(t, t_c)/3 I + k e` |
+//! | `tau` | `tau` | Kirchhoff stress `2 mu eps' + lambda tr(eps') I`, Pa |
 //!
 //! Drucker-Prager as in Klar et al. 2016, "Drucker-Prager elastoplasticity for sand animation". Isotropy lets
-//! `b^e = F F^T` stand for `F`: the singular value decomposition of the paper becomes a symmetric
-//! eigenproblem, whose adjoint has no `1/(s_i^2 - s_j^2)` singularity when written with `expm1`.
+//! `b^e = F F^T` stand for `F`, and makes the return an affine map of `eps`: so nothing here needs the singular value
+//! decomposition of the paper, nor eigenvectors. What is needed are a logarithm and an exponential of symmetric matrices,
+//! `E' = exp(2 mean) exp(2 k e) - I`, and of traceless ones those are short series ([`super::series`]) as long as the shear is
+//! not large ([`is_mild`]); where it is, [`super::principal`] does the same by eigenvectors.
 //! A symmetric cotangent holds the entries of the full matrix: `dL = sum_ij bar_ij dE_ij` over all nine `ij`.
 
+use crate::mpm::series::{Powers, horner, horner_with_slopes};
 use crate::real::Real;
-use crate::small::{Mat3, Sym3, Vec3, compose, full, mul, three, tr_mul_vec, transpose};
+use crate::small::{Mat3, Sym3, blend, full, inner, mul, plus_diagonal, scale_sym, tr_mul_vec, trace};
 
 /// Constants of the return map.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -115,105 +119,72 @@ fn l_times_b<T: Real>(strain: Sym3<T>, l: &Mat3<T>) -> Mat3<T> {
     m
 }
 
-/// One Jacobi rotation that annihilates entry `(p, q)` of the symmetric matrix `a`; `u` collects the rotations.
+/// Largest Frobenius norm of `B` for the series: an eigenvalue of a traceless matrix of that norm is at most 0.327, and one
+/// of `2 k e` at most 0.43.
+const MILD: f64 = 0.4;
+
+/// `tr E/3`, `1/(1 + tr E/3)` and `B`.
 #[inline(always)]
-fn rotate<T: Real>(a: &mut Mat3<T>, u: &mut Mat3<T>, p: usize, q: usize) {
-    let r = 3 - p - q;
-    let d = a[q][q] - a[p][p];
-    let twice = a[p][q] + a[p][q];
-    let root = (d * d + twice * twice).sqrt();
-    let denominator = d.abs() + root;
-    let signed = if d < T::ZERO { -twice } else { twice };
-    let t = if denominator > T::ZERO { signed / denominator } else { T::ZERO };
-    let c = T::ONE / (T::ONE + t * t).sqrt();
-    let s = t * c;
-    let shift = t * a[p][q];
-    a[p][p] -= shift;
-    a[q][q] += shift;
-    a[p][q] = T::ZERO;
-    a[q][p] = T::ZERO;
-    let (arp, arq) = (a[r][p], a[r][q]);
-    a[r][p] = c * arp - s * arq;
-    a[r][q] = s * arp + c * arq;
-    a[p][r] = a[r][p];
-    a[q][r] = a[r][q];
-    for row in u {
-        let (x, y) = (row[p], row[q]);
-        row[p] = c * x - s * y;
-        row[q] = s * x + c * y;
-    }
+fn spread<T: Real>(trial: Sym3<T>) -> (T, T, Sym3<T>) {
+    let a = T::of(1.0 / 3.0) * trace(trial);
+    let inverse = T::ONE / (T::ONE + a);
+    (a, inverse, scale_sym(inverse, plus_diagonal(trial, -a)))
 }
 
-/// Eigenvalues and eigenvectors (columns) of a symmetric matrix by four sweeps of cyclic Jacobi: what is left off the
-/// diagonal is then below 1e-19 of the norm (measured over random matrices; the convergence is cubic).
-///
-/// Unrolled by hand: a loop here would keep the loop over lanes around it from vectorising.
+/// Whether the shear is small enough for [`return_map`]; not if the strain is none (a volume of 0 or less, or NaN).
 #[inline(always)]
-pub(crate) fn eigen<T: Real>(strain: Sym3<T>) -> (Vec3<T>, Mat3<T>) {
-    let mut a = full(strain);
-    let mut u = [[T::ONE, T::ZERO, T::ZERO], [T::ZERO, T::ONE, T::ZERO], [T::ZERO, T::ZERO, T::ONE]];
-    sweep(&mut a, &mut u);
-    sweep(&mut a, &mut u);
-    sweep(&mut a, &mut u);
-    sweep(&mut a, &mut u);
-    ([a[0][0], a[1][1], a[2][2]], u)
-}
-
-#[inline(always)]
-fn sweep<T: Real>(a: &mut Mat3<T>, u: &mut Mat3<T>) {
-    rotate(a, u, 0, 1);
-    rotate(a, u, 0, 2);
-    rotate(a, u, 1, 2);
+pub(crate) fn is_mild<T: Real>(trial: Sym3<T>) -> bool {
+    let (_, inverse, b) = spread(trial);
+    inverse > T::ZERO && inner(b, b) <= T::of(MILD * MILD)
 }
 
 /// Everything about one return that its adjoint needs as well.
-struct Principal<T> {
-    w: Vec3<T>,
-    u: Mat3<T>,
-    eps: Vec3<T>,
-    /// Hencky strains after the return.
-    eps_new: Vec3<T>,
-    /// Unit deviator.
-    d: Vec3<T>,
+struct Return<T> {
+    e: Sym3<T>,
+    /// `1/n`
+    inverse_n: T,
     t: T,
     keep: T,
+    mean: T,
     at_tip: bool,
-    elastic: bool,
+    on_cone: bool,
 }
 
+/// The return, with `f` the numbers of `ln(I + B) = f0 I + f1 B + f2 B^2`.
 #[inline(always)]
-fn principal<T: Real>(m: &Material<T>, trial: Sym3<T>, q: T) -> Principal<T> {
-    let third = T::of(1.0 / 3.0);
-    let (w, u) = eigen(trial);
-    let half = T::of(0.5);
-    let eps =
-        [half * w[0].ln_1p() + third * q, half * w[1].ln_1p() + third * q, half * w[2].ln_1p() + third * q];
-    let t = eps[0] + eps[1] + eps[2];
-    let mean = third * t;
-    let e = [eps[0] - mean, eps[1] - mean, eps[2] - mean];
-    let n = (e[0] * e[0] + e[1] * e[1] + e[2] * e[2]).sqrt();
+fn yielded<T: Real>(m: &Material<T>, a: T, b: &Powers<T>, f: [T; 3], q: T) -> Return<T> {
+    let (third, half) = (T::of(1.0 / 3.0), T::of(0.5));
+    let trace_ln = T::of(3.0) * f[0] + (f[2] + f[2]) * b.m2;
+    let t = T::of(1.5) * a.ln_1p() + q + half * trace_ln;
+    let e = scale_sym(half, b.combine([f[0] - third * trace_ln, f[1], f[2]]));
     // A deviator below this length has no direction worth the name; on the cone it is longer.
-    let inverse = T::ONE / n.at_least(T::of(1e-30));
-    let d = [e[0] * inverse, e[1] * inverse, e[2] * inverse];
+    let n = inner(e, e).at_least(T::TINY).sqrt();
+    let inverse_n = T::ONE / n;
     let room = m.slope * (m.tip - t);
     let at_tip = t >= m.tip;
     let elastic = n <= room;
-    let keep = if elastic { T::ONE } else { room * inverse };
+    let keep = if elastic { T::ONE } else { room * inverse_n };
     let keep = if at_tip { T::ZERO } else { keep };
-    let mean = if at_tip { third * m.tip } else { mean };
-    let eps_new = [mean + keep * e[0], mean + keep * e[1], mean + keep * e[2]];
-    Principal { w, u, eps, eps_new, d, t, keep, at_tip, elastic: elastic && !at_tip }
+    let mean = third * if at_tip { m.tip } else { t };
+    Return { e, inverse_n, t, keep, mean, at_tip, on_cone: !elastic && !at_tip }
 }
 
-/// Kirchhoff stress (Pa), strain and volume correction after the return to the yield surface.
+/// Kirchhoff stress (Pa), strain and volume correction after the return to the yield surface; of a trial strain that
+/// [`is_mild`].
 #[inline(always)]
 pub(crate) fn return_map<T: Real>(m: &Material<T>, trial: Sym3<T>, q: T) -> (Sym3<T>, Sym3<T>, T) {
-    let p = principal(m, trial, q);
-    let pressure = m.lambda * (p.eps_new[0] + p.eps_new[1] + p.eps_new[2]);
+    let (a, _, b) = spread(trial);
+    let b = Powers::of(b);
+    let r = yielded(m, a, &b, horner(&T::LN_1P_SERIES, b.m2, b.m3), q);
     let two_mu = m.mu + m.mu;
-    let tau = three!(i => two_mu * p.eps_new[i] + pressure);
-    let grown = three!(i => (p.eps_new[i] + p.eps_new[i]).exp_m1());
-    (compose(&p.u, tau), compose(&p.u, grown), (p.t - m.tip).only_if(p.at_tip))
+    let pressure = (two_mu + T::of(3.0) * m.lambda) * r.mean;
+    let tau = plus_diagonal(scale_sym(two_mu * r.keep, r.e), pressure);
+    let x = Powers::of(scale_sym(r.keep + r.keep, r.e));
+    let h = horner(&T::EXP_M1_SERIES, x.m2, x.m3);
+    let grown = (r.mean + r.mean).exp_m1();
+    let s = T::ONE + grown;
+    let strain = x.combine([grown + s * h[0], s * h[1], s * h[2]]);
+    (tau, strain, (r.t - m.tip).only_if(r.at_tip))
 }
 
 /// Cotangents of [`return_map`]: of the trial strain and of `q`.
@@ -226,44 +197,34 @@ pub(crate) fn return_map_adjoint<T: Real>(
     strain_bar: Sym3<T>,
     q_bar: T,
 ) -> (Sym3<T>, T) {
-    let third = T::of(1.0 / 3.0);
-    let two = T::of(2.0);
-    let p = principal(m, trial, q);
-    let ut = transpose(&p.u);
-    let tb = mul(&mul(&ut, &full(tau_bar)), &p.u);
-    let bb = mul(&mul(&ut, &full(strain_bar)), &p.u);
-    let stretch = three!(i => T::ONE + (two * p.eps_new[i]).exp_m1());
+    let (third, half, two) = (T::of(1.0 / 3.0), T::of(0.5), T::of(2.0));
+    let two_mu = m.mu + m.mu;
+    let (a, inverse, b) = spread(trial);
+    let b = Powers::of(b);
+    let (f, f_slopes) = horner_with_slopes(&T::LN_1P_SERIES, b.m2, b.m3);
+    let r = yielded(m, a, &b, f, q);
+    let x = Powers::of(scale_sym(r.keep + r.keep, r.e));
+    let (h, h_slopes) = horner_with_slopes(&T::EXP_M1_SERIES, x.m2, x.m3);
 
-    // Diagonal: from eps' back through the return to eps.
-    let trace = m.lambda * (tb[0][0] + tb[1][1] + tb[2][2]);
-    let new_bar = three!(i => two * m.mu * tb[i][i] + trace + two * stretch[i] * bb[i][i]);
-    let mean = third * (new_bar[0] + new_bar[1] + new_bar[2]);
-    let along = p.d[0] * new_bar[0] + p.d[1] * new_bar[1] + p.d[2] * new_bar[2];
-    let eps_bar = three!(i => {
-        let cone = mean + p.keep * (new_bar[i] - mean - p.d[i] * along) - m.slope * along;
-        let returned = if p.elastic { new_bar[i] } else { cone };
-        if p.at_tip { q_bar } else { returned }
-    });
-    let s2 = three!(i => T::ONE + p.w[i]);
-    let diagonal = three!(i => eps_bar[i] / (two * s2[i]));
+    // Back from E' = (s - 1) I + s expm1(X), s = exp(2 mean), X = 2 k e, and from tau.
+    let s = T::ONE + (r.mean + r.mean).exp_m1();
+    let strain_trace = trace(strain_bar);
+    let grown_bar =
+        strain_trace + h[0] * strain_trace + h[1] * inner(strain_bar, x.b) + h[2] * inner(strain_bar, x.b2);
+    let mean_bar = two * s * grown_bar + (two_mu + T::of(3.0) * m.lambda) * trace(tau_bar);
+    let x_bar = x.combine_adjoint(h, h_slopes, scale_sym(s, strain_bar));
+    let kept_bar = blend(two, x_bar, two_mu, tau_bar);
 
-    // Off the diagonal: how the eigenvectors turn. Divided differences through expm1 stay exact at w_i = w_j.
-    let off = |i: usize, j: usize| {
-        let d = two * (p.eps[i] - p.eps[j]);
-        let numerator = m.mu * p.keep * tb[i][j] + stretch[j] * p.keep * psi(p.keep * d) * bb[i][j];
-        numerator / (s2[j] * psi(d))
-    };
-    let (g01, g02, g12) = (off(0, 1), off(0, 2), off(1, 2));
-    let g = [[diagonal[0], g01, g02], [g01, diagonal[1], g12], [g02, g12, diagonal[2]]];
-    let out = mul(&mul(&p.u, &g), &ut);
-    let q_in = third * (eps_bar[0] + eps_bar[1] + eps_bar[2]);
-    ([out[0][0], out[1][1], out[2][2], out[0][1], out[0][2], out[1][2]], q_in)
-}
+    // Back through the return.
+    let along = inner(kept_bar, r.e) * r.inverse_n;
+    let e_bar = blend(r.keep, kept_bar, -(r.keep * along * r.inverse_n).only_if(r.on_cone), r.e);
+    let t_bar = third * mean_bar - (m.slope * along).only_if(r.on_cone);
+    let t_bar = if r.at_tip { q_bar } else { t_bar };
 
-/// `expm1(x)/x`, 1 at 0.
-#[inline(always)]
-fn psi<T: Real>(x: T) -> T {
-    let safe = if x == T::ZERO { T::ONE } else { x };
-    let y = safe.exp_m1() / safe;
-    if x == T::ZERO { T::ONE } else { y }
+    // Back from e = dev ln(I + B)/2 and t = 3/2 ln(1 + a) + q + tr ln(I + B)/2.
+    let ln_bar = plus_diagonal(scale_sym(half, e_bar), half * (t_bar - third * trace(e_bar)));
+    let b_bar = b.combine_adjoint(f, f_slopes, ln_bar);
+    let a_bar = inverse * (T::of(1.5) * t_bar - inner(b_bar, b.b));
+    let b_bar = scale_sym(inverse, b_bar);
+    (plus_diagonal(b_bar, third * (a_bar - trace(b_bar))), t_bar)
 }

@@ -22,13 +22,15 @@ pub(crate) mod material;
 pub(crate) mod obstacle;
 pub(crate) mod p2g;
 pub(crate) mod particles;
+pub(crate) mod principal;
+pub(crate) mod series;
 pub(crate) mod stencil;
 pub(crate) mod substep;
 #[cfg(test)]
 mod tests;
 
 /// Raised with every change of what a substep computes: a run is not resumed by another physics.
-pub(crate) const PHYSICS_VERSION: u32 = 2;
+pub(crate) const PHYSICS_VERSION: u32 = 3;
 
 use crate::real::Real;
 use crate::scene::Scene;

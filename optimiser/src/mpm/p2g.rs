@@ -6,13 +6,14 @@
 
 use crate::mpm::Model;
 use crate::mpm::layout::{Block, Grid, Nodes, empty_tile, load_tile};
-use crate::mpm::material::{return_map, return_map_adjoint, trial_strain, trial_strain_adjoint};
+use crate::mpm::material::{self, is_mild, trial_strain, trial_strain_adjoint};
 use crate::mpm::particles::{Group, LANES, Lanes, mat_of, set_mat, set_vec, vec_of};
+use crate::mpm::principal;
 use crate::mpm::stencil::{
     Affine, Stencil, TILE_EDGE, Tile, gather_with_gradient, scatter, weight_slopes, weights,
 };
 use crate::real::Real;
-use crate::small::{Mat3, Vec3, full, mul_vec, scale, sub, three, tr_mul_vec};
+use crate::small::{Mat3, Sym3, Vec3, full, mul_vec, scale, sub, three, tr_mul_vec};
 
 /// Where the particles of a group stand in their block's tile.
 #[derive(Clone, Copy)]
@@ -114,10 +115,72 @@ impl<T: Real> pulp::NullaryFnOnce for ParticlesToTile<'_, T> {
 /// Trial strain and return map of a group, and the momentum it sends.
 #[inline(always)]
 fn stress<T: Real>(model: &Model<T>, input: &Group<T>, output: &mut Group<T>, payload: &mut Payload<T>) {
+    let trial = TrialStrains::new(model, input);
+    if trial.all_mild {
+        send::<T, true>(model, input, &trial, output, payload);
+    } else {
+        send_sheared(model, input, &trial, output, payload);
+    }
+}
+
+/// Trial strains of a group.
+struct TrialStrains<T> {
+    strain: [Lanes<T>; 6],
+    /// Whether the quick return map is good for all of them.
+    all_mild: bool,
+}
+
+impl<T: Real> TrialStrains<T> {
+    #[inline(always)]
+    fn new(model: &Model<T>, input: &Group<T>) -> Self {
+        let mut strain = [[T::ZERO; LANES]; 6];
+        let mut mild = [T::ZERO; LANES];
+        for l in 0..LANES {
+            let trial = trial_strain(input.strain_of(l), &dt_times(model.dt, &mat_of(&input.c, l)));
+            for i in 0..6 {
+                strain[i][l] = trial[i];
+            }
+            mild[l] = T::ONE.only_if(is_mild(trial));
+        }
+        Self { strain, all_mild: mild.iter().all(|mild| *mild == T::ONE) }
+    }
+
+    #[inline(always)]
+    fn of(&self, l: usize) -> Sym3<T> {
+        let s = &self.strain;
+        [s[0][l], s[1][l], s[2][l], s[3][l], s[4][l], s[5][l]]
+    }
+}
+
+/// [`send`] for strains with much shear, which are few: compiled once, for the least of the instruction sets.
+#[inline(never)]
+fn send_sheared<T: Real>(
+    model: &Model<T>,
+    input: &Group<T>,
+    trial: &TrialStrains<T>,
+    output: &mut Group<T>,
+    payload: &mut Payload<T>,
+) {
+    send::<T, false>(model, input, trial, output, payload);
+}
+
+/// Return map of a group, and the momentum it sends.
+#[inline(always)]
+fn send<T: Real, const MILD: bool>(
+    model: &Model<T>,
+    input: &Group<T>,
+    trial: &TrialStrains<T>,
+    output: &mut Group<T>,
+    payload: &mut Payload<T>,
+) {
     for l in 0..LANES {
         let c = mat_of(&input.c, l);
-        let trial = trial_strain(input.strain_of(l), &dt_times(model.dt, &c));
-        let (tau, strain, q) = return_map(&model.material, trial, input.q[0][l]);
+        let (trial, q) = (trial.of(l), input.q[0][l]);
+        let (tau, strain, q) = if MILD {
+            material::return_map(&model.material, trial, q)
+        } else {
+            principal::return_map(&model.material, trial, q)
+        };
         for i in 0..6 {
             output.strain[i][l] = strain[i];
         }
@@ -199,6 +262,34 @@ impl<T: Real> pulp::NullaryFnOnce for ParticlesToTileAdjoint<'_, T> {
 /// Adjoint of [`stress`]: fills `bar.c`, `bar.strain` and `bar.q`.
 #[inline(always)]
 fn stress_adjoint<T: Real>(model: &Model<T>, input: &Group<T>, a_dx_bar: &[Lanes<T>; 9], bar: &mut Group<T>) {
+    let trial = TrialStrains::new(model, input);
+    if trial.all_mild {
+        send_adjoint::<T, true>(model, input, &trial, a_dx_bar, bar);
+    } else {
+        send_sheared_adjoint(model, input, &trial, a_dx_bar, bar);
+    }
+}
+
+/// [`send_adjoint`] as in [`send_sheared`].
+#[inline(never)]
+fn send_sheared_adjoint<T: Real>(
+    model: &Model<T>,
+    input: &Group<T>,
+    trial: &TrialStrains<T>,
+    a_dx_bar: &[Lanes<T>; 9],
+    bar: &mut Group<T>,
+) {
+    send_adjoint::<T, false>(model, input, trial, a_dx_bar, bar);
+}
+
+#[inline(always)]
+fn send_adjoint<T: Real, const MILD: bool>(
+    model: &Model<T>,
+    input: &Group<T>,
+    trial: &TrialStrains<T>,
+    a_dx_bar: &[Lanes<T>; 9],
+    bar: &mut Group<T>,
+) {
     let half = T::of(0.5);
     for l in 0..LANES {
         let l_of = dt_times(model.dt, &mat_of(&input.c, l));
@@ -206,9 +297,12 @@ fn stress_adjoint<T: Real>(model: &Model<T>, input: &Group<T>, a_dx_bar: &[Lanes
         let to_tau = |i: usize, j: usize| -(model.stress_dx * half * (a_bar[i][j] + a_bar[j][i]));
         let tau_bar = [to_tau(0, 0), to_tau(1, 1), to_tau(2, 2), to_tau(0, 1), to_tau(0, 2), to_tau(1, 2)];
         let strain = input.strain_of(l);
-        let trial = trial_strain(strain, &l_of);
-        let (trial_bar, q_bar) =
-            return_map_adjoint(&model.material, trial, input.q[0][l], tau_bar, bar.strain_of(l), bar.q[0][l]);
+        let (trial, q) = (trial.of(l), input.q[0][l]);
+        let (trial_bar, q_bar) = if MILD {
+            material::return_map_adjoint(&model.material, trial, q, tau_bar, bar.strain_of(l), bar.q[0][l])
+        } else {
+            principal::return_map_adjoint(&model.material, trial, q, tau_bar, bar.strain_of(l), bar.q[0][l])
+        };
         let (strain_bar, l_bar) = trial_strain_adjoint(strain, &l_of, trial_bar);
         for i in 0..6 {
             bar.strain[i][l] = strain_bar[i];

@@ -18,10 +18,10 @@ use crate::real::Real;
 /// Nodes along one edge of a block's tile: 4 cells, 2 for the spline, and one cell of slack on either side so
 /// that particles need not be sorted in every substep.
 pub(crate) const TILE_EDGE: usize = 8;
-/// Nodes in a tile.
-pub(crate) const TILE_NODES: usize = TILE_EDGE * TILE_EDGE * TILE_EDGE;
+/// Nodes in a tile, and one that is none: the loops here read, and write back, one beyond each row of three.
+pub(crate) const TILE_LENGTH: usize = TILE_EDGE * TILE_EDGE * TILE_EDGE + 1;
 /// Four numbers at each node of a tile: momentum and mass, velocity, or their cotangents.
-pub(crate) type Tile<T> = [[T; 4]; TILE_NODES];
+pub(crate) type Tile<T> = [[T; 4]; TILE_LENGTH];
 
 /// Weights of one particle along the three axes, and where its 27 nodes start in the tile.
 #[derive(Clone, Copy)]
@@ -52,51 +52,77 @@ pub(crate) fn weight_slopes<T: Real>(f: T) -> [T; 3] {
     [f - T::of(1.5), -(b + b), f - T::of(0.5)]
 }
 
+/// Numbers of a row of nodes that the loops here handle at once: four of each of its three nodes, and of a fourth one whose
+/// weight is 0, for vectors of 16 are what there is.
+const ROW: usize = 16;
+/// From a row to the next, and from a layer of rows to the next, in numbers.
+const NEXT_ROW: usize = 4 * TILE_EDGE;
+const NEXT_LAYER: usize = NEXT_ROW * TILE_EDGE;
+/// From the first number of a stencil's nine rows to the end of the last.
+const REACH: usize = 2 * NEXT_LAYER + 2 * NEXT_ROW + ROW;
+
+/// What number `n` of a row takes of three numbers for its nodes.
 #[inline(always)]
-fn plus<T: Real>(a: [T; 4], b: [T; 4]) -> [T; 4] {
-    [a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3]]
+fn of_node<T: Real>(n: usize, of: [T; 3]) -> T {
+    // Comparisons like these, on the number of the lane, become constant masks.
+    if n < 4 {
+        of[0]
+    } else if n < 8 {
+        of[1]
+    } else if n < 12 {
+        of[2]
+    } else {
+        T::ZERO
+    }
+}
+
+/// What number `n` of a row takes of the four numbers that each node has.
+#[inline(always)]
+fn of_part<T: Real>(n: usize, of: [T; 4]) -> T {
+    let part = n % 4;
+    let low = if part < 1 { of[0] } else { of[1] };
+    let high = if part < 3 { of[2] } else { of[3] };
+    if part < 2 { low } else { high }
+}
+
+/// The numbers of a row's nodes, added up.
+#[inline(always)]
+fn over_nodes<T: Real>(row: &[T; ROW]) -> [T; 4] {
+    let mut out = [T::ZERO; 4];
+    for c in 0..4 {
+        out[c] = (row[c] + row[c + 4]) + row[c + 8];
+    }
+    out
 }
 
 #[inline(always)]
-fn times<T: Real>(s: T, a: [T; 4]) -> [T; 4] {
-    [s * a[0], s * a[1], s * a[2], s * a[3]]
-}
-
-#[inline(always)]
-fn each<T: Real>(a: [T; 4], b: [T; 4]) -> [T; 4] {
-    [a[0] * b[0], a[1] * b[1], a[2] * b[2], a[3] * b[3]]
-}
-
-#[inline(always)]
-fn total<T: Real>(a: [T; 4]) -> T {
-    (a[0] + a[1]) + (a[2] + a[3])
-}
-
-/// The three nodes of one row.
-#[inline(always)]
-fn row<T: Real>(tile: &Tile<T>, start: usize, i: usize, j: usize) -> &[[T; 4]; 3] {
-    let at = start + i * TILE_EDGE * TILE_EDGE + j * TILE_EDGE;
-    tile[at..at + 3].as_array().expect("three nodes")
+fn total<T: Real>(row: &[T; ROW]) -> T {
+    let [a, b, c, d] = over_nodes(row);
+    (a + b) + (c + d)
 }
 
 /// `node += w P` for the 27 nodes.
 #[inline(always)]
 pub(crate) fn scatter<T: Real>(tile: &mut Tile<T>, s: &Stencil<T>, a: &Affine<T>) {
-    let mut pi = a.p;
-    for i in 0..3 {
-        let mut pj = pi;
-        for j in 0..3 {
-            let wij = s.w[0][i] * s.w[1][j];
-            let at = s.start + i * TILE_EDGE * TILE_EDGE + j * TILE_EDGE;
-            let nodes = &mut tile[at..at + 3];
-            let p1 = plus(pj, a.steps[2]);
-            let p2 = plus(p1, a.steps[2]);
-            nodes[0] = plus(nodes[0], times(wij * s.w[2][0], pj));
-            nodes[1] = plus(nodes[1], times(wij * s.w[2][1], p1));
-            nodes[2] = plus(nodes[2], times(wij * s.w[2][2], p2));
-            pj = plus(pj, a.steps[1]);
-        }
-        pi = plus(pi, a.steps[0]);
+    let start = 4 * s.start;
+    let rows = &mut tile.as_flattened_mut()[start..start + REACH];
+    let [wx, wy, wz] = s.w;
+    let k = [T::ZERO, T::ONE, T::ONE + T::ONE];
+    for n in 0..ROW {
+        let wz = of_node(n, wz);
+        let along_j = wz * of_part(n, a.steps[1]);
+        let along_i = wz * of_part(n, a.steps[0]);
+        let p = wz * (of_part(n, a.p) + of_node(n, k) * of_part(n, a.steps[2]));
+        let mut add =
+            |i: usize, j: usize, p: T| rows[i * NEXT_LAYER + j * NEXT_ROW + n] += (wx[i] * wy[j]) * p;
+        let mut layer = |i: usize, p: T| {
+            add(i, 0, p);
+            add(i, 1, p + along_j);
+            add(i, 2, (p + along_j) + along_j);
+        };
+        layer(0, p);
+        layer(1, p + along_i);
+        layer(2, (p + along_i) + along_i);
     }
 }
 
@@ -107,29 +133,36 @@ pub(crate) struct Moments<T> {
     pub(crate) first: [[T; 4]; 3],
 }
 
+/// `a[0] b[0] + a[1] b[1] + a[2] b[2]`
+#[inline(always)]
+fn dot<T: Real>(a: [T; 3], b: [T; 3]) -> T {
+    (a[0] * b[0] + a[1] * b[1]) + a[2] * b[2]
+}
+
 /// `sum w g` and `sum w g (i, j, k)`.
 #[inline(always)]
 pub(crate) fn gather<T: Real>(tile: &Tile<T>, s: &Stencil<T>) -> Moments<T> {
-    let zero = [T::ZERO; 4];
-    let mut m = Moments { sum: zero, first: [zero; 3] };
+    let start = 4 * s.start;
+    let rows = &tile.as_flattened()[start..start + REACH];
+    let [wx, wy, wz] = s.w;
     let index = [T::ZERO, T::ONE, T::ONE + T::ONE];
-    let twice = s.w[2][2] + s.w[2][2];
-    for i in 0..3 {
-        let mut sum_i = zero;
-        for j in 0..3 {
-            let g = row(tile, s.start, i, j);
-            let r = plus(plus(times(s.w[2][0], g[0]), times(s.w[2][1], g[1])), times(s.w[2][2], g[2]));
-            let rk = plus(times(s.w[2][1], g[1]), times(twice, g[2]));
-            let wij = s.w[0][i] * s.w[1][j];
-            let r = times(wij, r);
-            sum_i = plus(sum_i, r);
-            m.first[2] = plus(m.first[2], times(wij, rk));
-            m.first[1] = plus(m.first[1], times(index[j], r));
-        }
-        m.sum = plus(m.sum, sum_i);
-        m.first[0] = plus(m.first[0], times(index[i], sum_i));
+    let [mut sum, mut by_i, mut by_j, mut by_k] = [[T::ZERO; ROW]; 4];
+    for n in 0..ROW {
+        let wz = of_node(n, wz);
+        let layer = |i: usize| {
+            let g = |j: usize| rows[i * NEXT_LAYER + j * NEXT_ROW + n];
+            let (one, two) = (wy[1] * g(1), wy[2] * g(2));
+            ((wy[0] * g(0) + one) + two, one + (two + two))
+        };
+        let ((s0, j0), (s1, j1), (s2, j2)) = (layer(0), layer(1), layer(2));
+        let (one, two) = (wx[1] * s1, wx[2] * s2);
+        let all = wz * ((wx[0] * s0 + one) + two);
+        sum[n] = all;
+        by_i[n] = wz * (one + (two + two));
+        by_j[n] = wz * dot(wx, [j0, j1, j2]);
+        by_k[n] = of_node(n, index) * all;
     }
-    m
+    Moments { sum: over_nodes(&sum), first: [over_nodes(&by_i), over_nodes(&by_j), over_nodes(&by_k)] }
 }
 
 /// [`gather`], and `sum (dw/dX_axis) (g.P)` for the three axes; `slopes` are the derivatives of the weights.
@@ -140,40 +173,39 @@ pub(crate) fn gather_with_gradient<T: Real>(
     slopes: &[[T; 3]; 3],
     a: &Affine<T>,
 ) -> (Moments<T>, [T; 3]) {
-    let zero = [T::ZERO; 4];
-    let mut m = Moments { sum: zero, first: [zero; 3] };
-    let mut gradient = [zero; 3];
+    let start = 4 * s.start;
+    let rows = &tile.as_flattened()[start..start + REACH];
+    let ([wx, wy, wz], [dx, dy, dz]) = (s.w, *slopes);
     let index = [T::ZERO, T::ONE, T::ONE + T::ONE];
-    let (wz, dz) = (s.w[2], slopes[2]);
-    let mut pi = a.p;
-    for i in 0..3 {
-        let mut pj = pi;
-        let mut sum_i = zero;
-        for j in 0..3 {
-            let g = row(tile, s.start, i, j);
-            let w1 = times(wz[1], g[1]);
-            let w2 = times(wz[2], g[2]);
-            let r = plus(plus(times(wz[0], g[0]), w1), w2);
-            let rk = plus(plus(w1, w2), w2);
-            let d1 = times(dz[1], g[1]);
-            let d2 = times(dz[2], g[2]);
-            let d = plus(plus(times(dz[0], g[0]), d1), d2);
-            let dk = plus(plus(d1, d2), d2);
-            let along_row = plus(each(pj, r), each(a.steps[2], rk));
-            let across = plus(each(pj, d), each(a.steps[2], dk));
-            let wij = s.w[0][i] * s.w[1][j];
-            gradient[0] = plus(gradient[0], times(slopes[0][i] * s.w[1][j], along_row));
-            gradient[1] = plus(gradient[1], times(s.w[0][i] * slopes[1][j], along_row));
-            gradient[2] = plus(gradient[2], times(wij, across));
-            let r = times(wij, r);
-            sum_i = plus(sum_i, r);
-            m.first[2] = plus(m.first[2], times(wij, rk));
-            m.first[1] = plus(m.first[1], times(index[j], r));
-            pj = plus(pj, a.steps[1]);
-        }
-        m.sum = plus(m.sum, sum_i);
-        m.first[0] = plus(m.first[0], times(index[i], sum_i));
-        pi = plus(pi, a.steps[0]);
+    let [mut sum, mut by_i, mut by_j, mut by_k] = [[T::ZERO; ROW]; 4];
+    let [mut along_x, mut along_y, mut along_z] = [[T::ZERO; ROW]; 3];
+    for n in 0..ROW {
+        let (wz, dz, k) = (of_node(n, wz), of_node(n, dz), of_node(n, index));
+        let (along_i, along_j) = (of_part(n, a.steps[0]), of_part(n, a.steps[1]));
+        let p = of_part(n, a.p) + k * of_part(n, a.steps[2]);
+        // Sums over a layer: w g, w g j, w g.P and dw g.P.
+        let layer = |i: usize, p: T| {
+            let g = |j: usize| rows[i * NEXT_LAYER + j * NEXT_ROW + n];
+            let (g0, g1, g2) = (g(0), g(1), g(2));
+            let (one, two) = (wy[1] * g1, wy[2] * g2);
+            let (sum, by_j) = ((wy[0] * g0 + one) + two, one + (two + two));
+            let (one, two) = (dy[1] * g1, dy[2] * g2);
+            let (slope, slope_by_j) = ((dy[0] * g0 + one) + two, one + (two + two));
+            (sum, by_j, p * sum + along_j * by_j, p * slope + along_j * slope_by_j)
+        };
+        let (s0, j0, p0, d0) = layer(0, p);
+        let (s1, j1, p1, d1) = layer(1, p + along_i);
+        let (s2, j2, p2, d2) = layer(2, (p + along_i) + along_i);
+        let (one, two) = (wx[1] * s1, wx[2] * s2);
+        let all = wz * ((wx[0] * s0 + one) + two);
+        sum[n] = all;
+        by_i[n] = wz * (one + (two + two));
+        by_j[n] = wz * dot(wx, [j0, j1, j2]);
+        by_k[n] = k * all;
+        along_x[n] = wz * dot(dx, [p0, p1, p2]);
+        along_y[n] = wz * dot(wx, [d0, d1, d2]);
+        along_z[n] = dz * dot(wx, [p0, p1, p2]);
     }
-    (m, [total(gradient[0]), total(gradient[1]), total(gradient[2])])
+    let first = [over_nodes(&by_i), over_nodes(&by_j), over_nodes(&by_k)];
+    (Moments { sum: over_nodes(&sum), first }, [total(&along_x), total(&along_y), total(&along_z)])
 }

@@ -11,7 +11,8 @@ use crate::mpm::material::Material;
 use crate::mpm::p2g::{ParticlesToTileAdjoint, affine};
 use crate::mpm::particles::{Group, Particles};
 use crate::mpm::stencil::{
-    Affine, Stencil, TILE_EDGE, Tile, gather, gather_with_gradient, scatter, weight_slopes, weights,
+    Affine, Stencil, TILE_EDGE, TILE_LENGTH, Tile, gather, gather_with_gradient, scatter, weight_slopes,
+    weights,
 };
 use crate::mpm::substep::{State, Workspace, unsort_bar};
 use crate::mpm::tests::{
@@ -289,7 +290,7 @@ fn grid_update_has_taylor_slope_two_in_momentum_mass_and_the_tools_motion() {
     let mut dice = Dice::new(54);
     let units = tile_units(&model);
     // Every node of every tile holds mass; what no tile reaches is no node of the grid.
-    let tiles: Vec<f64> = (0..state.layout.blocks.len() * 512)
+    let tiles: Vec<f64> = (0..state.layout.blocks.len() * TILE_LENGTH)
         .flat_map(|_| {
             let m = 2.0 + dice.roll();
             let v: [f64; 3] = dice.many(m);
@@ -304,7 +305,7 @@ fn grid_update_has_taylor_slope_two_in_momentum_mass_and_the_tools_motion() {
     }
     let as_tiles = |x: &[f64]| -> Vec<Tile<f64>> {
         let entry = |c: &[f64]| [c[0] * units[0], c[1] * units[1], c[2] * units[2], c[3] * units[3]];
-        x.chunks(4 * 512).map(|t| std::array::from_fn(|n| entry(&t[4 * n..4 * n + 4]))).collect()
+        x.chunks(4 * TILE_LENGTH).map(|t| std::array::from_fn(|n| entry(&t[4 * n..4 * n + 4]))).collect()
     };
     let count = tiles.len();
     let f = |x: &[f64]| {

@@ -1,0 +1,168 @@
+//! The return map by eigenvectors, for any strain: see [`super::material`], whose own way is quicker and good for what sand
+//! does nearly always.
+//!
+//! | symbol | identifier | meaning |
+//! |---|---|---|
+//! | `w_i`, `U` | `w`, `u` | eigenvalues and eigenvectors of `E_tr` |
+//! | `eps_i` | `eps` | Hencky strains `ln(1 + w_i)/2 + q/3` |
+//! | `d` | `d` | direction of the deviator of `eps` |
+//!
+//! The other symbols are those of [`super::material`]; `E' = U diag(exp(2 eps'_i) - 1) U^T`. The adjoint has no
+//! `1/(s_i^2 - s_j^2)` singularity when written with `expm1`.
+
+use crate::mpm::material::Material;
+use crate::real::Real;
+use crate::small::{Mat3, Sym3, Vec3, compose, full, mul, three, transpose};
+
+/// One Jacobi rotation that annihilates entry `(p, q)` of the symmetric matrix `a`; `u` collects the rotations.
+#[inline(always)]
+fn rotate<T: Real>(a: &mut Mat3<T>, u: &mut Mat3<T>, p: usize, q: usize) {
+    let r = 3 - p - q;
+    let d = a[q][q] - a[p][p];
+    let twice = a[p][q] + a[p][q];
+    let root = (d * d + twice * twice).sqrt();
+    let denominator = d.abs() + root;
+    let signed = if d < T::ZERO { -twice } else { twice };
+    let t = if denominator > T::ZERO { signed / denominator } else { T::ZERO };
+    let c = T::ONE / (T::ONE + t * t).sqrt();
+    let s = t * c;
+    let shift = t * a[p][q];
+    a[p][p] -= shift;
+    a[q][q] += shift;
+    a[p][q] = T::ZERO;
+    a[q][p] = T::ZERO;
+    let (arp, arq) = (a[r][p], a[r][q]);
+    a[r][p] = c * arp - s * arq;
+    a[r][q] = s * arp + c * arq;
+    a[p][r] = a[r][p];
+    a[q][r] = a[r][q];
+    for row in u {
+        let (x, y) = (row[p], row[q]);
+        row[p] = c * x - s * y;
+        row[q] = s * x + c * y;
+    }
+}
+
+/// Eigenvalues and eigenvectors (columns) of a symmetric matrix by four sweeps of cyclic Jacobi: what is left off the
+/// diagonal is then below 1e-19 of the norm (measured over random matrices; the convergence is cubic).
+///
+/// Unrolled by hand: a loop here would keep the loop over lanes around it from vectorising.
+#[inline(always)]
+pub(crate) fn eigen<T: Real>(strain: Sym3<T>) -> (Vec3<T>, Mat3<T>) {
+    let mut a = full(strain);
+    let mut u = [[T::ONE, T::ZERO, T::ZERO], [T::ZERO, T::ONE, T::ZERO], [T::ZERO, T::ZERO, T::ONE]];
+    sweep(&mut a, &mut u);
+    sweep(&mut a, &mut u);
+    sweep(&mut a, &mut u);
+    sweep(&mut a, &mut u);
+    ([a[0][0], a[1][1], a[2][2]], u)
+}
+
+#[inline(always)]
+fn sweep<T: Real>(a: &mut Mat3<T>, u: &mut Mat3<T>) {
+    rotate(a, u, 0, 1);
+    rotate(a, u, 0, 2);
+    rotate(a, u, 1, 2);
+}
+
+/// Everything about one return that its adjoint needs as well.
+struct Principal<T> {
+    w: Vec3<T>,
+    u: Mat3<T>,
+    eps: Vec3<T>,
+    /// Hencky strains after the return.
+    eps_new: Vec3<T>,
+    /// Unit deviator.
+    d: Vec3<T>,
+    t: T,
+    keep: T,
+    at_tip: bool,
+    elastic: bool,
+}
+
+#[inline(always)]
+fn principal<T: Real>(m: &Material<T>, trial: Sym3<T>, q: T) -> Principal<T> {
+    let third = T::of(1.0 / 3.0);
+    let (w, u) = eigen(trial);
+    let half = T::of(0.5);
+    let eps =
+        [half * w[0].ln_1p() + third * q, half * w[1].ln_1p() + third * q, half * w[2].ln_1p() + third * q];
+    let t = eps[0] + eps[1] + eps[2];
+    let mean = third * t;
+    let e = [eps[0] - mean, eps[1] - mean, eps[2] - mean];
+    let n = (e[0] * e[0] + e[1] * e[1] + e[2] * e[2]).sqrt();
+    // A deviator below this length has no direction worth the name; on the cone it is longer.
+    let inverse = T::ONE / n.at_least(T::of(1e-30));
+    let d = [e[0] * inverse, e[1] * inverse, e[2] * inverse];
+    let room = m.slope * (m.tip - t);
+    let at_tip = t >= m.tip;
+    let elastic = n <= room;
+    let keep = if elastic { T::ONE } else { room * inverse };
+    let keep = if at_tip { T::ZERO } else { keep };
+    let mean = if at_tip { third * m.tip } else { mean };
+    let eps_new = [mean + keep * e[0], mean + keep * e[1], mean + keep * e[2]];
+    Principal { w, u, eps, eps_new, d, t, keep, at_tip, elastic: elastic && !at_tip }
+}
+
+/// Kirchhoff stress (Pa), strain and volume correction after the return to the yield surface.
+#[inline(always)]
+pub(crate) fn return_map<T: Real>(m: &Material<T>, trial: Sym3<T>, q: T) -> (Sym3<T>, Sym3<T>, T) {
+    let p = principal(m, trial, q);
+    let pressure = m.lambda * (p.eps_new[0] + p.eps_new[1] + p.eps_new[2]);
+    let two_mu = m.mu + m.mu;
+    let tau = three!(i => two_mu * p.eps_new[i] + pressure);
+    let grown = three!(i => (p.eps_new[i] + p.eps_new[i]).exp_m1());
+    (compose(&p.u, tau), compose(&p.u, grown), (p.t - m.tip).only_if(p.at_tip))
+}
+
+/// Cotangents of [`return_map`]: of the trial strain and of `q`.
+#[inline(always)]
+pub(crate) fn return_map_adjoint<T: Real>(
+    m: &Material<T>,
+    trial: Sym3<T>,
+    q: T,
+    tau_bar: Sym3<T>,
+    strain_bar: Sym3<T>,
+    q_bar: T,
+) -> (Sym3<T>, T) {
+    let third = T::of(1.0 / 3.0);
+    let two = T::of(2.0);
+    let p = principal(m, trial, q);
+    let ut = transpose(&p.u);
+    let tb = mul(&mul(&ut, &full(tau_bar)), &p.u);
+    let bb = mul(&mul(&ut, &full(strain_bar)), &p.u);
+    let stretch = three!(i => T::ONE + (two * p.eps_new[i]).exp_m1());
+
+    // Diagonal: from eps' back through the return to eps.
+    let trace = m.lambda * (tb[0][0] + tb[1][1] + tb[2][2]);
+    let new_bar = three!(i => two * m.mu * tb[i][i] + trace + two * stretch[i] * bb[i][i]);
+    let mean = third * (new_bar[0] + new_bar[1] + new_bar[2]);
+    let along = p.d[0] * new_bar[0] + p.d[1] * new_bar[1] + p.d[2] * new_bar[2];
+    let eps_bar = three!(i => {
+        let cone = mean + p.keep * (new_bar[i] - mean - p.d[i] * along) - m.slope * along;
+        let returned = if p.elastic { new_bar[i] } else { cone };
+        if p.at_tip { q_bar } else { returned }
+    });
+    let s2 = three!(i => T::ONE + p.w[i]);
+    let diagonal = three!(i => eps_bar[i] / (two * s2[i]));
+
+    // Off the diagonal: how the eigenvectors turn. Divided differences through expm1 stay exact at w_i = w_j.
+    let off = |i: usize, j: usize| {
+        let d = two * (p.eps[i] - p.eps[j]);
+        let numerator = m.mu * p.keep * tb[i][j] + stretch[j] * p.keep * psi(p.keep * d) * bb[i][j];
+        numerator / (s2[j] * psi(d))
+    };
+    let (g01, g02, g12) = (off(0, 1), off(0, 2), off(1, 2));
+    let g = [[diagonal[0], g01, g02], [g01, diagonal[1], g12], [g02, g12, diagonal[2]]];
+    let out = mul(&mul(&p.u, &g), &ut);
+    let q_in = third * (eps_bar[0] + eps_bar[1] + eps_bar[2]);
+    ([out[0][0], out[1][1], out[2][2], out[0][1], out[0][2], out[1][2]], q_in)
+}
+
+/// `expm1(x)/x`, 1 at 0.
+#[inline(always)]
+fn psi<T: Real>(x: T) -> T {
+    let safe = if x == T::ZERO { T::ONE } else { x };
+    let y = safe.exp_m1() / safe;
+    if x == T::ZERO { T::ONE } else { y }
+}
