@@ -73,8 +73,8 @@ impl<C: Can> CanWire<C> {
         Self { harmless, ..self }
     }
 
-    /// One round of the loop, at a time in microseconds: all that has arrived goes to the endpoint, all that it has to say to
-    /// the controller, as far as there is room.
+    /// One round of the loop, at a time in microseconds: all that has arrived goes to the endpoint, all that it has to say
+    /// goes to the controller, as far as there is room.
     pub fn turn(&mut self, now_us: u64, endpoint: &mut Endpoint<'_>) -> Turn {
         super::turn(self, now_us, endpoint)
     }

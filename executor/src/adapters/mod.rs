@@ -80,8 +80,8 @@ fn receive(device: &mut impl Device, now_us: u64, endpoint: &mut Endpoint<'_>) -
     true
 }
 
-/// Lets the endpoint speak for as long as there is room. In the turns after a failure too: the stop that it then asks for may
-/// get through.
+/// Lets the endpoint speak for as long as there is room. In the turns after a failure too: the stop that it then asks for
+/// may get through.
 fn send(device: &mut impl Device, now_us: u64, endpoint: &mut Endpoint<'_>) -> Turn {
     for _ in 0..MOST_PIECES {
         let (room, action) = match device.make_room() {

@@ -85,8 +85,8 @@ impl<P: Read + ReadReady + Write + WriteReady> SerialWire<P> {
         Self { harmless, ..self }
     }
 
-    /// One round of the loop, at a time in microseconds: all that has arrived goes to the endpoint, all that it has to say to
-    /// the port, as far as there is room.
+    /// One round of the loop, at a time in microseconds: all that has arrived goes to the endpoint, all that it has to say
+    /// goes to the port, as far as there is room.
     pub fn turn(&mut self, now_us: u64, endpoint: &mut Endpoint<'_>) -> Turn {
         super::turn(self, now_us, endpoint)
     }

@@ -1,5 +1,5 @@
-//! Whole plans through the adapters for embedded devices, to the simulated arm, over virtual time: devices in memory that have
-//! no room now and then, take things in parts, give frames back, and break.
+//! Whole plans through the adapters for embedded devices, to the simulated arm, over virtual time. The devices, in memory,
+//! have no room now and then, take things in parts, give frames back, and break.
 
 mod can;
 #[path = "../common/mod.rs"]
