@@ -96,6 +96,21 @@ impl<'a> Endpoint<'a> {
         }
     }
 
+    /// The same while the wire has no room; see [`Executor::poll_urgent`].
+    pub fn poll_urgent(&mut self, now_us: u64) -> FrameAction {
+        match self.executor.poll_urgent(now_us) {
+            Action::Send(message) => match self.encoder.to_arm(&self.context, &message).next() {
+                Some(frame) => {
+                    self.sent = self.sent.saturating_add(1);
+                    FrameAction::Send(frame)
+                }
+                None => FrameAction::Wait,
+            },
+            Action::Wait => FrameAction::Wait,
+            Action::Finished(outcome) => FrameAction::Finished(outcome),
+        }
+    }
+
     /// When to poll next even if no frame arrives, microseconds; a moment in the past means at once, `None` that the
     /// session is over.
     #[must_use]

@@ -9,7 +9,9 @@
 //! plan -> player -> guard -> schedule -> session -> (wire) -> arm
 //! ```
 //!
-//! The program `execute` is in `cli/`.
+//! The program `execute` is in `cli/`. For firmware, the features `embedded-can` and `embedded-io`, off by default, add the
+//! module `adapters`: a piece of a driver loop for every CAN controller or serial line whose driver implements the traits of
+//! these crates.
 #![no_std]
 #![forbid(unsafe_code)]
 #![warn(
@@ -26,6 +28,8 @@
 #[cfg(test)]
 extern crate std;
 
+#[cfg(any(feature = "embedded-can", feature = "embedded-io"))]
+pub mod adapters;
 pub mod endpoint;
 pub mod guard;
 pub mod player;

@@ -258,6 +258,24 @@ impl<'a> Executor<'a> {
         }
     }
 
+    /// The same while the wire has no room: time passes, an arm that has fallen silent is noticed, but what there is to say
+    /// waits. Only a hard stop is given out, for a wire that has room for it even so: on a CAN bus it goes before all else.
+    pub fn poll_urgent(&mut self, now_us: u64) -> Action {
+        self.check_time(now_us);
+        if let Stage::Done(outcome) = self.stage {
+            return Action::Finished(outcome);
+        }
+        // What was to be said before it is needless now.
+        while self.hard
+            && let Some(message) = self.outbox.pop_front()
+        {
+            if message == ToArm::Stop {
+                return Action::Send(message);
+            }
+        }
+        Action::Wait
+    }
+
     /// When to poll next even if no message arrives, microseconds; a moment in the past means at once, `None` that the
     /// session is over.
     #[must_use]

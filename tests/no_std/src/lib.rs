@@ -1,6 +1,9 @@
 //! The executor's core as a microcontroller's program would use it. See `Cargo.toml` for what this proves.
 #![no_std]
 
+#[cfg(feature = "adapters")]
+pub mod adapters;
+
 use core::panic::PanicInfo;
 
 use powderline_executor::{Action, Config, Executor};
