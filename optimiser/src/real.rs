@@ -45,6 +45,11 @@ pub trait Real:
     fn exp_m1(self) -> Self;
     /// Neither infinite nor NaN.
     fn is_finite(self) -> bool;
+    /// Runs a kernel with the widest instruction set of the machine.
+    #[inline(always)]
+    fn dispatch<K: pulp::NullaryFnOnce>(arch: pulp::Arch, kernel: K) -> K::Output {
+        arch.dispatch(kernel)
+    }
 
     /// The larger of both; NaN if `self` is NaN.
     #[inline(always)]

@@ -147,6 +147,11 @@ impl<T: Elementary> Real for Counted<T> {
     fn is_finite(self) -> bool {
         self.0.is_finite()
     }
+    /// Without vectors: they would not make counting faster, and each instruction set is another copy of all kernels.
+    #[inline(always)]
+    fn dispatch<K: pulp::NullaryFnOnce>(_: pulp::Arch, kernel: K) -> K::Output {
+        kernel.call()
+    }
 }
 
 #[cfg(test)]

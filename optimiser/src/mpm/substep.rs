@@ -269,26 +269,30 @@ impl<T: Real> Workspace<T> {
         total
     }
 
-    /// The material and its adjoint without the transfers around them, for the measuring tool. Leaves nothing behind.
-    pub(crate) fn material(&mut self, model: &Model<T>, state: &State<T>) {
-        self.laps.begin(Pass::Material);
-        let input = &state.particles.groups;
-        self.fit(&state.layout, input.len());
+    /// Sort, material and their adjoints by themselves, for the measuring tool. Leaves nothing behind.
+    pub(crate) fn alone(&mut self, model: &Model<T>, state: &State<T>) -> Result<(), Lost> {
+        let (layout, input) = (&state.layout, &state.particles.groups);
+        self.fit(layout, input.len());
         let mut output = std::mem::take(&mut self.spare);
         let of_block =
             |block: &crate::mpm::layout::Block| &input[block.first_group..block.first_group + block.groups()];
-        self.laps.skip();
-        let jobs = split(&state.layout, &mut output).into_par_iter().zip(&state.layout.blocks);
-        jobs.for_each(|(output, block)| {
+        self.laps.begin(Pass::Alone);
+        split(layout, &mut output).into_par_iter().zip(&layout.blocks).for_each(|(output, block)| {
             model.arch.dispatch(ReturnMap { model, input: of_block(block), output });
         });
         self.laps.mark(Stage::ReturnMap);
-        let jobs = split(&state.layout, &mut output).into_par_iter().zip(&state.layout.blocks);
-        jobs.for_each(|(bar, block)| {
+        split(layout, &mut output).into_par_iter().zip(&layout.blocks).for_each(|(bar, block)| {
             model.arch.dispatch(ReturnMapAdjoint { model, input: of_block(block), bar });
         });
         self.laps.mark(Stage::ReturnMapAdjoint);
+        let sorted = sort(&model.grid, &state.particles);
+        self.laps.mark(Stage::Sort);
+        let (particles, _, order) = sorted?;
+        self.laps.skip();
+        std::hint::black_box(unsort(&particles.groups, &order, input.len()));
+        self.laps.mark(Stage::Unsort);
         self.spare = output;
+        Ok(())
     }
 }
 
