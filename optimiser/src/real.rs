@@ -75,9 +75,9 @@ pub trait Real:
     fn exp_m1(self) -> Self;
     /// Neither infinite nor NaN.
     fn is_finite(self) -> bool;
-    /// Runs a kernel with the widest instruction set that the machine has.
+    /// Runs a kernel with the widest instruction set of the machine.
     #[inline(always)]
-    fn run<K: pulp::NullaryFnOnce>(arch: pulp::Arch, kernel: K) -> K::Output {
+    fn dispatch<K: pulp::NullaryFnOnce>(arch: pulp::Arch, kernel: K) -> K::Output {
         arch.dispatch(kernel)
     }
 

@@ -12,6 +12,7 @@
 //! In a control period the arm's displacement and status are taken in, one setpoint is read off the plan, guarded, encoded
 //! and handed out, and a last poll finds nothing more to do; in one of ten there are also the heartbeats of both ends, and a
 //! second status. Overflow is checked, as in the program.
+#![expect(missing_docs, reason = "what the macros of criterion write has none")]
 
 #[path = "../tests/common/mod.rs"]
 mod common;

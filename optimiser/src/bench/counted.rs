@@ -150,8 +150,9 @@ impl<T: Elementary> Real for Counted<T> {
     fn is_finite(self) -> bool {
         self.0.is_finite()
     }
-    /// Without instruction sets: what is counted does not depend on them, and each would be compiled for minutes.
-    fn run<K: pulp::NullaryFnOnce>(_: pulp::Arch, kernel: K) -> K::Output {
+    /// Without vectors: they would not make counting faster, and each instruction set is another copy of all kernels.
+    #[inline(always)]
+    fn dispatch<K: pulp::NullaryFnOnce>(_: pulp::Arch, kernel: K) -> K::Output {
         kernel.call()
     }
 }

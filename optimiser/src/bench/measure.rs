@@ -46,7 +46,7 @@ const PARTS: usize = 5;
 const PASSES: u32 = 2;
 
 /// Everything that is measured of stages, in the order of the report: key, part of the report, name.
-const ENTRIES: [(Pass, Stage, &str, &str); 12] = [
+const ENTRIES: [(Pass, Stage, &str, &str); 14] = [
     (Pass::Forward, Stage::Sort, "forward", "sort"),
     (Pass::Forward, Stage::ParticlesToGrid, "forward", "particles to grid, with return map"),
     (Pass::Forward, Stage::GridUpdate, "forward", "grid update, with contact"),
@@ -57,12 +57,14 @@ const ENTRIES: [(Pass, Stage, &str, &str); 12] = [
     (Pass::Adjoint, Stage::GridUpdateAdjoint, "adjoint", "adjoint of grid update"),
     (Pass::Adjoint, Stage::ParticlesToGridAdjoint, "adjoint", "adjoint of particles to grid"),
     (Pass::Adjoint, Stage::Unsort, "adjoint", "adjoint of sort"),
-    (Pass::Material, Stage::ReturnMap, "alone", "return map"),
-    (Pass::Material, Stage::ReturnMapAdjoint, "alone", "adjoint of return map"),
+    (Pass::Alone, Stage::ReturnMap, "alone", "return map"),
+    (Pass::Alone, Stage::ReturnMapAdjoint, "alone", "adjoint of return map"),
+    (Pass::Alone, Stage::Sort, "alone", "sort, each time"),
+    (Pass::Alone, Stage::Unsort, "alone", "adjoint of sort, each time"),
 ];
 
-/// The stages that a substep and its adjoint are made of.
-pub const STAGES: [Stage; 8] = [
+/// All stages, as [`Bench::time_of`] takes them.
+pub const STAGES: [Stage; 10] = [
     Stage::Sort,
     Stage::ParticlesToGrid,
     Stage::GridUpdate,
@@ -71,6 +73,8 @@ pub const STAGES: [Stage; 8] = [
     Stage::GridUpdateAdjoint,
     Stage::ParticlesToGridAdjoint,
     Stage::Unsort,
+    Stage::ReturnMap,
+    Stage::ReturnMapAdjoint,
 ];
 
 /// A bed with a bowl in it, at some moment.
@@ -145,31 +149,35 @@ impl<T: Real> Bench<T> {
         Ok(Taken { stamps, laps })
     }
 
-    /// The material of the powder as it is, by itself.
-    fn material(&mut self) -> Vec<Lap> {
+    /// Sort, material and their adjoints by themselves, for the powder as it is.
+    fn alone(&mut self) -> Result<Vec<Lap>, RolloutError> {
         self.simulator.laps().follow(self.gauge);
-        self.simulator.material(&self.moment);
-        self.simulator.laps().take()
+        let done = self.simulator.alone(&self.moment);
+        let laps = self.simulator.laps().take();
+        done.map(|()| laps)
     }
 
-    /// Nanoseconds that a stage takes in so many substeps (or adjoints of substeps), rounded up to whole control steps;
-    /// the powder moves on.
+    /// Nanoseconds that a stage takes in so many substeps (or adjoints of substeps, or sorts); a stage of a substep lets
+    /// the powder move on.
     ///
     /// # Errors
     /// See [`RolloutError`].
     pub fn time_of(&mut self, stage: Stage, substeps: u64) -> Result<f64, RolloutError> {
-        let forward = ENTRIES.iter().any(|(pass, s, _, _)| *s == stage && *pass == Pass::Forward);
-        let material = matches!(stage, Stage::ReturnMap | Stage::ReturnMapAdjoint);
-        let wanted = if forward { Pass::Forward } else { Pass::Adjoint };
+        let pass = match stage {
+            Stage::ParticlesToGrid | Stage::GridUpdate | Stage::GridToParticles => Pass::Forward,
+            Stage::GridToParticlesAdjoint | Stage::GridUpdateAdjoint | Stage::ParticlesToGridAdjoint => {
+                Pass::Adjoint
+            }
+            Stage::Sort | Stage::Unsort | Stage::ReturnMap | Stage::ReturnMapAdjoint => Pass::Alone,
+        };
         let (mut total_ns, mut count) = (0, 0);
         while count < substeps {
-            let laps = match (forward, material) {
-                (true, _) => self.forward(1, &mut |_, _| true)?.laps,
-                (_, true) => self.material(),
-                _ => self.gradient(1, &mut |_, _| true)?.laps,
+            let laps = match pass {
+                Pass::Forward => self.forward(1, &mut |_, _| true)?.laps,
+                Pass::Adjoint => self.gradient(1, &mut |_, _| true)?.laps,
+                Pass::Alone => self.alone()?,
             };
-            let laps = laps.iter().filter(|lap| material || lap.pass == wanted);
-            for lap in laps {
+            for lap in laps.iter().filter(|lap| lap.pass == pass) {
                 total_ns += lap.stages[stage as usize][0];
                 count += 1;
             }
@@ -403,7 +411,7 @@ fn counts<T: Elementary>(
         bench.forward(1, &mut told)?.laps
     } else {
         let mut laps = bench.gradient(1, &mut told)?.laps;
-        laps.extend(bench.material());
+        laps.extend(bench.alone()?);
         laps
     };
     Ok(ENTRIES.map(|entry| share(&laps, entry, settings.particles).unwrap_or_default()))
@@ -536,8 +544,7 @@ fn measure_blocks<T: Real>(
             let taken = bench.gradient(part, &mut |d, t| told(0, 4 * width, d, t))?;
             blocks.take_gradient(&taken, bench.substeps(part), particles);
             for _ in 0..part {
-                let laps = bench.material();
-                blocks.take_stages(&laps, Pass::Material, particles);
+                blocks.take_stages(&bench.alone()?, Pass::Alone, particles);
             }
         }
         let taken = bench.forward(part, &mut |d, t| told(4 * width, 5 * width, d, t))?;
@@ -600,9 +607,8 @@ mod tests {
         assert_eq!(median(vec![9.0, 1.0, 2.0, 4.0]), 3.0);
     }
 
-    #[test]
-    fn counting_does_not_depend_on_the_precision_but_for_elementary_functions() {
-        let settings = Settings {
+    fn tiny() -> Settings {
+        Settings {
             particles: 1_000,
             grid: 16,
             substeps: 1,
@@ -610,16 +616,48 @@ mod tests {
             precision: Precision::F32,
             forward_only: false,
             memory_bytes: None,
-        };
-        let narrow = counts::<f32>(&settings, &mut |_, _, _| true).expect("fits");
-        let wide = counts::<f64>(&settings, &mut |_, _, _| true).expect("fits");
-        let lanes = 1_056.0 / 1_000.0;
-        for (entry, (narrow, wide)) in ENTRIES.iter().zip(narrow.iter().zip(&wide)) {
-            println!("{entry:?}: {narrow:?} {wide:?}");
         }
-        let difference = |entry: usize| wide[entry][0] - narrow[entry][0];
-        // Three logarithms and three exponentials in a return map, more exponentials in its adjoint.
+    }
+
+    fn entry(pass: Pass, stage: Stage) -> usize {
+        ENTRIES.iter().position(|entry| entry.0 == pass && entry.1 == stage).expect("measured")
+    }
+
+    #[test]
+    fn operations_of_the_scatter_are_those_counted_by_hand() {
+        let counts = counts::<f32>(&tiny(), &mut |_, _, _| true).expect("fits");
+        let bench = Bench::<f32>::new(1_000, 16, 1).expect("fits");
+        let (_, lanes) = bench.moment.blocks_and_lanes();
+        let lanes_per_particle = lanes as f64 / 1_000.0;
+        let [whole, material] = [(Pass::Forward, Stage::ParticlesToGrid), (Pass::Alone, Stage::ReturnMap)]
+            .map(|(pass, stage)| counts[entry(pass, stage)]);
+        // For each lane its place, six operations along each axis. For each particle nine along each axis for the weights, 15
+        // and 3 for the affine function at the first node, and the scatter (see `counted.rs`).
+        let expected = lanes_per_particle * 18.0 + (27 + 18 + 372) as f64;
+        assert!((whole[0] - material[0] - expected).abs() < 1e-9, "{whole:?} {material:?} {expected}");
+        assert!((whole[1] - material[1]).abs() < 1e-9, "a scatter neither divides nor takes roots");
+    }
+
+    #[test]
+    fn precisions_differ_by_their_elementary_functions() {
+        let narrow = counts::<f32>(&tiny(), &mut |_, _, _| true).expect("fits");
+        let wide = counts::<f64>(&tiny(), &mut |_, _, _| true).expect("fits");
+        let (_, lanes) = Bench::<f64>::new(1_000, 16, 1).expect("fits").moment.blocks_and_lanes();
+        let at = entry(Pass::Alone, Stage::ReturnMap);
+        // Three logarithms and three exponentials.
         let functions = 3 * (f64::LN_1P[0] - f32::LN_1P[0]) + 3 * (f64::EXP_M1[0] - f32::EXP_M1[0]);
-        assert!((difference(10) - functions as f64 * lanes).abs() < 1e-9, "{}", difference(10));
+        let expected = functions as f64 * lanes as f64 / 1_000.0;
+        assert!((wide[at][0] - narrow[at][0] - expected).abs() < 1e-9, "{wide:?} {narrow:?}");
+        let at = entry(Pass::Forward, Stage::GridUpdate);
+        assert!((wide[at][0] - narrow[at][0]).abs() < 1e-9);
+    }
+
+    #[test]
+    fn a_stage_is_timed_by_itself() {
+        let mut bench = Bench::<f32>::new(1_000, 16, 2).expect("fits");
+        for stage in STAGES {
+            let ns = bench.time_of(stage, 3).expect("runs");
+            assert!(ns > 0.0 && ns < 1e12, "{stage:?}: {ns}");
+        }
     }
 }

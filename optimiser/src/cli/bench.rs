@@ -6,21 +6,20 @@ use crate::report::words::grouped;
 use crate::scene::MAX_PARTICLES;
 use clap::Args;
 use powderline_shared::plan::Precision;
-use std::fmt::Write;
+use std::{fmt::Write, ops::RangeInclusive};
 
 /// Arguments of `optimise bench`.
 #[derive(Clone, Debug, Args)]
 pub(super) struct BenchArgs {
-    /// Particles, eight in a cell; from 1,000 to 4,000,000
-    #[arg(long, value_name = "N", default_value_t = 20_000,
-        value_parser = clap::value_parser!(u32).range(1_000..=MAX_PARTICLES as i64))]
-    pub particles: u32,
-    /// Cells along each edge of the grid
-    #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u16).range(16..=256))]
-    pub grid: u16,
-    /// Substeps to measure, rounded up to whole control steps of 20
-    #[arg(long, value_name = "N", default_value_t = 200, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
-    pub steps: u32,
+    /// Particles, eight in a cell; 1,000 to 4,000,000
+    #[arg(long, value_name = "N", default_value_t = 20_000)]
+    pub particles: u64,
+    /// Cells along each edge of the grid; 16 to 256
+    #[arg(long, value_name = "N", default_value_t = 64)]
+    pub grid: u64,
+    /// Substeps to measure, rounded up to whole control steps of 20; 1 to 1,000,000
+    #[arg(long, value_name = "N", default_value_t = 200)]
+    pub steps: u64,
     /// Threads
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: u16,
@@ -47,15 +46,27 @@ impl From<BenchError> for CliError {
     }
 }
 
+const PARTICLES: RangeInclusive<usize> = 1_000..=MAX_PARTICLES;
+const GRID: RangeInclusive<usize> = 16..=256;
+const STEPS: RangeInclusive<usize> = 1..=1_000_000;
+
+/// A number that lies in its range.
+fn within(name: &str, number: u64, range: RangeInclusive<usize>) -> Result<usize, CliError> {
+    usize::try_from(number).ok().filter(|number| range.contains(number)).ok_or_else(|| {
+        let [least, most] = [range.start(), range.end()].map(|end| grouped(*end as i64));
+        CliError::Input(format!("{name} is a number from {least} to {most}, and {number} is not"))
+    })
+}
+
 /// Runs the command.
 ///
 /// # Errors
 /// One sentence.
 pub(super) fn execute(arguments: &BenchArgs, context: &mut Context<'_>) -> Result<(), CliError> {
     let settings = Settings {
-        particles: arguments.particles as usize,
-        grid: arguments.grid.into(),
-        substeps: arguments.steps as usize,
+        particles: within("--particles", arguments.particles, PARTICLES)?,
+        grid: within("--grid", arguments.grid, GRID)?,
+        substeps: within("--steps", arguments.steps, STEPS)?,
         threads: arguments.threads.into(),
         precision: Precision::from(arguments.precision),
         forward_only: arguments.forward_only,

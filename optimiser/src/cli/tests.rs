@@ -800,3 +800,109 @@ fn scene_without_a_motion_for_every_skill_is_refused() {
     assert_sentence(&optimise(&[&path, "--out", &place.text("run")]), 2, "linear acceleration");
     assert!(!place.path("run").exists());
 }
+
+/// `optimise bench` with the smallest bed and these arguments.
+fn bench(arguments: &[&str]) -> Done {
+    optimise(&[&["bench", "--particles", "1000", "--grid", "16", "--steps", "30"], arguments].concat())
+}
+
+/// Numbers of the rows of a report's table, those of `part` only.
+fn column(report: &Value, table: &str, part: Option<&str>, key: &str) -> Vec<f64> {
+    let rows = report[table].as_array().unwrap().iter();
+    let rows = rows.filter(|row| part.is_none_or(|part| row["part"] == part));
+    rows.map(|row| row[key].as_f64().unwrap_or_else(|| panic!("{key} in {row}"))).collect()
+}
+
+#[test]
+fn bench_reports_stages_that_add_up_to_no_more_than_the_whole() {
+    for precision in ["f32", "f64"] {
+        let done = bench(&["--threads", "2", "--precision", precision, "--json"]);
+        assert_eq!(done.code, 0, "{}", done.err);
+        let report: Value = serde_json::from_str(&done.out).unwrap();
+        assert_eq!((&report["precision"], &report["threads"]), (&precision.into(), &2.into()));
+        assert_eq!((&report["particles"], &report["grid"]), (&1000.into(), &16.into()));
+        assert_eq!((&report["substeps"], &report["warm_up_substeps"]), (&40.into(), &40.into()));
+
+        let sum = |part: &str, key: &str| column(&report, "stages", Some(part), key).iter().sum::<f64>();
+        for key in ["mean_ns", "operations", "divisions_and_roots"] {
+            let [forward, gradient] = column(&report, "whole", None, key)[..] else { panic!("two rows") };
+            let advances = report["whole"][1]["advances"].as_f64().unwrap();
+            let [once, adjoint] = [sum("forward", key), sum("adjoint", key)];
+            assert!(once > 0.0 && adjoint > once, "{key}: {once} {adjoint}");
+            if key == "mean_ns" {
+                assert!(once <= forward && adjoint <= gradient, "{once} {forward} {adjoint} {gradient}");
+            } else {
+                assert!((once - forward).abs() < 1e-6 * once, "{key}: {once} {forward}");
+                assert!((advances * once + adjoint - gradient).abs() < 1e-6 * gradient, "{key}: {gradient}");
+            }
+        }
+        assert_eq!(column(&report, "whole", None, "kept_states"), [0.0, 5.0]);
+        for table in ["stages", "whole"] {
+            let rows = report[table].as_array().unwrap();
+            assert_eq!(rows.len(), if table == "whole" { 2 } else { 14 });
+            let middle = column(&report, table, None, "median_ns");
+            for (row, (min, median)) in
+                rows.iter().zip(column(&report, table, None, "min_ns").into_iter().zip(middle))
+            {
+                assert!(0.0 < min && min <= median, "{row}");
+                let computes = row["operations"].as_f64().unwrap() > 0.0;
+                assert_eq!(computes, row["multiple"].as_f64().is_some_and(|m| m > 0.0), "{row}");
+                assert_eq!(computes, row["floor_ns"].as_f64().unwrap() > 0.0, "{row}");
+            }
+        }
+        let filled = report["filled_lanes"].as_f64().unwrap();
+        assert!(filled > 0.5 && filled <= 1.0);
+        let of = |table: &str, key: &str| report[table][key].as_f64().unwrap();
+        assert!(of("machine", "fma_gflops") > 0.0 && of("machine", "read_gb_per_s") > 0.0);
+        assert!(of("memory", "peak_bytes") >= of("memory", "forward_peak_bytes"));
+        let scalar_bytes = if precision == "f32" { 4.0 } else { 8.0 };
+        assert_eq!(of("memory", "traffic_bytes_per_particle"), 2.0 * 22.0 * scalar_bytes);
+    }
+}
+
+#[test]
+fn bench_without_gradient_has_no_adjoint() {
+    let done = bench(&["--forward-only", "--json"]);
+    let report: Value = serde_json::from_str(&done.out).unwrap();
+    assert_eq!(column(&report, "whole", None, "advances"), [1.0]);
+    let parts = report["stages"].as_array().unwrap().iter().map(|row| row["part"].as_str().unwrap());
+    assert_eq!(parts.collect::<Vec<_>>(), ["forward"; 4]);
+
+    let text = bench(&["--forward-only"]).out;
+    for part in ["1,000 particles in 16^3 cells, f32, 1 thread", "particles to grid", "Peak memory"] {
+        assert!(text.contains(part), "{part} in {text}");
+    }
+    assert!(!text.contains("adjoint"), "{text}");
+}
+
+#[test]
+fn bench_refuses_in_one_sentence() {
+    for (arguments, about) in [
+        (["--particles", "999"], "--particles is a number from 1,000 to 4,000,000, and 999 is not"),
+        (["--particles", "4000001"], "4000001 is not"),
+        (["--grid", "15"], "--grid is a number from 16 to 256"),
+        (["--steps", "0"], "--steps is a number from 1 to 1,000,000"),
+        (["--particles", "400000"], "a bed of about 169,"),
+        (["--memory", "100MiB"], "20,000 particles need about 3"),
+    ] {
+        let grid: &[&str] = if arguments[1] == "400000" { &["--grid", "32"] } else { &[] };
+        assert_sentence(&optimise(&[&["bench"], &arguments[..], grid].concat()), 2, about);
+    }
+    assert_sentence(&bench(&["--memory", "100MiB"]), 2, "or for --forward-only");
+    let done = bench(&["--memory", "100MiB", "--forward-only"]);
+    assert_sentence(&done, 2, "ask for fewer");
+    assert!(!done.err.contains("forward-only"));
+}
+
+#[test]
+fn bench_stops_on_request() {
+    let interrupt = Interrupt::default();
+    interrupt.request();
+    let (mut out, mut err) = (Vec::new(), Vec::new());
+    let factory =
+        |_: &Scene, _: &SimulatorSettings| -> Result<Box<dyn Evaluate>, RolloutError> { unreachable!() };
+    let mut context = Context { factory: &factory, interrupt, out: &mut out, err: &mut err, live: false };
+    let stopped = execute(["optimise", "bench", "--particles", "1000"], &mut context);
+    assert_eq!(stopped.map_err(|error| error.code()), Err(130));
+    assert!(out.is_empty());
+}

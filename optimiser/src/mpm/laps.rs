@@ -43,8 +43,8 @@ pub(crate) enum Pass {
     Forward,
     /// A substep's adjoint, with what it computes again of the substep.
     Adjoint,
-    /// The material by itself.
-    Material,
+    /// Stages by themselves, see `Workspace::alone`.
+    Alone,
 }
 
 /// One pass, and what each stage took of it.

@@ -32,8 +32,25 @@ mod tests;
 /// Raised with every change of what a substep computes: a run is not resumed by another physics.
 pub(crate) const PHYSICS_VERSION: u32 = 3;
 
+use std::marker::PhantomData;
+
 use crate::real::Real;
 use crate::scene::Scene;
+
+/// How the kernels of a type of numbers are run.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Arch<T>(pulp::Arch, PhantomData<T>);
+
+impl<T: Real> Arch<T> {
+    fn new() -> Self {
+        Self(pulp::Arch::new(), PhantomData)
+    }
+
+    #[inline(always)]
+    pub(crate) fn dispatch<K: pulp::NullaryFnOnce>(&self, kernel: K) -> K::Output {
+        T::dispatch(self.0, kernel)
+    }
+}
 
 /// Everything that does not change during a rollout.
 #[derive(Clone, Debug)]
@@ -55,7 +72,7 @@ pub(crate) struct Model<T> {
     pub(crate) viscous_loss: T,
     /// Gravity times substep, m/s.
     pub(crate) gravity_dt: [T; 3],
-    pub(crate) arch: pulp::Arch,
+    pub(crate) arch: Arch<T>,
 }
 
 impl<T: Real> Model<T> {
@@ -84,7 +101,7 @@ impl<T: Real> Model<T> {
             stress_dx: T::of(dt * volume * 4.0 / dx),
             viscous_loss: T::of(scene.viscous_loss()),
             gravity_dt: scene.domain.gravity_m_s2.map(|g| T::of(g * dt)),
-            arch: pulp::Arch::new(),
+            arch: Arch::new(),
         }
     }
 }

@@ -152,7 +152,7 @@ impl<T: Real> Workspace<T> {
             .zip(&layout.blocks)
             .map(|(output, block)| {
                 let input = &input[block.first_group..block.first_group + block.groups()];
-                T::run(model.arch, TileToParticles { model, tool, block, velocity, input, output })
+                model.arch.dispatch(TileToParticles { model, tool, block, velocity, input, output })
             })
             .reduce(|| true, |a, b| a && b);
         std::mem::swap(&mut state.particles.groups, &mut output);
@@ -177,7 +177,7 @@ impl<T: Real> Workspace<T> {
         let jobs = split(layout, output).into_par_iter().zip(&mut self.tiles).zip(&layout.blocks);
         let scatter = |output, tile, block: &crate::mpm::layout::Block, payloads| {
             let input = &input[block.first_group..block.first_group + block.groups()];
-            T::run(model.arch, ParticlesToTile { model, block, input, output, tile, payloads });
+            model.arch.dispatch(ParticlesToTile { model, block, input, output, tile, payloads });
         };
         if keep {
             self.payloads.resize(input.len(), Payload::ZERO);
@@ -190,7 +190,7 @@ impl<T: Real> Workspace<T> {
         let tiles = &self.tiles;
         layout.nodes.par_iter().zip(&mut self.momentum).zip(&mut self.velocity).for_each(
             |((node, momentum), velocity)| {
-                T::run(model.arch, UpdateNodes { model, tool, node, tiles, momentum, velocity });
+                model.arch.dispatch(UpdateNodes { model, tool, node, tiles, momentum, velocity });
             },
         );
         self.laps.mark(Stage::GridUpdate);
@@ -221,10 +221,15 @@ impl<T: Real> Workspace<T> {
             .zip(&layout.blocks)
             .map(|((bar, tile_bar), block)| {
                 let input = &input[block.first_group..block.first_group + block.groups()];
-                T::run(
-                    model.arch,
-                    TileToParticlesAdjoint { model, tool, block, velocity, input, bar, tile_bar },
-                )
+                model.arch.dispatch(TileToParticlesAdjoint {
+                    model,
+                    tool,
+                    block,
+                    velocity,
+                    input,
+                    bar,
+                    tile_bar,
+                })
             })
             .collect();
         self.laps.mark(Stage::GridToParticlesAdjoint);
@@ -235,34 +240,28 @@ impl<T: Real> Workspace<T> {
             .zip(momentum)
             .zip(&mut self.momentum_bar)
             .map(|((node, momentum), momentum_bar)| {
-                T::run(
-                    model.arch,
-                    UpdateNodesAdjoint {
-                        model,
-                        tool,
-                        node,
-                        velocity_bar_tiles: tiles,
-                        momentum,
-                        momentum_bar,
-                    },
-                )
+                model.arch.dispatch(UpdateNodesAdjoint {
+                    model,
+                    tool,
+                    node,
+                    velocity_bar_tiles: tiles,
+                    momentum,
+                    momentum_bar,
+                })
             })
             .collect();
         self.laps.mark(Stage::GridUpdateAdjoint);
         let (nodes_bar, payloads) = (&self.momentum_bar, &self.payloads);
         split(layout, bar).into_par_iter().zip(&layout.blocks).for_each(|(bar, block)| {
             let range = block.first_group..block.first_group + block.groups();
-            T::run(
-                model.arch,
-                ParticlesToTileAdjoint {
-                    model,
-                    block,
-                    input: &input[range.clone()],
-                    payloads: &payloads[range],
-                    nodes_bar,
-                    bar,
-                },
-            );
+            model.arch.dispatch(ParticlesToTileAdjoint {
+                model,
+                block,
+                input: &input[range.clone()],
+                payloads: &payloads[range],
+                nodes_bar,
+                bar,
+            });
         });
         let mut total = MotionBar::default();
         at_particles.iter().chain(&at_nodes).for_each(|b| total.add(b));
@@ -270,26 +269,30 @@ impl<T: Real> Workspace<T> {
         total
     }
 
-    /// The material and its adjoint without the transfers around them, for the measuring tool. Leaves nothing behind.
-    pub(crate) fn material(&mut self, model: &Model<T>, state: &State<T>) {
-        self.laps.begin(Pass::Material);
-        let input = &state.particles.groups;
-        self.fit(&state.layout, input.len());
+    /// Sort, material and their adjoints by themselves, for the measuring tool. Leaves nothing behind.
+    pub(crate) fn alone(&mut self, model: &Model<T>, state: &State<T>) -> Result<(), Lost> {
+        let (layout, input) = (&state.layout, &state.particles.groups);
+        self.fit(layout, input.len());
         let mut output = std::mem::take(&mut self.spare);
         let of_block =
             |block: &crate::mpm::layout::Block| &input[block.first_group..block.first_group + block.groups()];
-        self.laps.skip();
-        let jobs = split(&state.layout, &mut output).into_par_iter().zip(&state.layout.blocks);
-        jobs.for_each(|(output, block)| {
-            T::run(model.arch, ReturnMap { model, input: of_block(block), output });
+        self.laps.begin(Pass::Alone);
+        split(layout, &mut output).into_par_iter().zip(&layout.blocks).for_each(|(output, block)| {
+            model.arch.dispatch(ReturnMap { model, input: of_block(block), output });
         });
         self.laps.mark(Stage::ReturnMap);
-        let jobs = split(&state.layout, &mut output).into_par_iter().zip(&state.layout.blocks);
-        jobs.for_each(|(bar, block)| {
-            T::run(model.arch, ReturnMapAdjoint { model, input: of_block(block), bar });
+        split(layout, &mut output).into_par_iter().zip(&layout.blocks).for_each(|(bar, block)| {
+            model.arch.dispatch(ReturnMapAdjoint { model, input: of_block(block), bar });
         });
         self.laps.mark(Stage::ReturnMapAdjoint);
+        let sorted = sort(&model.grid, &state.particles);
+        self.laps.mark(Stage::Sort);
+        let (particles, _, order) = sorted?;
+        self.laps.skip();
+        std::hint::black_box(unsort(&particles.groups, &order, input.len()));
+        self.laps.mark(Stage::Unsort);
         self.spare = output;
+        Ok(())
     }
 }
 

@@ -87,9 +87,11 @@ impl<T: Real> Simulator<T> {
         &mut self.workspace.laps
     }
 
-    /// Runs the material and its adjoint by themselves, for what they take.
-    pub(crate) fn material(&mut self, moment: &Moment<T>) {
-        self.in_pool(|r| r.workspace.material(r.model, &moment.state), &mut |_, _| true);
+    /// Runs some stages by themselves, for what they take.
+    pub(crate) fn alone(&mut self, moment: &Moment<T>) -> Result<(), RolloutError> {
+        let lost = |r: &Rollout<'_, T>, lost| lost_error(r.scene, 0, lost, Some(&moment.state));
+        let job = |r: &mut Rollout<'_, T>| r.workspace.alone(r.model, &moment.state).map_err(|l| lost(r, l));
+        self.in_pool(job, &mut |_, _| true)
     }
 
     fn path(&self, anchor: Pose, controls: Vec<Displacement>) -> Path {
