@@ -643,6 +643,58 @@ fn what_a_session_has_said_before_does_not_move_the_arm_once_more() {
     }
 }
 
+/// A session that nobody keeps up, until it is over.
+fn open_and_leave(bench: &mut Bench, request: OpenRequest) {
+    bench.tell(ToArm::Open(request));
+    assert_eq!(bench.arm.context().session, request.session);
+    bench.alive = false;
+    (0..31).for_each(|_| bench.period());
+    assert_eq!(bench.arm.context(), Context::NONE);
+}
+
+#[test]
+fn what_is_closed_stays_closed_while_others_come_and_go() {
+    let mut bench = Bench::new();
+    let sessions = [SESSION, SESSION + 1, SESSION + 2];
+    sessions
+        .iter()
+        .for_each(|session| open_and_leave(&mut bench, OpenRequest { session: *session, ..request() }));
+    for session in sessions {
+        bench.tell(ToArm::Open(OpenRequest { session, ..request() }));
+        assert!(bench.messages.contains(&FromArm::Refused { session, reason: Refusal::Closed }), "{session}");
+        assert_eq!(bench.arm.context(), Context::NONE);
+    }
+}
+
+#[test]
+fn a_session_whose_frames_could_be_taken_for_a_closed_ones_is_not_opened() {
+    let context = |session| Context { session, plan_hash: request().plan_hash };
+    let other =
+        (1..u16::MAX).find(|session| *session != SESSION && context(*session).resembles(&context(SESSION)));
+    let session = other.unwrap();
+    let mut bench = Bench::new();
+    open_and_leave(&mut bench, request());
+    bench.tell(ToArm::Open(OpenRequest { session, ..request() }));
+    assert!(bench.messages.contains(&FromArm::Refused { session, reason: Refusal::Closed }));
+}
+
+#[test]
+fn setpoints_before_operation_is_enabled_move_nothing() {
+    let up = [Command::Shutdown, Command::SwitchOn];
+    for steps in 0..=up.len() {
+        let mut bench = Bench::new();
+        bench.tell(ToArm::Open(request()));
+        up[..steps].iter().for_each(|command| bench.command(*command));
+        let (state, pose) = (bench.arm.state(), bench.arm.pose());
+        for tick in 1..=DEPTH {
+            bench.set(setpoint(tick));
+            bench.period();
+        }
+        assert_eq!((bench.arm.state(), bench.arm.pose(), bench.arm.has_moved()), (state, pose, false));
+        assert!(bench.arm.status().standstill);
+    }
+}
+
 #[test]
 fn a_session_that_is_not_heard_of_is_over() {
     // Standing with power, armed: a fault. Without power: the session is closed, and another may come.
