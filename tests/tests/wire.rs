@@ -170,11 +170,40 @@ fn json(program: Program, code: i32) -> Value {
     serde_json::from_str(&out).unwrap()
 }
 
+/// The machine that tests held the arm's program up for so long that the arm stopped for that: rightly, and not what is
+/// tested.
+struct HeldUp;
+
+/// The fault of an arm that was held up.
+const HELD_UP: u32 = 132;
+
+/// Tries again where the machine is busy; not for ever.
 #[track_caller]
+fn unless_held_up(scenario: impl Fn() -> Result<(), HeldUp>) {
+    let done = (1..=4).any(|attempt| {
+        let done = scenario().is_ok();
+        if !done {
+            eprintln!("attempt {attempt}: this machine held the arm up, which stopped for that");
+        }
+        done
+    });
+    assert!(done, "this machine is too busy for an arm");
+}
+
 fn assert_played(on: &str) {
+    unless_held_up(|| played(on));
+}
+
+#[track_caller]
+fn played(on: &str) -> Result<(), HeldUp> {
     let dir = TempDir::new().unwrap();
     let (mut arm, wire) = arm(on, &["--once"]);
-    let report = json(execute(&plan(dir.path()), &wire, &["--json"]), 0);
+    let (code, out) = execute(&plan(dir.path()), &wire, &["--json"]).ends();
+    let report: Value = serde_json::from_str(&out).unwrap();
+    if report["stop"]["code"] == HELD_UP {
+        return Err(HeldUp);
+    }
+    assert_eq!(code, Some(0), "{out}");
     assert_eq!((&report["completed"], &report["within_half_lsb"]), (&Value::from(true), &Value::from(true)));
     assert_eq!(
         (&report["ticks"]["applied"], &report["standstill"]),
@@ -187,6 +216,7 @@ fn assert_played(on: &str) {
     arm.says("holding the last setpoint");
     arm.says("State: ready to switch on");
     assert_eq!(arm.ends().0, Some(0));
+    Ok(())
 }
 
 #[test]
@@ -199,8 +229,12 @@ fn an_executor_that_is_killed_leaves_an_arm_that_stops_and_must_be_reset() {
     assert_survives_a_killed_executor("pty");
 }
 
-#[track_caller]
 fn assert_survives_a_killed_executor(on: &str) {
+    unless_held_up(|| survives_a_killed_executor(on));
+}
+
+#[track_caller]
+fn survives_a_killed_executor(on: &str) -> Result<(), HeldUp> {
     let dir = TempDir::new().unwrap();
     let plan = plan(dir.path());
     let (mut arm, wire) = arm(on, &[]);
@@ -209,6 +243,9 @@ fn assert_survives_a_killed_executor(on: &str) {
     thread::sleep(Duration::from_millis(800));
     first.kill();
     let reason = arm.says("Stopping: fault ");
+    if reason.contains(&format!("fault {HELD_UP}")) {
+        return Err(HeldUp);
+    }
     assert!(reason.contains("fault 101") || reason.contains("fault 131"), "{reason}");
     arm.says("State: fault.");
     arm.says("At rest after");
@@ -218,6 +255,7 @@ fn assert_survives_a_killed_executor(on: &str) {
     // After a reset it is the anchor that is wrong: nothing moves the arm back by itself.
     let report = json(execute(&plan, &wire, &["--json", "--reset"]), 1);
     assert_eq!(report["stop"]["code"], 402, "{report}");
+    Ok(())
 }
 
 #[test]

@@ -633,9 +633,9 @@ mod tests {
         let lanes_per_particle = lanes as f64 / 1_000.0;
         let [whole, material] = [(Pass::Forward, Stage::ParticlesToGrid), (Pass::Alone, Stage::ReturnMap)]
             .map(|(pass, stage)| counts[entry(pass, stage)]);
-        // For each lane its place, six operations along each axis. For each particle nine along each axis for the weights, 15
-        // and 3 for the affine function at the first node, and the scatter (see `counted.rs`).
-        let expected = lanes_per_particle * 18.0 + (27 + 18 + 705) as f64;
+        // For each lane its place and its weights, six and nine operations along each axis. For each particle the scatter (see
+        // `counted.rs`).
+        let expected = lanes_per_particle * (3 * (6 + 9)) as f64 + 705.0;
         assert!((whole[0] - material[0] - expected).abs() < 1e-9, "{whole:?} {material:?} {expected}");
         assert!((whole[1] - material[1]).abs() < 1e-9, "a scatter neither divides nor takes roots");
     }

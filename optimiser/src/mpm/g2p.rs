@@ -7,9 +7,9 @@ use crate::mpm::Model;
 use crate::mpm::contact::{Motion, MotionBar};
 use crate::mpm::grid_update::{contact_lanes, contact_lanes_adjoint, meet};
 use crate::mpm::layout::{Block, Grid, Nodes, empty_tile, load_tile};
-use crate::mpm::p2g::{Places, affine};
-use crate::mpm::particles::{Group, LANES, set_mat, set_vec, vec_of};
-use crate::mpm::stencil::{TILE_EDGE, Tile, gather, gather_with_gradient, scatter, weight_slopes};
+use crate::mpm::p2g::{Gathered, Places, affine, at_base, lane};
+use crate::mpm::particles::{Group, LANES, mat_of, set_mat, set_vec, vec_of};
+use crate::mpm::stencil::{TILE_EDGE, Tile, gather, gather_with_gradient, scatter};
 use crate::real::Real;
 use crate::small::{three, tr_mul_vec};
 
@@ -39,16 +39,17 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticles<'_, T> {
             let mut places = Places::ZERO;
             places.locate(model.inverse_dx, shift, &input.x);
             let living = self.block.living(g);
-            output.v = [[T::ZERO; LANES]; 3];
-            output.c = [[T::ZERO; LANES]; 9];
+            let weights = places.weights();
+            let mut gathered = Gathered::ZERO;
             for l in 0..living {
-                let m = gather(&tile, &places.stencil(l));
-                let f = places.f(l);
-                let v = [m.sum[0], m.sum[1], m.sum[2]];
-                let c = three!(i => three!(j => model.four_per_dx * (m.first[j][i] - v[i] * f[j])));
-                set_vec(&mut output.v, l, v);
+                gathered.set(l, &gather(&tile, &places.stencil(&weights, l)));
+            }
+            for l in 0..LANES {
+                let (f, v, first) = (places.f(l), vec_of(&gathered.sum, l), mat_of(&gathered.first, l));
+                let c = three!(i => three!(j => model.four_per_dx * (first[i][j] - v[i] * f[j])));
                 set_mat(&mut output.c, l, c);
             }
+            output.v = gathered.sum;
             for t in &touching {
                 contact_lanes(t, &t.piece.particle_law, &input.x, &mut output.v);
             }
@@ -102,6 +103,7 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
             let mut places = Places::ZERO;
             places.locate(model.inverse_dx, shift, &input.x);
             let living = self.block.living(g);
+            let (weights, slopes) = (places.weights(), places.slopes());
             // x' = x + dt v'
             for axis in 0..3 {
                 for l in 0..LANES {
@@ -111,7 +113,7 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
             if !touching.is_empty() {
                 let mut v = [[T::ZERO; LANES]; 3];
                 for l in 0..living {
-                    let m = gather(&tile, &places.stencil(l));
+                    let m = gather(&tile, &places.stencil(&weights, l));
                     set_vec(&mut v, l, [m.sum[0], m.sum[1], m.sum[2]]);
                 }
                 meet(&touching, |piece| &piece.particle_law, &input.x, v, &mut met);
@@ -119,15 +121,24 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
                     contact_lanes_adjoint(m, &input.x, &mut bar.v, Some(&mut bar.x), &mut tool_bar);
                 }
             }
+            let (mut a_dx, mut base) = ([[T::ZERO; LANES]; 9], [[T::ZERO; LANES]; 3]);
+            for l in 0..LANES {
+                let scaled = three!(i => three!(j => model.four_per_dx * bar.c[3 * i + j][l]));
+                set_mat(&mut a_dx, l, scaled);
+                set_vec(&mut base, l, at_base(vec_of(&bar.v, l), &scaled, places.f(l)));
+            }
+            let mut gathered = Gathered::ZERO;
             for l in 0..living {
-                let f = places.f(l);
-                let a_dx = three!(i => three!(j => model.four_per_dx * bar.c[3 * i + j][l]));
-                let stencil = places.stencil(l);
-                let q = affine(vec_of(&bar.v, l), &a_dx, f, T::ZERO);
-                let (moments, gradient) =
-                    gather_with_gradient(&tile, &stencil, &three!(i => weight_slopes(f[i])), &q);
+                let stencil = places.stencil(&weights, l);
+                let q = affine(vec_of(&base, l), &mat_of(&a_dx, l), T::ZERO);
+                let (moments, gradient) = gather_with_gradient(&tile, &stencil, &lane(&slopes, l), &q);
                 scatter(self.tile_bar, &stencil, &q);
-                let through_f = tr_mul_vec(&a_dx, [moments.sum[0], moments.sum[1], moments.sum[2]]);
+                gathered.set(l, &moments);
+                set_vec(&mut gathered.gradient, l, gradient);
+            }
+            for l in 0..LANES {
+                let through_f = tr_mul_vec(&mat_of(&a_dx, l), vec_of(&gathered.sum, l));
+                let gradient = vec_of(&gathered.gradient, l);
                 for axis in 0..3 {
                     bar.x[axis][l] += model.inverse_dx * (gradient[axis] - through_f[axis]);
                 }

@@ -10,7 +10,7 @@ use crate::mpm::material::{self, is_mild, trial_strain, trial_strain_adjoint};
 use crate::mpm::particles::{Group, LANES, Lanes, mat_of, set_mat, set_vec, vec_of};
 use crate::mpm::principal;
 use crate::mpm::stencil::{
-    Affine, Stencil, TILE_EDGE, Tile, gather_with_gradient, scatter, weight_slopes, weights,
+    Affine, Moments, Stencil, TILE_EDGE, Tile, gather_with_gradient, scatter, weight_slopes, weights,
 };
 use crate::real::Real;
 use crate::small::{Mat3, Sym3, Vec3, full, mul_vec, scale, sub, three, tr_mul_vec};
@@ -48,35 +48,99 @@ impl<T: Real> Places<T> {
         vec_of(&self.f, l)
     }
 
+    /// Weights of the group: axis, node, lane.
     #[inline(always)]
-    pub(crate) fn stencil(&self, l: usize) -> Stencil<T> {
-        Stencil { start: self.start[l] as usize, w: three!(i => weights(self.f[i][l])) }
+    pub(crate) fn weights(&self) -> Weights<T> {
+        let mut out = [[[T::ZERO; LANES]; 3]; 3];
+        for l in 0..LANES {
+            for axis in 0..3 {
+                let w = weights(self.f[axis][l]);
+                for node in 0..3 {
+                    out[axis][node][l] = w[node];
+                }
+            }
+        }
+        out
+    }
+
+    /// Derivatives of [`Self::weights`].
+    #[inline(always)]
+    pub(crate) fn slopes(&self) -> Weights<T> {
+        let mut out = [[[T::ZERO; LANES]; 3]; 3];
+        for l in 0..LANES {
+            for axis in 0..3 {
+                let d = weight_slopes(self.f[axis][l]);
+                for node in 0..3 {
+                    out[axis][node][l] = d[node];
+                }
+            }
+        }
+        out
+    }
+
+    #[inline(always)]
+    pub(crate) fn stencil(&self, w: &Weights<T>, l: usize) -> Stencil<T> {
+        Stencil { start: self.start[l] as usize, w: lane(w, l) }
     }
 }
 
-/// `P_ijk = [v + A_dx ((i, j, k) - f), mass]` as an affine function of the node index.
+/// Weights of a group along the three axes, or their derivatives: axis, node, lane. Found for all lanes at once; the loops
+/// over nodes then only read them.
+pub(crate) type Weights<T> = [[Lanes<T>; 3]; 3];
+
+/// Those of one lane.
 #[inline(always)]
-pub(crate) fn affine<T: Real>(v: Vec3<T>, a_dx: &Mat3<T>, f: Vec3<T>, mass: T) -> Affine<T> {
-    let p = sub(v, mul_vec(a_dx, f));
+pub(crate) fn lane<T: Real>(w: &Weights<T>, l: usize) -> [[T; 3]; 3] {
+    three!(axis => three!(node => w[axis][node][l]))
+}
+
+/// Value at node (0, 0, 0) of `v + A_dx ((i, j, k) - f)`.
+#[inline(always)]
+pub(crate) fn at_base<T: Real>(v: Vec3<T>, a_dx: &Mat3<T>, f: Vec3<T>) -> Vec3<T> {
+    sub(v, mul_vec(a_dx, f))
+}
+
+/// `P_ijk = [p + A_dx (i, j, k), mass]` as an affine function of the node index.
+#[inline(always)]
+pub(crate) fn affine<T: Real>(p: Vec3<T>, a_dx: &Mat3<T>, mass: T) -> Affine<T> {
     let step = |c: usize| [a_dx[0][c], a_dx[1][c], a_dx[2][c], T::ZERO];
     Affine { p: [p[0], p[1], p[2], mass], steps: [step(0), step(1), step(2)] }
 }
 
-/// What a group sends to the grid: momentum and `A dx`.
+/// What a group has gathered from the grid; 0 for lanes without a particle.
+pub(crate) struct Gathered<T> {
+    pub(crate) sum: [Lanes<T>; 3],
+    /// First moments: component, axis of the node index.
+    pub(crate) first: [Lanes<T>; 9],
+    pub(crate) gradient: [Lanes<T>; 3],
+}
+
+impl<T: Real> Gathered<T> {
+    pub(crate) const ZERO: Self =
+        Self { sum: [[T::ZERO; LANES]; 3], first: [[T::ZERO; LANES]; 9], gradient: [[T::ZERO; LANES]; 3] };
+
+    #[inline(always)]
+    pub(crate) fn set(&mut self, l: usize, moments: &Moments<T>) {
+        set_vec(&mut self.sum, l, [moments.sum[0], moments.sum[1], moments.sum[2]]);
+        set_mat(&mut self.first, l, three!(i => three!(j => moments.first[j][i])));
+    }
+}
+
+/// What a group sends to the grid: momentum, as of its stencil's base node, and `A dx`.
 #[derive(Clone, Copy)]
 pub(crate) struct Payload<T> {
     places: Places<T>,
-    momentum: [Lanes<T>; 3],
+    base: [Lanes<T>; 3],
     a_dx: [Lanes<T>; 9],
 }
 
 impl<T: Real> Payload<T> {
     pub(crate) const ZERO: Self =
-        Self { places: Places::ZERO, momentum: [[T::ZERO; LANES]; 3], a_dx: [[T::ZERO; LANES]; 9] };
+        Self { places: Places::ZERO, base: [[T::ZERO; LANES]; 3], a_dx: [[T::ZERO; LANES]; 9] };
 
     #[inline(always)]
     fn affine(&self, l: usize, mass: T) -> Affine<T> {
-        affine(vec_of(&self.momentum, l), &mat_of(&self.a_dx, l), self.places.f(l), mass)
+        affine(vec_of(&self.base, l), &mat_of(&self.a_dx, l), mass)
     }
 }
 
@@ -102,8 +166,9 @@ impl<T: Real> pulp::NullaryFnOnce for ParticlesToTile<'_, T> {
             let mut payload = Payload::ZERO;
             payload.places.locate(self.model.inverse_dx, shift, &self.input[g].x);
             stress(self.model, &self.input[g], &mut self.output[g], &mut payload);
+            let weights = payload.places.weights();
             for l in 0..self.block.living(g) {
-                scatter(self.tile, &payload.places.stencil(l), &payload.affine(l, self.model.mass));
+                scatter(self.tile, &payload.places.stencil(&weights, l), &payload.affine(l, self.model.mass));
             }
             if let Some(kept) = &mut self.payloads {
                 kept[g] = payload;
@@ -194,7 +259,8 @@ fn send<T: Real, const MILD: bool>(
             }
         }
         set_mat(&mut payload.a_dx, l, a_dx);
-        set_vec(&mut payload.momentum, l, scale(model.mass, vec_of(&input.v, l)));
+        let momentum = scale(model.mass, vec_of(&input.v, l));
+        set_vec(&mut payload.base, l, at_base(momentum, &a_dx, payload.places.f(l)));
     }
 }
 
@@ -235,22 +301,25 @@ impl<T: Real> pulp::NullaryFnOnce for ParticlesToTileAdjoint<'_, T> {
         for g in 0..self.input.len() {
             let payload = &self.payloads[g];
             let bar = &mut self.bar[g];
-            let mut a_dx_bar = [[T::ZERO; LANES]; 9];
+            let (weights, slopes) = (payload.places.weights(), payload.places.slopes());
+            let mut gathered = Gathered::ZERO;
             for l in 0..self.block.living(g) {
+                let stencil = payload.places.stencil(&weights, l);
+                let affine = payload.affine(l, model.mass);
+                let (moments, gradient) = gather_with_gradient(&tile, &stencil, &lane(&slopes, l), &affine);
+                gathered.set(l, &moments);
+                set_vec(&mut gathered.gradient, l, gradient);
+            }
+            let mut a_dx_bar = [[T::ZERO; LANES]; 9];
+            for l in 0..LANES {
                 let (f, a_dx) = (payload.places.f(l), mat_of(&payload.a_dx, l));
-                let (moments, gradient) = gather_with_gradient(
-                    &tile,
-                    &payload.places.stencil(l),
-                    &three!(i => weight_slopes(f[i])),
-                    &payload.affine(l, model.mass),
-                );
-                let sum = [moments.sum[0], moments.sum[1], moments.sum[2]];
-                let through_f = tr_mul_vec(&a_dx, sum);
+                let (sum, first) = (vec_of(&gathered.sum, l), mat_of(&gathered.first, l));
+                let (gradient, through_f) = (vec_of(&gathered.gradient, l), tr_mul_vec(&a_dx, sum));
                 for axis in 0..3 {
                     bar.x[axis][l] += model.inverse_dx * (gradient[axis] - through_f[axis]);
                     bar.v[axis][l] = model.mass * sum[axis];
                     for c in 0..3 {
-                        a_dx_bar[3 * axis + c][l] = moments.first[c][axis] - sum[axis] * f[c];
+                        a_dx_bar[3 * axis + c][l] = first[axis][c] - sum[axis] * f[c];
                     }
                 }
             }

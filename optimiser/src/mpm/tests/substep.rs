@@ -8,7 +8,7 @@ use crate::mpm::g2p::TileToParticlesAdjoint;
 use crate::mpm::grid_update::UpdateNodesAdjoint;
 use crate::mpm::layout::{BLOCK_NODES, Nodes, empty_tile, load_tile, sort, sum_tiles, unsort};
 use crate::mpm::material::Material;
-use crate::mpm::p2g::{ParticlesToTileAdjoint, affine};
+use crate::mpm::p2g::{ParticlesToTileAdjoint, affine, at_base};
 use crate::mpm::particles::{Group, Particles};
 use crate::mpm::stencil::{
     Affine, Stencil, TILE_EDGE, TILE_LENGTH, Tile, gather, gather_with_gradient, scatter, weight_slopes,
@@ -220,11 +220,11 @@ fn round_trip_of_a_particle_has_taylor_slope_two_in_its_position() {
         let f = |x: &[f64]| {
             let (s, _, f) = stencil([x[0], x[1], x[2]]);
             let mut tile = others;
-            scatter(&mut tile, &s, &affine(v, &matrix, f, 0.7));
+            scatter(&mut tile, &s, &affine(at_base(v, &matrix, f), &matrix, 0.7));
             read(&tile, &s)
         };
         let (s, slopes, at) = stencil(x);
-        let sent = affine(v, &matrix, at, 0.7);
+        let sent = affine(at_base(v, &matrix, at), &matrix, 0.7);
         let mut tile = others;
         scatter(&mut tile, &s, &sent);
         let (_, reading) = gather_with_gradient(&tile, &s, &slopes, &weight);
