@@ -5,7 +5,6 @@ use super::{
     options::{DEFAULT_PRECISION, PrecisionArg, precision_name},
 };
 use crate::{
-    mpm::PHYSICS_VERSION,
     optim::{EpochRecord, Method, Request, Search, SearchError, initial_theta},
     report::{
         curves::Curves,
@@ -113,14 +112,9 @@ impl Run {
         map.check_all_corners().map_err(|error| CliError::Input(format!("{name}: {error}")))?;
         let seed = arguments.seed.unwrap_or(scene.powder.seed);
         let epochs = checked_epochs(arguments.epochs.unwrap_or(scene.optimiser.epochs))?;
-        let state = RunState {
-            physics: PHYSICS_VERSION,
-            scene: scene.digest(),
-            seed,
-            precision: arguments.precision.map_or(DEFAULT_PRECISION, Precision::from),
-            search: Search::new(initial_theta(&scene.skill.initial_theta, seed), epochs),
-            finished: false,
-        };
+        let precision = arguments.precision.map_or(DEFAULT_PRECISION, Precision::from);
+        let search = Search::new(initial_theta(&scene.skill.initial_theta, seed), epochs);
+        let state = RunState::new(scene.digest(), seed, precision, search);
         let simulator = simulator(arguments, &scene, &state, context)?;
         let folder = match &arguments.out {
             Some(path) => RunFolder::create(path)?,

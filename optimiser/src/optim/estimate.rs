@@ -252,6 +252,11 @@ impl Estimator {
 }
 
 impl EstimatorState {
+    /// Whether so many updates can have led here.
+    pub(super) fn is_sound(&self, updates: u32) -> bool {
+        self.residuals.len() <= RESIDUALS && self.components.iter().all(|trust| trust.is_sound(updates))
+    }
+
     /// Keeps second differences, the latest of them.
     fn keep(&mut self, residuals: impl Iterator<Item = f64>) {
         self.residuals.extend(residuals);
@@ -287,6 +292,11 @@ impl EstimatorState {
 }
 
 impl Trust {
+    fn is_sound(&self, updates: u32) -> bool {
+        let Self { measurements, measured_at, trusted, useless, .. } = *self;
+        measurements <= updates && measured_at <= updates && trusted.max(useless) <= measurements
+    }
+
     fn is_fresh(&self, epoch: u32) -> bool {
         epoch.saturating_sub(self.measured_at) < REMEASURE_EPOCHS
     }
@@ -565,6 +575,24 @@ mod tests {
         let deviation = libm::sqrt(state.variance(0.2));
         assert!((4.0..14.0).contains(&deviation), "{deviation} where 7.07 is right");
         assert_eq!(state.residuals.len(), RESIDUALS);
+    }
+
+    #[test]
+    fn counts_beyond_the_updates_are_not_sound() {
+        let place = Place { epoch: 0, theta: [0.0; 5], active: 5 };
+        let (_, sound) = Bench::new(8, [1.0; 5]).estimate(&MIXED, &EstimatorState::default(), &place);
+        assert!(sound.is_sound(1) && !sound.is_sound(0));
+        let defects: [fn(&mut EstimatorState); 4] = [
+            |state| state.residuals = vec![1.0; RESIDUALS + 1],
+            |state| state.components[4].measured_at = 2,
+            |state| state.components[0].trusted = u32::MAX,
+            |state| state.components[0].useless = 2,
+        ];
+        for (index, defect) in defects.into_iter().enumerate() {
+            let mut state = sound.clone();
+            defect(&mut state);
+            assert!(!state.is_sound(1), "{index}");
+        }
     }
 
     #[test]

@@ -9,7 +9,10 @@
 //! starts, from zero, with its first update. The gradient is neither clipped nor rescaled: a step is at most
 //! lr / sqrt(1 - beta) in any component whatever the gradient's size.
 
-use crate::{scene, skill::Theta};
+use crate::{
+    scene,
+    skill::{Theta, check_theta},
+};
 use powderline_shared::plan::SKILL_PARAMETERS;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
@@ -66,6 +69,12 @@ impl RmsPropState {
     /// Before the first update.
     pub fn new(theta: Theta) -> Self {
         Self { theta, mean_square: [0.0; 5], updates: 0 }
+    }
+
+    /// Whether updates can have led here.
+    pub(super) fn is_sound(&self) -> bool {
+        check_theta(&self.theta).is_ok()
+            && self.mean_square.iter().all(|mean| (0.0..=f64::MAX).contains(mean))
     }
 }
 

@@ -4,9 +4,17 @@
 use super::{
     Estimate, Estimator, EstimatorState, Findings, GradientError, Place, Probe, RmsProp, RmsPropState,
 };
-use crate::{rollout::Evaluation, scene, skill::Theta};
+use crate::{
+    rollout::Evaluation,
+    scene,
+    skill::{Theta, check_theta},
+};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
+
+/// Losses are sums of distances, metres: more is not what comes of millions of particles within some metres, and too much
+/// for an axis.
+const MAX_LOSS_M: f64 = 1e12;
 
 /// One evaluated epoch; one line of `metrics.jsonl`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -34,6 +42,17 @@ pub struct EpochRecord {
     pub differences: [Option<f64>; 5],
     /// Weight of the adjoint in the gradient, 0 to 1, in the components that the update changes.
     pub first_order_weight: [Option<f64>; 5],
+}
+
+impl EpochRecord {
+    fn is_sound(&self, epoch: u32) -> bool {
+        let timed = (0.0..=f64::MAX).contains(&self.seconds);
+        self.epoch == epoch && is_loss(self.loss) && check_theta(&self.theta).is_ok() && timed
+    }
+}
+
+fn is_loss(loss: f64) -> bool {
+    (0.0..=MAX_LOSS_M).contains(&loss)
 }
 
 /// How the search goes from epoch to epoch.
@@ -67,7 +86,7 @@ pub struct Request {
 /// An evaluation that the search cannot go on from.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum SearchError {
-    /// The loss is NaN or infinite.
+    /// The loss is no sum of distances: NaN, negative or without bound.
     #[error("the loss of epoch {epoch} is {loss}")]
     Loss {
         /// Epoch.
@@ -113,6 +132,19 @@ impl Search {
         }
     }
 
+    /// Whether epochs can have led here, so that more of them can follow. Numbers that are only written down or added up may
+    /// be anything.
+    pub fn is_sound(&self) -> bool {
+        let updates = self.state.updates;
+        // The last epoch is evaluated without an update.
+        let evaluated = self.history.len() - usize::from(self.is_done());
+        updates <= self.epochs
+            && evaluated == updates as usize
+            && self.state.is_sound()
+            && self.estimates.is_sound(updates)
+            && (0..).zip(&self.history).all(|(epoch, record)| record.is_sound(epoch))
+    }
+
     /// What to evaluate next; nothing when the search is done.
     pub fn next(&self, method: &Method) -> Option<Request> {
         let place = self.place(&method.rule);
@@ -145,7 +177,7 @@ impl Search {
         seconds: f64,
     ) -> Result<&EpochRecord, SearchError> {
         let RmsPropState { theta, updates: epoch, .. } = self.state;
-        if !evaluation.loss.is_finite() {
+        if !is_loss(evaluation.loss) {
             return Err(SearchError::Loss { epoch, loss: evaluation.loss });
         }
         let (estimate, gradient) = if self.is_last() {
@@ -266,6 +298,7 @@ mod tests {
             let evaluation = bowl(&request.theta, request.want_gradient);
             let losses = probed(search, method, &evaluation);
             search.record(method, &evaluation, &losses, 0.0).unwrap();
+            assert!(search.is_sound());
         }
     }
 
@@ -326,6 +359,8 @@ mod tests {
         let losses = probed(&search, &METHOD, &sound);
         for broken in [
             Evaluation { loss: f64::NAN, ..sound },
+            Evaluation { loss: f64::MAX, ..sound },
+            Evaluation { loss: -1.0, ..sound },
             Evaluation { gradient: Some([f64::INFINITY; 5]), ..sound },
             Evaluation { gradient: None, ..sound },
         ] {
@@ -335,6 +370,32 @@ mod tests {
         for broken in [vec![], vec![f64::NAN; losses.len()], [&losses[..], &[1.0]].concat()] {
             assert!(search.record(&METHOD, &sound, &broken, 0.0).is_err());
             assert_eq!(search, before);
+        }
+    }
+
+    #[test]
+    fn what_no_epochs_lead_to_is_not_sound() {
+        let mut sound = Search::new([-0.5; 5], 10);
+        advance(&mut sound, 5);
+        let defects: [fn(&mut Search); 13] = [
+            |search| search.epochs = 4,
+            |search| search.state.updates = 6,
+            |search| search.state.updates = u32::MAX,
+            |search| search.state.theta[4] = 1.001,
+            |search| search.state.theta[0] = f64::NAN,
+            |search| search.state.mean_square[0] = -1.0,
+            |search| search.state.mean_square[0] = f64::INFINITY,
+            |search| search.history.clear(),
+            |search| search.history[1].epoch = u32::MAX,
+            |search| search.history[1].loss = f64::MAX,
+            |search| search.history[1].loss = f64::NAN,
+            |search| search.history[1].theta[2] = -1.001,
+            |search| search.history[1].seconds = f64::INFINITY,
+        ];
+        for (index, defect) in defects.into_iter().enumerate() {
+            let mut search = sound.clone();
+            defect(&mut search);
+            assert!(!search.is_sound(), "{index}");
         }
     }
 

@@ -55,9 +55,17 @@ pub enum StateError {
     /// Cut short or changed.
     #[error("it is damaged: its checksum does not fit its contents")]
     Damaged,
+    /// Intact, but not written by a run.
+    #[error("it holds what no run leaves behind, although its checksum fits")]
+    Nonsense,
 }
 
 impl RunState {
+    /// A run of this version of the program that is not finished.
+    pub fn new(scene: Digest, seed: u64, precision: Precision, search: Search) -> Self {
+        Self { physics: PHYSICS_VERSION, scene, seed, precision, search, finished: false }
+    }
+
     /// The file's bytes.
     pub fn to_bytes(&self) -> Vec<u8> {
         let head = [&MAGIC[..], &VERSION.to_le_bytes()].concat();
@@ -85,9 +93,11 @@ impl RunState {
         if !intact {
             return Err(StateError::Damaged);
         }
-        let state: Self = postcard::from_bytes(&checked[HEAD..]).map_err(|_| StateError::Damaged)?;
+        let (state, rest) =
+            postcard::take_from_bytes::<Self>(&checked[HEAD..]).map_err(|_| StateError::Nonsense)?;
         match state.physics {
-            PHYSICS_VERSION => Ok(state),
+            PHYSICS_VERSION if rest.is_empty() && state.search.is_sound() => Ok(state),
+            PHYSICS_VERSION => Err(StateError::Nonsense),
             found => Err(StateError::Physics { found }),
         }
     }
@@ -99,14 +109,7 @@ mod tests {
 
     fn state() -> RunState {
         let search = Search::new([0.1, -0.2, 1.0 / 3.0, 0.0, -1.0], 30);
-        RunState {
-            physics: PHYSICS_VERSION,
-            scene: [7; 32],
-            seed: 3,
-            precision: Precision::F32,
-            search,
-            finished: false,
-        }
+        RunState::new([7; 32], 3, Precision::F32, search)
     }
 
     #[test]
@@ -137,6 +140,17 @@ mod tests {
         let other = RunState { physics: PHYSICS_VERSION + 1, ..state() };
         let refused = Err(StateError::Physics { found: PHYSICS_VERSION + 1 });
         assert_eq!(RunState::from_bytes(&other.to_bytes()), refused);
+    }
+
+    #[test]
+    fn what_no_run_leaves_behind_is_refused_whatever_its_checksum() {
+        let outside = RunState { search: Search::new([2.0; 5], 30), ..state() };
+        let physics_only = [&state().to_bytes()[..HEAD], &[2]].concat();
+        let longer = [&state().to_bytes()[..state().to_bytes().len() - CHECKSUM], &[0]].concat();
+        let sealed = |bytes: Vec<u8>| [&bytes[..], &Sha256::digest(&bytes)].concat();
+        for bytes in [outside.to_bytes(), sealed(physics_only), sealed(longer)] {
+            assert_eq!(RunState::from_bytes(&bytes), Err(StateError::Nonsense));
+        }
     }
 
     #[test]

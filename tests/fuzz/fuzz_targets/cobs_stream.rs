@@ -2,13 +2,14 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
+use powderline_fuzz::{golden, plant};
 use powderline_shared::wire::cobs::{Decoder, encode};
 use powderline_shared::wire::frame::{Dialect, MAX_ID};
-use powderline_shared::wire::serial::LineReader;
+use powderline_shared::wire::serial::{LineReader, to_line};
 
 const MAX: usize = 300;
 
-fuzz_target!(|bytes: &[u8]| {
+fuzz_target!(init: plant(seeds()), |bytes: &[u8]| {
     let (mut packets, mut frames) = (Decoder::<MAX>::new(), LineReader::new());
     for byte in bytes {
         if let Some(Ok(packet)) = packets.push(*byte) {
@@ -25,6 +26,15 @@ fuzz_target!(|bytes: &[u8]| {
     let found: Vec<_> = line.iter().filter_map(|byte| packets.push(*byte)).collect();
     assert_eq!(found.last().map(|found| found.as_deref()), Some(Ok(packet)));
 });
+
+/// The golden frames on a line, each message alone and each way as a whole.
+fn seeds() -> impl Iterator<Item = Vec<u8>> {
+    ["to", "from"].into_iter().flat_map(|way| {
+        let messages = golden(Dialect::Fd, way);
+        let whole = messages.concat();
+        messages.into_iter().chain([whole]).map(|frames| frames.iter().flat_map(to_line).collect())
+    })
+}
 
 fn check_again(packet: &[u8]) {
     let mut line = Default::default();

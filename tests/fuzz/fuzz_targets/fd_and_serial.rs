@@ -2,10 +2,14 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use powderline_fuzz::{CONTEXT, arm, executor, frames, sealed_fd};
+use powderline_fuzz::{CONTEXT, arm, executor, frames, golden, message_seeds, plant, sealed_fd};
 use powderline_shared::wire::codec::Encoder;
 use powderline_shared::wire::frame::{Dialect, Frame};
 use powderline_shared::wire::serial::{LineReader, to_line};
+
+fn seeds() -> impl Iterator<Item = Vec<u8>> {
+    ["to", "from"].into_iter().flat_map(|way| message_seeds(&golden(Dialect::Fd, way)))
+}
 
 /// A frame as it comes out of a serial line.
 fn over_a_line(frame: &Frame) -> Frame {
@@ -20,7 +24,7 @@ fn says<M: std::fmt::Debug>(heard: impl Iterator<Item = M>, message: &M) -> bool
     heard.map(|found| format!("{found:?}")).any(|found| found == format!("{message:?}"))
 }
 
-fuzz_target!(|bytes: &[u8]| {
+fuzz_target!(init: plant(seeds()), |bytes: &[u8]| {
     let (mut arm_hears, mut executor_hears) = (arm(Dialect::Fd), executor(Dialect::Fd));
     for frame in frames(bytes) {
         for frame in [sealed_fd(&frame), over_a_line(&frame)] {

@@ -2,13 +2,13 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use powderline_fuzz::{CONTEXT, executor, frames};
+use powderline_fuzz::{CONTEXT, executor, frames, golden, message_seeds, plant};
 use powderline_shared::displacement::Setpoint;
 use powderline_shared::wire::codec::Encoder;
 use powderline_shared::wire::frame::Dialect;
 use powderline_shared::wire::message::FromArm;
 
-fuzz_target!(|bytes: &[u8]| {
+fuzz_target!(init: plant(message_seeds(&golden(Dialect::Classic, "from"))), |bytes: &[u8]| {
     let mut decoder = executor(Dialect::Classic);
     for (tick, frame) in (0..).step_by(5).zip(frames(bytes)) {
         decoder.expect(Setpoint { tick, counts: [1_000; 6] });

@@ -2,12 +2,12 @@
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use powderline_fuzz::{CONTEXT, arm, frames};
+use powderline_fuzz::{CONTEXT, arm, frames, golden, message_seeds, plant};
 use powderline_shared::wire::codec::Encoder;
 use powderline_shared::wire::frame::Dialect;
 use powderline_shared::wire::message::ToArm;
 
-fuzz_target!(|bytes: &[u8]| {
+fuzz_target!(init: plant(message_seeds(&golden(Dialect::Classic, "to"))), |bytes: &[u8]| {
     let mut decoder = arm(Dialect::Classic);
     for frame in frames(bytes) {
         for message in decoder.handle_frame(&frame).into_iter().flatten() {

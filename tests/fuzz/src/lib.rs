@@ -1,12 +1,20 @@
-//! What the fuzz targets have in common: bytes as frames, and checksums made right so that what they guard is reached.
+//! What the fuzz targets have in common: seeds, bytes as frames, and checksums made right so that what they guard is
+//! reached.
 
 use powderline_shared::wire::Context;
 use powderline_shared::wire::codec::{FromArmDecoder, ToArmDecoder};
 use powderline_shared::wire::frame::{Dialect, Frame};
 use powderline_shared::wire::ids;
+use std::path::PathBuf;
 
-/// Session of all targets.
+/// Session of all targets, and of the golden frames.
 pub const CONTEXT: Context = Context { session: 0x1234, plan_hash: 0x0123_4567_89ab_cdef };
+
+/// The plan whose bytes are pinned.
+pub const GOLDEN_PLAN: &[u8] = include_bytes!("../../../shared/tests/golden/plan-v1.plan");
+
+const GOLDEN_CLASSIC: &str = include_str!("../../../shared/tests/golden/wire-v2-classic.txt");
+const GOLDEN_FD: &str = include_str!("../../../shared/tests/golden/wire-v2-fd.txt");
 
 const IDS: [u16; 12] = [
     ids::STOP,
@@ -23,6 +31,19 @@ const IDS: [u16; 12] = [
     ids::HEARTBEAT_TO_ARM,
 ];
 
+/// Writes seeds into the folder that libFuzzer was given for its corpus, if it was given one: the first argument that is
+/// no flag. What was found by earlier runs stays.
+///
+/// # Panics
+/// The folder cannot be written.
+pub fn plant(seeds: impl IntoIterator<Item = Vec<u8>>) {
+    let corpus = std::env::args_os().skip(1).map(PathBuf::from).find(|path| path.is_dir());
+    let Some(corpus) = corpus else { return };
+    for (number, seed) in seeds.into_iter().enumerate() {
+        std::fs::write(corpus.join(format!("seed-{number}")), seed).expect("a corpus can be written");
+    }
+}
+
 /// Frames from bytes: one that chooses the identifier, one for the length, data; and so on.
 pub fn frames(mut bytes: &[u8]) -> impl Iterator<Item = Frame> {
     std::iter::from_fn(move || {
@@ -31,6 +52,47 @@ pub fn frames(mut bytes: &[u8]) -> impl Iterator<Item = Frame> {
         bytes = rest;
         Frame::new(IDS[usize::from(*choice) % IDS.len()], data)
     })
+}
+
+/// The bytes that [`frames`] makes these frames of.
+pub fn bytes_of(frames: &[Frame]) -> Vec<u8> {
+    let bytes = |frame: &Frame| {
+        let choice = IDS.iter().position(|id| *id == frame.id).expect("golden frames have known identifiers");
+        [&[choice as u8, frame.data.len() as u8], &frame.data[..]].concat()
+    };
+    frames.iter().flat_map(bytes).collect()
+}
+
+/// Seeds from frames: each message alone, and all in their order.
+pub fn message_seeds(messages: &[Vec<Frame>]) -> Vec<Vec<u8>> {
+    messages.iter().map(|frames| bytes_of(frames)).chain([bytes_of(&messages.concat())]).collect()
+}
+
+/// The frames whose bytes are pinned, in one message after the other. `way` is `to` or `from`, as seen by the arm.
+///
+/// # Panics
+/// The file is not as it is written.
+pub fn golden(dialect: Dialect, way: &str) -> Vec<Vec<Frame>> {
+    let text = match dialect {
+        Dialect::Classic => GOLDEN_CLASSIC,
+        Dialect::Fd => GOLDEN_FD,
+    };
+    let sections = text.split("\n# ").filter(|section| section.starts_with(&format!("{way} arm")));
+    let messages = sections.map(|section| {
+        let lines = section.lines().skip(1).filter(|line| !line.is_empty());
+        lines.map(|line| candump_frame(line).expect("golden frames are as candump writes them")).collect()
+    });
+    messages.collect()
+}
+
+/// A frame as candump writes it: `601#0076`, and `601##10076` on CAN FD.
+fn candump_frame(line: &str) -> Option<Frame> {
+    let (id, data) = line.split_once("##1").or_else(|| line.split_once('#'))?;
+    let bytes = data.as_bytes().chunks(2).map(|digits| {
+        let digits = std::str::from_utf8(digits).ok()?;
+        u8::from_str_radix(digits, 16).ok()
+    });
+    Frame::new(u16::from_str_radix(id, 16).ok()?, &bytes.collect::<Option<Vec<u8>>>()?)
 }
 
 /// The frame with its first four bytes replaced by the checksum of FD frames, for the session that it names.
@@ -47,7 +109,9 @@ pub fn sealed_fd(frame: &Frame) -> Frame {
 
 /// CRC-32/ISO-HDLC.
 pub fn crc32(bytes: &[u8]) -> u32 {
-    crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(bytes)
+    // Its table takes longer to make than a frame takes to check.
+    static CRC: crc::Crc<u32> = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
+    CRC.checksum(bytes)
 }
 
 /// An arm's decoder in the session.
@@ -62,4 +126,14 @@ pub fn executor(dialect: Dialect) -> FromArmDecoder {
     let mut decoder = FromArmDecoder::new(dialect);
     decoder.set_context(CONTEXT);
     decoder
+}
+
+/// What every refusal is: one line, without control characters, of a length that a person reads.
+///
+/// # Panics
+/// It is not.
+pub fn assert_sentence(refusal: &impl std::fmt::Display) {
+    let sentence = refusal.to_string();
+    assert!(!sentence.is_empty() && sentence.len() < 20_000, "{} bytes", sentence.len());
+    assert!(!sentence.contains(char::is_control), "{sentence:?}");
 }

@@ -1,0 +1,97 @@
+//! The state of a run with anything in it, as it is and with a right beginning and checksum: refused in one sentence, or
+//! something that a run can go on from.
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+use powderline_fuzz::{assert_sentence, plant};
+use powderline_optimiser::cli::Progress;
+use powderline_optimiser::optim::{Method, Search};
+use powderline_optimiser::report::{curves::Curves, state::RunState};
+use powderline_optimiser::rollout::Evaluation;
+use powderline_optimiser::scene::{DEFAULT_SCENE, Scene};
+use powderline_shared::plan::Precision;
+use sha2::{Digest, Sha256};
+use std::sync::LazyLock;
+
+/// Magic and version.
+const HEAD_BYTES: usize = 12;
+/// SHA-256.
+const CHECKSUM_BYTES: usize = 32;
+
+static METHOD: LazyLock<Method> =
+    LazyLock::new(|| Method::from(&Scene::load(DEFAULT_SCENE).expect("it is shipped").optimiser));
+static HEAD: LazyLock<Vec<u8>> = LazyLock::new(|| state(0).to_bytes()[..HEAD_BYTES].to_vec());
+
+fuzz_target!(init: plant(seeds()), |bytes: &[u8]| {
+    check(bytes);
+    let mut sealed = [&HEAD[..], bytes].concat();
+    sealed.extend(Sha256::digest(&sealed));
+    check(&sealed);
+});
+
+fn check(bytes: &[u8]) {
+    let state = match RunState::from_bytes(bytes) {
+        Ok(state) => state,
+        Err(error) => return assert_sentence(&error),
+    };
+    let written = state.to_bytes();
+    let again = RunState::from_bytes(&written).expect("what is written can be read");
+    assert_eq!(again.to_bytes(), written);
+    go_on(state.search);
+}
+
+/// As a run does that is resumed: one more epoch, its line, the curves, the state.
+fn go_on(mut search: Search) {
+    search.extend(search.epochs().saturating_add(1));
+    let mut out = Vec::new();
+    let mut progress = Progress::new(&mut out, true);
+    if let Some(request) = search.next(&METHOD) {
+        progress.begin("epoch", search.epochs() - request.epoch, search.history());
+        record(&mut search);
+    }
+    if let Some(last) = search.history().last() {
+        progress.epoch(last, search.epochs(), search.history());
+    }
+    let curves = Curves {
+        title: "fuzzed",
+        history: search.history(),
+        epochs: search.epochs(),
+        curriculum_epochs: METHOD.rule.curriculum_epochs,
+        best: search.best(),
+    };
+    assert!(curves.to_svg().expect("curves can be drawn").ends_with("</svg>\n"));
+    let state = RunState { search, ..state(0) };
+    assert!(RunState::from_bytes(&state.to_bytes()).is_ok());
+}
+
+/// One epoch, evaluated by a bowl.
+fn record(search: &mut Search) {
+    let Some(request) = search.next(&METHOD) else { return };
+    let loss = |theta: &[f64; 5]| theta.iter().map(|value| value * value).sum::<f64>();
+    let evaluation = Evaluation {
+        loss: loss(&request.theta),
+        indicator: 1,
+        transported: 2,
+        spilled: 3,
+        gradient: request.want_gradient.then_some(request.theta),
+    };
+    let probes = search.probes(&METHOD, evaluation.gradient.as_ref());
+    let losses: Vec<f64> = probes.iter().map(|probe| loss(&probe.theta)).collect();
+    // Refused where numbers of the state are too large to go on with.
+    let _ = search.record(&METHOD, &evaluation, &losses, 1.5);
+}
+
+/// A run of two epochs, of which some are done.
+fn state(done: usize) -> RunState {
+    let mut search = Search::new([0.1, -0.2, 1.0 / 3.0, 0.0, -1.0], 2);
+    (0..done).for_each(|_| record(&mut search));
+    RunState::new([7; 32], 3, Precision::F32, search)
+}
+
+/// Runs at all their ages, whole and without what the target adds.
+fn seeds() -> impl Iterator<Item = Vec<u8>> {
+    (0..=3).map(|done| state(done).to_bytes()).flat_map(|bytes| {
+        let body = bytes[HEAD_BYTES..bytes.len() - CHECKSUM_BYTES].to_vec();
+        [bytes, body]
+    })
+}
