@@ -64,6 +64,7 @@ enum Command {
     /// Say what a plan holds
     Inspect(inspect::InspectArgs),
     /// Measure what each stage of the simulator takes
+    #[command(after_help = "The scene that is called bench runs by `optimise`, or `optimise run bench`.")]
     Bench(bench::BenchArgs),
 }
 
