@@ -537,7 +537,10 @@ impl<'a> Executor<'a> {
         // On the way, a setpoint may be overtaken by a little without being lost.
         let overtaken_us =
             round_trip.shortest_us().unwrap_or(u64::MAX).saturating_add(u64::from(self.period_us) / 2);
-        self.window.missing(self.reported_us, overtaken_us, round_trip.overdue_us())
+        // An arm may tell of it in its next report only, however quick its answers are.
+        let next_report_us = overtaken_us.saturating_add(self.period_us.into());
+        let overdue_us = round_trip.overdue_us().max(next_report_us);
+        self.window.missing(self.reported_us, overtaken_us, overdue_us)
     }
 
     fn resend(&mut self, now_us: u64) -> Option<Action> {
