@@ -150,6 +150,11 @@ impl<T: Elementary> Real for Counted<T> {
     fn is_finite(self) -> bool {
         self.0.is_finite()
     }
+    #[inline(always)]
+    fn mul_add(self, a: Self, b: Self) -> Self {
+        count([2, 0]);
+        Self(self.0.mul_add(a.0, b.0))
+    }
     /// Without vectors: they would not make counting faster, and each instruction set is another copy of all kernels.
     #[inline(always)]
     fn dispatch<K: pulp::NullaryFnOnce>(_: pulp::Arch, kernel: K) -> K::Output {
@@ -160,7 +165,9 @@ impl<T: Elementary> Real for Counted<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mpm::stencil::{Affine, Stencil, TILE_LENGTH, gather, scatter, weights};
+    use crate::mpm::gather::gather;
+    use crate::mpm::places::Places;
+    use crate::mpm::stencil::{Affine, Stencil, TILE_LENGTH, scatter, weights};
     use crate::small::{compose, dot};
 
     fn cost<R>(job: impl FnOnce() -> R) -> Reading {
@@ -214,10 +221,15 @@ mod tests {
         // a sum. One sum for 2.
         let rows = 16 * (2 + 3 + 3 + 3 * 3 + 9 * 3) + 1;
         assert_eq!(cost(|| scatter(&mut tile, &stencil, &affine)), [rows, 0]);
-        // Sixteen numbers: three layers of three products and four sums each; what adds them up, and their moments; then the sums
-        // over a row's three nodes. One sum for 2.
-        let rows = 16 * (3 * 7 + 2 + 4 + 3 + 6 + 1) + 4 * 4 * 2 + 1;
-        assert_eq!(cost(|| gather(&tile, &stencil)), [rows, 0]);
+        // For sixteen lanes: the weights of a row's moments, three products and sums; nine rows of seven and five for each of three
+        // components; three layers of five, three and five; then five, three, five and five, the step back of two for each
+        // component, and four sums that put a run to the others. Once for each of the two runs here.
+        let places = Places { start: std::array::from_fn(|l| if l < 9 { 3 } else { 77 }), f: [[x; 16]; 3] };
+        let w = places.weights();
+        let run = 2 + 9 * 3 * (7 + 5) + 3 * 3 * (5 + 3 + 5) + 3 * (5 + 3 + 5 + 5 + 2 + 4);
+        let doubled = 1 + 1 + 0;
+        let _ = doubled;
+        assert_eq!(cost(|| gather(&tile, &places, &w, 16)), [2 * 16 * run, 0]);
     }
 
     #[test]

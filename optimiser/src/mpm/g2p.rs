@@ -6,10 +6,12 @@
 use crate::mpm::Model;
 use crate::mpm::contact::{Motion, MotionBar};
 use crate::mpm::grid_update::{contact_lanes, contact_lanes_adjoint, meet};
+use crate::mpm::gather::{Sent, gather, gather_gradient};
 use crate::mpm::layout::{Block, Grid, Nodes, empty_tile, load_tile};
-use crate::mpm::p2g::{Gathered, Places, affine, at_base, lane};
+use crate::mpm::p2g::at_base;
 use crate::mpm::particles::{Group, LANES, mat_of, set_mat, set_vec, vec_of};
-use crate::mpm::stencil::{TILE_EDGE, Tile, gather, gather_with_gradient, scatter};
+use crate::mpm::places::Places;
+use crate::mpm::stencil::{TILE_EDGE, Tile, scatter};
 use crate::real::Real;
 use crate::small::{three, tr_mul_vec};
 
@@ -36,14 +38,9 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticles<'_, T> {
         let mut all_inside = true;
         for g in 0..self.input.len() {
             let (input, output) = (&self.input[g], &mut self.output[g]);
-            let mut places = Places::ZERO;
-            places.locate(model.inverse_dx, shift, &input.x);
+            let places = Places::of(model.inverse_dx, shift, &input.x);
             let living = self.block.living(g);
-            let weights = places.weights();
-            let mut gathered = Gathered::ZERO;
-            for l in 0..living {
-                gathered.set(l, &gather(&tile, &places.stencil(&weights, l)));
-            }
+            let gathered = gather(&tile, &places, &places.weights(), living);
             for l in 0..LANES {
                 let (f, v, first) = (places.f(l), vec_of(&gathered.sum, l), mat_of(&gathered.first, l));
                 let c = three!(i => three!(j => model.four_per_dx * (first[i][j] - v[i] * f[j])));
@@ -100,10 +97,8 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
         let mut met = Vec::with_capacity(touching.len());
         for g in 0..self.input.len() {
             let (input, bar) = (&self.input[g], &mut self.bar[g]);
-            let mut places = Places::ZERO;
-            places.locate(model.inverse_dx, shift, &input.x);
-            let living = self.block.living(g);
-            let (weights, slopes) = (places.weights(), places.slopes());
+            let places = Places::of(model.inverse_dx, shift, &input.x);
+            let (living, weights) = (self.block.living(g), places.weights());
             // x' = x + dt v'
             for axis in 0..3 {
                 for l in 0..LANES {
@@ -111,33 +106,22 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
                 }
             }
             if !touching.is_empty() {
-                let mut v = [[T::ZERO; LANES]; 3];
-                for l in 0..living {
-                    let m = gather(&tile, &places.stencil(&weights, l));
-                    set_vec(&mut v, l, [m.sum[0], m.sum[1], m.sum[2]]);
-                }
+                let v = gather(&tile, &places, &weights, living).sum;
                 meet(&touching, |piece| &piece.particle_law, &input.x, v, &mut met);
                 for m in met.iter().rev() {
                     contact_lanes_adjoint(m, &input.x, &mut bar.v, Some(&mut bar.x), &mut tool_bar);
                 }
             }
-            let (mut a_dx, mut base) = ([[T::ZERO; LANES]; 9], [[T::ZERO; LANES]; 3]);
+            let mut sent = Sent::ZERO;
             for l in 0..LANES {
                 let scaled = three!(i => three!(j => model.four_per_dx * bar.c[3 * i + j][l]));
-                set_mat(&mut a_dx, l, scaled);
-                set_vec(&mut base, l, at_base(vec_of(&bar.v, l), &scaled, places.f(l)));
+                set_mat(&mut sent.a_dx, l, scaled);
+                set_vec(&mut sent.base, l, at_base(vec_of(&bar.v, l), &scaled, places.f(l)));
             }
-            let mut gathered = Gathered::ZERO;
-            for l in 0..living {
-                let stencil = places.stencil(&weights, l);
-                let q = affine(vec_of(&base, l), &mat_of(&a_dx, l), T::ZERO);
-                let (moments, gradient) = gather_with_gradient(&tile, &stencil, &lane(&slopes, l), &q);
-                scatter(self.tile_bar, &stencil, &q);
-                gathered.set(l, &moments);
-                set_vec(&mut gathered.gradient, l, gradient);
-            }
+            scatter(self.tile_bar, living, |l| places.stencil(&weights, l), |l| sent.affine(l, T::ZERO));
+            let gathered = gather_gradient(&tile, &places, &weights, &sent, living);
             for l in 0..LANES {
-                let through_f = tr_mul_vec(&mat_of(&a_dx, l), vec_of(&gathered.sum, l));
+                let through_f = tr_mul_vec(&mat_of(&sent.a_dx, l), vec_of(&gathered.sum, l));
                 let gradient = vec_of(&gathered.gradient, l);
                 for axis in 0..3 {
                     bar.x[axis][l] += model.inverse_dx * (gradient[axis] - through_f[axis]);

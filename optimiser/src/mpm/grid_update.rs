@@ -14,7 +14,25 @@ use crate::small::{sub, three, tr_mul_vec};
 const CHUNKS: usize = BLOCK_NODES / LANES;
 
 /// Positions or velocities of a block's nodes.
-type NodeLanes<T> = [[Lanes<T>; 3]; CHUNKS];
+pub(crate) type NodeLanes<T> = [[Lanes<T>; 3]; CHUNKS];
+
+/// Positions of a block's nodes from its first one, m.
+pub(crate) fn node_places<T: Real>(dx: T) -> NodeLanes<T> {
+    let mut x = [[[T::ZERO; LANES]; 3]; CHUNKS];
+    for n in 0..BLOCK_NODES {
+        let ijk = [n / (BLOCK_EDGE * BLOCK_EDGE), n / BLOCK_EDGE % BLOCK_EDGE, n % BLOCK_EDGE];
+        for axis in 0..3 {
+            x[n / LANES][axis][n % LANES] = dx * T::of(ijk[axis] as f64);
+        }
+    }
+    x
+}
+
+/// Whether any of some nodes has mass. Those without are no particle's, and whatever happens to them is without effect.
+#[inline(always)]
+fn any_mass<T: Real>(nodes: &[[T; 4]]) -> bool {
+    nodes.iter().any(|node| node[3] > T::ZERO)
+}
 
 /// Sums one node block's tiles and finds its velocities after gravity and contact.
 pub(crate) struct UpdateNodes<'a, T> {
@@ -33,13 +51,19 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodes<'_, T> {
     #[inline(always)]
     fn call(self) {
         *self.momentum = sum_tiles(self.node, self.tiles);
+        if !any_mass(self.momentum) {
+            *self.velocity = [[T::ZERO; 4]; BLOCK_NODES];
+            return;
+        }
         let mut v = free_velocity(self.model, self.momentum);
         let touching = self.model.obstacles.at_nodes(&self.model.grid, self.node.coord, self.tool);
         if !touching.is_empty() {
             let x = positions(self.model, self.node);
-            for (x, v) in x.iter().zip(&mut v) {
-                for t in &touching {
-                    contact_lanes(t, &t.piece.node_law, x, v);
+            for ((x, v), nodes) in x.iter().zip(&mut v).zip(self.momentum.chunks(LANES)) {
+                if any_mass(nodes) {
+                    for t in &touching {
+                        contact_lanes(t, &t.piece.node_law, x, v);
+                    }
                 }
             }
         }
@@ -67,11 +91,12 @@ fn free_velocity<T: Real>(model: &Model<T>, momentum: &Nodes<T>) -> NodeLanes<T>
 #[inline(always)]
 fn positions<T: Real>(model: &Model<T>, node: &NodeBlock) -> NodeLanes<T> {
     let origin = model.grid.block_origin(node.coord).map(T::of);
-    let mut x = [[[T::ZERO; LANES]; 3]; CHUNKS];
-    for n in 0..BLOCK_NODES {
-        let ijk = [n / (BLOCK_EDGE * BLOCK_EDGE), n / BLOCK_EDGE % BLOCK_EDGE, n % BLOCK_EDGE];
+    let mut x = model.node_places;
+    for chunk in &mut x {
         for axis in 0..3 {
-            x[n / LANES][axis][n % LANES] = origin[axis] + model.dx * T::of(ijk[axis] as f64);
+            for l in 0..LANES {
+                chunk[axis][l] = origin[axis] + chunk[axis][l];
+            }
         }
     }
     x
@@ -93,6 +118,10 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodesAdjoint<'_, T> {
 
     #[inline(always)]
     fn call(self) -> MotionBar {
+        if !any_mass(self.momentum) {
+            *self.momentum_bar = [[T::ZERO; 4]; BLOCK_NODES];
+            return MotionBar::default();
+        }
         let incoming = sum_tiles(self.node, self.velocity_bar_tiles);
         let mut bar = [[[T::ZERO; LANES]; 3]; CHUNKS];
         for (n, b) in incoming.iter().enumerate() {
@@ -104,7 +133,10 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodesAdjoint<'_, T> {
             let x = positions(self.model, self.node);
             let v = free_velocity(self.model, self.momentum);
             let mut met = Vec::with_capacity(touching.len());
-            for ((x, v), bar) in x.iter().zip(v).zip(&mut bar) {
+            for (((x, v), bar), nodes) in x.iter().zip(v).zip(&mut bar).zip(self.momentum.chunks(LANES)) {
+                if !any_mass(nodes) {
+                    continue;
+                }
                 meet(&touching, |piece| &piece.node_law, x, v, &mut met);
                 for m in met.iter().rev() {
                     contact_lanes_adjoint(m, x, bar, None, &mut tool_bar);
@@ -147,15 +179,13 @@ pub(crate) fn contact_lanes<T: Real>(
     x: &[Lanes<T>; 3],
     v: &mut [Lanes<T>; 3],
 ) -> bool {
-    // Copies on the stack cannot alias; with references the compiler would have to assume they do, and the
-    // loops would stay scalar.
-    let (motion, law, x, before) = (*t.motion, *law, *x, *v);
-    let mut after = before;
+    // What is written is a copy on the stack, which cannot alias: otherwise the loop would stay scalar.
+    let mut after = *v;
     with_solid!(t.piece.shape, solid => {
-        let near = reaches(&solid, &motion, &law, &x);
+        let near = reaches(&solid, t.motion, law, x);
         if near {
             for l in 0..LANES {
-                set_vec(&mut after, l, contact(&solid, &motion, &law, vec_of(&x, l), vec_of(&before, l)));
+                set_vec(&mut after, l, contact(&solid, t.motion, law, vec_of(x, l), vec_of(v, l)));
             }
             *v = after;
         }
@@ -166,7 +196,7 @@ pub(crate) fn contact_lanes<T: Real>(
 /// A piece that [`LANES`] points met, and their velocities just before.
 pub(crate) struct Met<'a, T> {
     touching: Touching<'a, T>,
-    law: Law<T>,
+    law: &'a Law<T>,
     before: [Lanes<T>; 3],
 }
 
@@ -181,8 +211,8 @@ pub(crate) fn meet<'a, T: Real>(
 ) {
     met.clear();
     for t in touching {
-        let (law, before) = (*law(t.piece), v);
-        if contact_lanes(t, &law, x, &mut v) {
+        let (law, before) = (law(t.piece), v);
+        if contact_lanes(t, law, x, &mut v) {
             met.push(Met { touching: *t, law, before });
         }
     }
@@ -198,9 +228,9 @@ pub(crate) fn contact_lanes_adjoint<T: Real>(
     x_bar: Option<&mut [Lanes<T>; 3]>,
     tool_bar: &mut MotionBar,
 ) {
-    let Met { touching: t, law, before: v } = *met;
-    // Copies, as in `contact_lanes`.
-    let (motion, x, bar_after) = (*t.motion, *x, *bar);
+    let Met { touching: t, law, before: v } = met;
+    // Here the loop stays scalar without copies of all that is read, too.
+    let (motion, law, x, v, bar_after) = (*t.motion, **law, *x, *v, *bar);
     let mut bar_before = bar_after;
     let mut sums = [[T::ZERO; LANES]; 12];
     with_solid!(t.piece.shape, solid => {

@@ -150,7 +150,7 @@ pub(crate) fn sort<T: Real>(
     }
     keys.sort_unstable();
 
-    let mut particles = Particles::empty();
+    let (mut groups, mut ids): (Vec<Group<T>>, Vec<_>) = (Vec::new(), Vec::new());
     let mut order = Vec::new();
     let mut blocks: Vec<Block> = Vec::new();
     let mut current = None;
@@ -158,25 +158,25 @@ pub(crate) fn sort<T: Real>(
         let block = (key >> 32) as usize / BLOCK_NODES;
         if current != Some(block) {
             current = Some(block);
-            let first_group = particles.groups.len();
+            let first_group = groups.len();
             blocks.push(Block { coord: grid.coord(block), first_group, particles: 0, nodes: [NONE; 27] });
         }
         let last = blocks.last_mut().expect("pushed above");
         let lane = last.particles % LANES;
         if lane == 0 {
-            particles.groups.push(resting_group(grid, last.coord));
-            particles.ids.push([NOBODY; LANES]);
+            groups.push(resting_group(grid, last.coord));
+            ids.push([NOBODY; LANES]);
             order.extend([NOBODY; LANES]);
         }
         let place = (key & 0xffff_ffff) as usize;
-        let g = particles.groups.len() - 1;
-        particles.groups[g].copy_lane(lane, &old.groups[place / LANES], place % LANES);
-        particles.ids[g][lane] = old.ids[place / LANES][place % LANES];
+        let g = groups.len() - 1;
+        groups[g].copy_lane(lane, &old.groups[place / LANES], place % LANES);
+        ids[g][lane] = old.ids[place / LANES][place % LANES];
         order[g * LANES + lane] = place as u32;
         last.particles += 1;
     }
     let nodes = connect(grid, &mut blocks);
-    Ok((particles, Layout { blocks, nodes }, order))
+    Ok((Particles { groups, ids: ids.into() }, Layout { blocks, nodes }, order))
 }
 
 /// Padding lanes sit at rest in the middle of their block, so that every formula stays finite there.
@@ -233,35 +233,35 @@ const fn overlap(offset: i32) -> (usize, usize, usize) {
     }
 }
 
-/// Rows of nodes along z that a node block and the tile of a neighbour at `offset` share:
-/// `visit(first node of the block's row, first node of the tile's row, nodes)`.
-#[inline(always)]
-fn shared_rows(offset: [i32; 3], mut visit: impl FnMut(usize, usize, usize)) {
-    let [(ax, tx, nx), (ay, ty, ny), (az, tz, nz)] = offset.map(overlap);
-    for i in 0..nx {
-        for j in 0..ny {
-            let block = ((ax + i) * BLOCK_EDGE + ay + j) * BLOCK_EDGE + az;
-            let tile = ((tx + i) * TILE_EDGE + ty + j) * TILE_EDGE + tz;
-            visit(block, tile, nz);
-        }
-    }
-}
-
 /// Adds up the tiles that overlap a node block, in a fixed order.
 #[inline(always)]
 pub(crate) fn sum_tiles<T: Real>(node: &NodeBlock, tiles: &[Tile<T>]) -> Nodes<T> {
     let mut sum = [[T::ZERO; 4]; BLOCK_NODES];
     for (n, offset) in neighbour_offsets().enumerate() {
         let Some(tile) = tiles.get(node.tiles[n] as usize) else { continue };
-        shared_rows(offset, |to, from, count| {
-            for k in 0..count {
-                for c in 0..4 {
-                    sum[to + k][c] += tile[from + k][c];
+        let [(ax, tx, nx), (ay, ty, ny), (az, tz, _)] = offset.map(overlap);
+        for i in 0..nx {
+            for j in 0..ny {
+                let to = &mut sum[((ax + i) * BLOCK_EDGE + ay + j) * BLOCK_EDGE + az..];
+                let from = &tile[((tx + i) * TILE_EDGE + ty + j) * TILE_EDGE + tz..];
+                match offset[2] {
+                    -1 => add_nodes::<T, { overlap(-1).2 }>(to, from),
+                    0 => add_nodes::<T, { overlap(0).2 }>(to, from),
+                    _ => add_nodes::<T, { overlap(1).2 }>(to, from),
                 }
             }
-        });
+        }
     }
     sum
+}
+
+/// Adds `N` nodes along z.
+#[inline(always)]
+fn add_nodes<T: Real, const N: usize>(to: &mut [[T; 4]], from: &[[T; 4]]) {
+    let (to, from) = (to[..N].as_flattened_mut(), from[..N].as_flattened());
+    for k in 0..4 * N {
+        to[k] += from[k];
+    }
 }
 
 /// Along one axis, for each node of a tile: which neighbour (0, 1, 2) owns it, and its place there.

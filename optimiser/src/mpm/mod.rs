@@ -5,8 +5,8 @@
 //! particles, advection). [`substep`] runs them over all blocks.
 //!
 //! Kernels are written for one particle and looped over the lanes of a group; the loop is what becomes vector
-//! instructions, with the widest instruction set found at run time. No multiply-add is contracted, so the
-//! bits are the same on every machine.
+//! instructions, with the widest instruction set found at run time. Where a product and a sum are rounded once, the kernels
+//! say so ([`Real::mul_add`](crate::real::Real::mul_add)), and nothing else is contracted: the bits are the same on every machine.
 
 #![expect(
     clippy::needless_range_loop,
@@ -15,6 +15,7 @@
 
 pub(crate) mod contact;
 pub(crate) mod g2p;
+pub(crate) mod gather;
 pub(crate) mod grid_update;
 pub(crate) mod laps;
 pub(crate) mod layout;
@@ -22,6 +23,7 @@ pub(crate) mod material;
 pub(crate) mod obstacle;
 pub(crate) mod p2g;
 pub(crate) mod particles;
+pub(crate) mod places;
 pub(crate) mod principal;
 pub(crate) mod series;
 pub(crate) mod stencil;
@@ -30,7 +32,7 @@ pub(crate) mod substep;
 mod tests;
 
 /// Raised with every change of what a substep computes: a run is not resumed by another physics.
-pub(crate) const PHYSICS_VERSION: u32 = 3;
+pub(crate) const PHYSICS_VERSION: u32 = 4;
 
 use std::marker::PhantomData;
 
@@ -59,9 +61,10 @@ pub(crate) struct Model<T> {
     pub(crate) obstacles: obstacle::Obstacles<T>,
     pub(crate) material: material::Material<T>,
     pub(crate) dt: T,
-    pub(crate) dx: T,
     pub(crate) inverse_dx: T,
     pub(crate) four_per_dx: T,
+    /// Positions of a block's nodes from its first one, m.
+    pub(crate) node_places: grid_update::NodeLanes<T>,
     /// Mass of a particle, kg.
     pub(crate) mass: T,
     /// Mass times cell size: `m C dx`.
@@ -93,9 +96,9 @@ impl<T: Real> Model<T> {
                 powder.cohesion_pa,
             ),
             dt: T::of(dt),
-            dx: T::of(dx),
             inverse_dx: T::of(1.0 / dx),
             four_per_dx: T::of(4.0 / dx),
+            node_places: grid_update::node_places(T::of(dx)),
             mass: T::of(mass),
             mass_dx: T::of(mass * dx),
             stress_dx: T::of(dt * volume * 4.0 / dx),

@@ -5,94 +5,15 @@
 //! viscosity takes.
 
 use crate::mpm::Model;
+use crate::mpm::gather::{Sent, gather_with_gradient};
 use crate::mpm::layout::{Block, Grid, Nodes, empty_tile, load_tile};
 use crate::mpm::material::{self, is_mild, trial_strain, trial_strain_adjoint};
 use crate::mpm::particles::{Group, LANES, Lanes, mat_of, set_mat, set_vec, vec_of};
+use crate::mpm::places::Places;
 use crate::mpm::principal;
-use crate::mpm::stencil::{
-    Affine, Moments, Stencil, TILE_EDGE, Tile, gather_with_gradient, scatter, weight_slopes, weights,
-};
+use crate::mpm::stencil::{Affine, Tile, scatter};
 use crate::real::Real;
 use crate::small::{Mat3, Sym3, Vec3, full, mul_vec, scale, sub, three, tr_mul_vec};
-
-/// Where the particles of a group stand in their block's tile.
-#[derive(Clone, Copy)]
-pub(crate) struct Places<T> {
-    start: [i32; LANES],
-    /// Distance from the stencil's base node, in cells.
-    f: [Lanes<T>; 3],
-}
-
-impl<T: Real> Places<T> {
-    pub(crate) const ZERO: Self = Self { start: [0; LANES], f: [[T::ZERO; LANES]; 3] };
-
-    #[inline(always)]
-    pub(crate) fn locate(&mut self, inverse_dx: T, shift: Vec3<T>, x: &[Lanes<T>; 3]) {
-        let edge = TILE_EDGE as i32;
-        for axis in 0..3 {
-            let (mut f, mut start, x) = ([T::ZERO; LANES], self.start, x[axis]);
-            for l in 0..LANES {
-                let at = x[l] * inverse_dx + shift[axis];
-                // floor(at - 1/2), but for ties, where either neighbour is right: the splines are continuous.
-                let (whole, base) = (at - T::ONE).nearest();
-                f[l] = at - whole;
-                start[l] = start[l] * edge + base;
-            }
-            self.f[axis] = f;
-            self.start = start;
-        }
-    }
-
-    #[inline(always)]
-    pub(crate) fn f(&self, l: usize) -> Vec3<T> {
-        vec_of(&self.f, l)
-    }
-
-    /// Weights of the group: axis, node, lane.
-    #[inline(always)]
-    pub(crate) fn weights(&self) -> Weights<T> {
-        let mut out = [[[T::ZERO; LANES]; 3]; 3];
-        for l in 0..LANES {
-            for axis in 0..3 {
-                let w = weights(self.f[axis][l]);
-                for node in 0..3 {
-                    out[axis][node][l] = w[node];
-                }
-            }
-        }
-        out
-    }
-
-    /// Derivatives of [`Self::weights`].
-    #[inline(always)]
-    pub(crate) fn slopes(&self) -> Weights<T> {
-        let mut out = [[[T::ZERO; LANES]; 3]; 3];
-        for l in 0..LANES {
-            for axis in 0..3 {
-                let d = weight_slopes(self.f[axis][l]);
-                for node in 0..3 {
-                    out[axis][node][l] = d[node];
-                }
-            }
-        }
-        out
-    }
-
-    #[inline(always)]
-    pub(crate) fn stencil(&self, w: &Weights<T>, l: usize) -> Stencil<T> {
-        Stencil { start: self.start[l] as usize, w: lane(w, l) }
-    }
-}
-
-/// Weights of a group along the three axes, or their derivatives: axis, node, lane. Found for all lanes at once; the loops
-/// over nodes then only read them.
-pub(crate) type Weights<T> = [[Lanes<T>; 3]; 3];
-
-/// Those of one lane.
-#[inline(always)]
-pub(crate) fn lane<T: Real>(w: &Weights<T>, l: usize) -> [[T; 3]; 3] {
-    three!(axis => three!(node => w[axis][node][l]))
-}
 
 /// Value at node (0, 0, 0) of `v + A_dx ((i, j, k) - f)`.
 #[inline(always)]
@@ -107,39 +28,12 @@ pub(crate) fn affine<T: Real>(p: Vec3<T>, a_dx: &Mat3<T>, mass: T) -> Affine<T> 
     Affine { p: [p[0], p[1], p[2], mass], steps: [step(0), step(1), step(2)] }
 }
 
-/// What a group has gathered from the grid; 0 for lanes without a particle.
-pub(crate) struct Gathered<T> {
-    pub(crate) sum: [Lanes<T>; 3],
-    /// First moments: component, axis of the node index.
-    pub(crate) first: [Lanes<T>; 9],
-    pub(crate) gradient: [Lanes<T>; 3],
-}
+impl<T: Real> Sent<T> {
+    pub(crate) const ZERO: Self = Self { base: [[T::ZERO; LANES]; 3], a_dx: [[T::ZERO; LANES]; 9] };
 
-impl<T: Real> Gathered<T> {
-    pub(crate) const ZERO: Self =
-        Self { sum: [[T::ZERO; LANES]; 3], first: [[T::ZERO; LANES]; 9], gradient: [[T::ZERO; LANES]; 3] };
-
+    /// What one particle sends, and a fourth number.
     #[inline(always)]
-    pub(crate) fn set(&mut self, l: usize, moments: &Moments<T>) {
-        set_vec(&mut self.sum, l, [moments.sum[0], moments.sum[1], moments.sum[2]]);
-        set_mat(&mut self.first, l, three!(i => three!(j => moments.first[j][i])));
-    }
-}
-
-/// What a group sends to the grid: momentum, as of its stencil's base node, and `A dx`.
-#[derive(Clone, Copy)]
-pub(crate) struct Payload<T> {
-    places: Places<T>,
-    base: [Lanes<T>; 3],
-    a_dx: [Lanes<T>; 9],
-}
-
-impl<T: Real> Payload<T> {
-    pub(crate) const ZERO: Self =
-        Self { places: Places::ZERO, base: [[T::ZERO; LANES]; 3], a_dx: [[T::ZERO; LANES]; 9] };
-
-    #[inline(always)]
-    fn affine(&self, l: usize, mass: T) -> Affine<T> {
+    pub(crate) fn affine(&self, l: usize, mass: T) -> Affine<T> {
         affine(vec_of(&self.base, l), &mat_of(&self.a_dx, l), mass)
     }
 }
@@ -151,40 +45,39 @@ pub(crate) struct ParticlesToTile<'a, T> {
     pub(crate) input: &'a [Group<T>],
     pub(crate) output: &'a mut [Group<T>],
     pub(crate) tile: &'a mut Tile<T>,
-    /// Kept for the adjoint.
-    pub(crate) payloads: Option<&'a mut [Payload<T>]>,
 }
 
 impl<T: Real> pulp::NullaryFnOnce for ParticlesToTile<'_, T> {
     type Output = ();
 
     #[inline(always)]
-    fn call(mut self) {
+    fn call(self) {
         let shift = Grid::tile_shift(self.block.coord).map(T::of);
         *self.tile = empty_tile();
         for g in 0..self.input.len() {
-            let mut payload = Payload::ZERO;
-            payload.places.locate(self.model.inverse_dx, shift, &self.input[g].x);
-            stress(self.model, &self.input[g], &mut self.output[g], &mut payload);
-            let weights = payload.places.weights();
-            for l in 0..self.block.living(g) {
-                scatter(self.tile, &payload.places.stencil(&weights, l), &payload.affine(l, self.model.mass));
-            }
-            if let Some(kept) = &mut self.payloads {
-                kept[g] = payload;
-            }
+            let (input, output) = (&self.input[g], &mut self.output[g]);
+            let places = Places::of(self.model.inverse_dx, shift, &input.x);
+            let sent = stress(self.model, input, &TrialStrains::new(self.model, input), &places, output);
+            let weights = places.weights();
+            let living = self.block.living(g);
+            scatter(self.tile, living, |l| places.stencil(&weights, l), |l| sent.affine(l, self.model.mass));
         }
     }
 }
 
-/// Trial strain and return map of a group, and the momentum it sends.
+/// Return map of a group, and the momentum it sends.
 #[inline(always)]
-fn stress<T: Real>(model: &Model<T>, input: &Group<T>, output: &mut Group<T>, payload: &mut Payload<T>) {
-    let trial = TrialStrains::new(model, input);
+fn stress<T: Real>(
+    model: &Model<T>,
+    input: &Group<T>,
+    trial: &TrialStrains<T>,
+    places: &Places<T>,
+    output: &mut Group<T>,
+) -> Sent<T> {
     if trial.all_mild {
-        send::<T, true>(model, input, &trial, output, payload);
+        send::<T, true>(model, input, trial, places, output)
     } else {
-        send_sheared(model, input, &trial, output, payload);
+        send_sheared(model, input, trial, places, output)
     }
 }
 
@@ -223,21 +116,21 @@ fn send_sheared<T: Real>(
     model: &Model<T>,
     input: &Group<T>,
     trial: &TrialStrains<T>,
+    places: &Places<T>,
     output: &mut Group<T>,
-    payload: &mut Payload<T>,
-) {
-    send::<T, false>(model, input, trial, output, payload);
+) -> Sent<T> {
+    send::<T, false>(model, input, trial, places, output)
 }
 
-/// Return map of a group, and the momentum it sends.
 #[inline(always)]
 fn send<T: Real, const MILD: bool>(
     model: &Model<T>,
     input: &Group<T>,
     trial: &TrialStrains<T>,
+    places: &Places<T>,
     output: &mut Group<T>,
-    payload: &mut Payload<T>,
-) {
+) -> Sent<T> {
+    let mut sent = Sent::ZERO;
     for l in 0..LANES {
         let c = mat_of(&input.c, l);
         let (trial, q) = (trial.of(l), input.q[0][l]);
@@ -258,10 +151,11 @@ fn send<T: Real, const MILD: bool>(
                 a_dx[i][j] = model.mass_dx * c[i][j] - model.stress_dx * tau[i][j];
             }
         }
-        set_mat(&mut payload.a_dx, l, a_dx);
+        set_mat(&mut sent.a_dx, l, a_dx);
         let momentum = scale(model.mass, vec_of(&input.v, l));
-        set_vec(&mut payload.base, l, at_base(momentum, &a_dx, payload.places.f(l)));
+        set_vec(&mut sent.base, l, at_base(momentum, &a_dx, places.f(l)));
     }
+    sent
 }
 
 /// `C` less what viscosity takes of its symmetric part, the strain rate `D`; spin is left alone, so that angular
@@ -284,7 +178,6 @@ pub(crate) struct ParticlesToTileAdjoint<'a, T> {
     pub(crate) model: &'a Model<T>,
     pub(crate) block: &'a Block,
     pub(crate) input: &'a [Group<T>],
-    pub(crate) payloads: &'a [Payload<T>],
     /// Cotangents of momentum and mass.
     pub(crate) nodes_bar: &'a [Nodes<T>],
     pub(crate) bar: &'a mut [Group<T>],
@@ -296,23 +189,20 @@ impl<T: Real> pulp::NullaryFnOnce for ParticlesToTileAdjoint<'_, T> {
     #[inline(always)]
     fn call(self) {
         let model = self.model;
+        let shift = Grid::tile_shift(self.block.coord).map(T::of);
         let mut tile = empty_tile();
         load_tile(self.block, self.nodes_bar, &mut tile);
         for g in 0..self.input.len() {
-            let payload = &self.payloads[g];
-            let bar = &mut self.bar[g];
-            let (weights, slopes) = (payload.places.weights(), payload.places.slopes());
-            let mut gathered = Gathered::ZERO;
-            for l in 0..self.block.living(g) {
-                let stencil = payload.places.stencil(&weights, l);
-                let affine = payload.affine(l, model.mass);
-                let (moments, gradient) = gather_with_gradient(&tile, &stencil, &lane(&slopes, l), &affine);
-                gathered.set(l, &moments);
-                set_vec(&mut gathered.gradient, l, gradient);
-            }
+            let (input, bar) = (&self.input[g], &mut self.bar[g]);
+            let places = Places::of(model.inverse_dx, shift, &input.x);
+            let (trial, weights) = (TrialStrains::new(model, input), places.weights());
+            let mut after = Group::ZERO;
+            let sent = stress(model, input, &trial, &places, &mut after);
+            let living = self.block.living(g);
+            let gathered = gather_with_gradient(&tile, &places, &weights, &sent, model.mass, living);
             let mut a_dx_bar = [[T::ZERO; LANES]; 9];
             for l in 0..LANES {
-                let (f, a_dx) = (payload.places.f(l), mat_of(&payload.a_dx, l));
+                let (f, a_dx) = (places.f(l), mat_of(&sent.a_dx, l));
                 let (sum, first) = (vec_of(&gathered.sum, l), mat_of(&gathered.first, l));
                 let (gradient, through_f) = (vec_of(&gathered.gradient, l), tr_mul_vec(&a_dx, sum));
                 for axis in 0..3 {
@@ -323,19 +213,24 @@ impl<T: Real> pulp::NullaryFnOnce for ParticlesToTileAdjoint<'_, T> {
                     }
                 }
             }
-            stress_adjoint(model, &self.input[g], &a_dx_bar, bar);
+            stress_adjoint(model, input, &trial, &a_dx_bar, bar);
         }
     }
 }
 
 /// Adjoint of [`stress`]: fills `bar.c`, `bar.strain` and `bar.q`.
 #[inline(always)]
-fn stress_adjoint<T: Real>(model: &Model<T>, input: &Group<T>, a_dx_bar: &[Lanes<T>; 9], bar: &mut Group<T>) {
-    let trial = TrialStrains::new(model, input);
+fn stress_adjoint<T: Real>(
+    model: &Model<T>,
+    input: &Group<T>,
+    trial: &TrialStrains<T>,
+    a_dx_bar: &[Lanes<T>; 9],
+    bar: &mut Group<T>,
+) {
     if trial.all_mild {
-        send_adjoint::<T, true>(model, input, &trial, a_dx_bar, bar);
+        send_adjoint::<T, true>(model, input, trial, a_dx_bar, bar);
     } else {
-        send_sheared_adjoint(model, input, &trial, a_dx_bar, bar);
+        send_sheared_adjoint(model, input, trial, a_dx_bar, bar);
     }
 }
 
@@ -400,10 +295,10 @@ impl<T: Real> pulp::NullaryFnOnce for ReturnMap<'_, T> {
 
     #[inline(always)]
     fn call(self) {
+        let places = Places { start: [0; LANES], f: [[T::ONE; LANES]; 3] };
         for (input, output) in self.input.iter().zip(self.output) {
-            let mut payload = Payload::ZERO;
-            stress(self.model, input, output, &mut payload);
-            std::hint::black_box(&payload);
+            let trial = TrialStrains::new(self.model, input);
+            std::hint::black_box(&stress(self.model, input, &trial, &places, output));
         }
     }
 }
@@ -422,7 +317,7 @@ impl<T: Real> pulp::NullaryFnOnce for ReturnMapAdjoint<'_, T> {
     #[inline(always)]
     fn call(self) {
         for (input, bar) in self.input.iter().zip(self.bar) {
-            stress_adjoint(self.model, input, &input.c, bar);
+            stress_adjoint(self.model, input, &TrialStrains::new(self.model, input), &input.c, bar);
         }
     }
 }

@@ -1,5 +1,7 @@
 //! The powder's state: particles in groups of [`LANES`], structure of arrays inside a group.
 
+use std::sync::Arc;
+
 use crate::real::Real;
 use crate::small::{Mat3, Sym3, Vec3};
 
@@ -90,29 +92,29 @@ pub(crate) fn set_mat<T: Real>(a: &mut [Lanes<T>; 9], l: usize, m: Mat3<T>) {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Particles<T> {
     pub(crate) groups: Vec<Group<T>>,
-    /// Identity of each particle (its place in the initial packing), or [`NOBODY`].
-    pub(crate) ids: Vec<[u32; LANES]>,
+    /// Identity of each particle (its place in the initial packing), or [`NOBODY`]; changed by sorting alone.
+    pub(crate) ids: Arc<[[u32; LANES]]>,
 }
 
 impl<T: Real> Particles<T> {
     /// Particles at rest and free of stress at the given positions (m), identity = index.
     pub(crate) fn at_rest(positions: &[[f64; 3]]) -> Self {
-        let mut out = Self::empty();
+        let (mut groups, mut ids) = (Vec::new(), Vec::new());
         for (index, p) in positions.iter().enumerate() {
             let lane = index % LANES;
             if lane == 0 {
-                out.groups.push(Group::ZERO);
-                out.ids.push([NOBODY; LANES]);
+                groups.push(Group::ZERO);
+                ids.push([NOBODY; LANES]);
             }
-            let last = out.groups.len() - 1;
-            set_vec(&mut out.groups[last].x, lane, p.map(T::of));
-            out.ids[last][lane] = u32::try_from(index).expect("scenes are limited to fewer particles");
+            let last = groups.len() - 1;
+            set_vec(&mut groups[last].x, lane, p.map(T::of));
+            ids[last][lane] = u32::try_from(index).expect("scenes are limited to fewer particles");
         }
-        out
+        Self { groups, ids: ids.into() }
     }
 
     pub(crate) fn empty() -> Self {
-        Self { groups: Vec::new(), ids: Vec::new() }
+        Self { groups: Vec::new(), ids: Arc::new([]) }
     }
 
     /// `(group, lane, identity)` of every particle, in memory order.

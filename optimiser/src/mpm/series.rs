@@ -1,7 +1,7 @@
 //! Functions of symmetric matrices without trace, by powers instead of eigenvectors.
 //!
 //! Such a matrix satisfies `B^3 = m2 B + m3 I` with `m2 = tr(B^2)/2` and `m3 = det B` (Cayley-Hamilton), so a power series
-//! in `B` is `f0 I + f1 B + f2 B^2` with three numbers `f`, found by Horner's rule in four operations a power.
+//! in `B` is `f0 I + f1 B + f2 B^2` with three numbers `f`, found by Horner's rule in two multiply-adds a power.
 
 use crate::real::{Real, Series};
 use crate::small::{Sym3, inner, trace};
@@ -21,16 +21,16 @@ impl<T: Real> Powers<T> {
         let [xx, yy, zz, xy, xz, yz] = b;
         let (xy2, xz2, yz2) = (xy * xy, xz * xz, yz * yz);
         let b2 = [
-            xx * xx + (xy2 + xz2),
-            yy * yy + (xy2 + yz2),
-            zz * zz + (xz2 + yz2),
-            xz * yz - xy * zz,
-            xy * yz - xz * yy,
-            xy * xz - yz * xx,
+            xx.mul_add(xx, xy2 + xz2),
+            yy.mul_add(yy, xy2 + yz2),
+            zz.mul_add(zz, xz2 + yz2),
+            xz.mul_add(yz, -(xy * zz)),
+            xy.mul_add(yz, -(xz * yy)),
+            xy.mul_add(xz, -(yz * xx)),
         ];
         let m2 = T::of(0.5) * (b2[0] + b2[1] + b2[2]);
         // The cofactors of the first row are those of b2 - m2 I.
-        let m3 = xx * (b2[0] - m2) + xy * b2[3] + xz * b2[4];
+        let m3 = xx.mul_add(b2[0] - m2, xy.mul_add(b2[3], xz * b2[4]));
         Self { b, b2, m2, m3 }
     }
 
@@ -38,7 +38,7 @@ impl<T: Real> Powers<T> {
     #[inline(always)]
     pub(crate) fn combine(&self, f: [T; 3]) -> Sym3<T> {
         let (b, b2) = (&self.b, &self.b2);
-        let entry = |i: usize| f[1] * b[i] + f[2] * b2[i];
+        let entry = |i: usize| f[1].mul_add(b[i], f[2] * b2[i]);
         [f[0] + entry(0), f[0] + entry(1), f[0] + entry(2), entry(3), entry(4), entry(5)]
     }
 
@@ -48,10 +48,11 @@ impl<T: Real> Powers<T> {
     pub(crate) fn combine_adjoint(&self, f: [T; 3], slopes: [[T; 3]; 2], bar: Sym3<T>) -> Sym3<T> {
         let (b, b2) = (&self.b, &self.b2);
         let f_bar = [trace(bar), inner(bar, *b), inner(bar, *b2)];
-        let along = |s: [T; 3]| f_bar[0] * s[0] + f_bar[1] * s[1] + f_bar[2] * s[2];
+        let along = |s: [T; 3]| f_bar[0].mul_add(s[0], f_bar[1].mul_add(s[1], f_bar[2] * s[2]));
         let (m2_bar, m3_bar) = (along(slopes[0]), along(slopes[1]));
         let turned = anticommutator(bar, *b);
-        let entry = |i: usize| f[1] * bar[i] + f[2] * turned[i] + m2_bar * b[i] + m3_bar * b2[i];
+        let entry =
+            |i: usize| f[1].mul_add(bar[i], f[2].mul_add(turned[i], m2_bar.mul_add(b[i], m3_bar * b2[i])));
         let less = m3_bar * self.m2;
         [entry(0) - less, entry(1) - less, entry(2) - less, entry(3), entry(4), entry(5)]
     }
@@ -65,12 +66,12 @@ fn anticommutator<T: Real>(a: Sym3<T>, b: Sym3<T>) -> Sym3<T> {
     let (dxy, dxz, dyz) = (axy * bxy, axz * bxz, ayz * byz);
     let twice = |x: T| x + x;
     [
-        twice(ax * bx + (dxy + dxz)),
-        twice(ay * by + (dxy + dyz)),
-        twice(az * bz + (dxz + dyz)),
-        axy * (bx + by) + bxy * (ax + ay) + (axz * byz + ayz * bxz),
-        axz * (bx + bz) + bxz * (ax + az) + (axy * byz + ayz * bxy),
-        ayz * (by + bz) + byz * (ay + az) + (axy * bxz + axz * bxy),
+        twice(ax.mul_add(bx, dxy + dxz)),
+        twice(ay.mul_add(by, dxy + dyz)),
+        twice(az.mul_add(bz, dxz + dyz)),
+        axy.mul_add(bx + by, bxy.mul_add(ax + ay, axz.mul_add(byz, ayz * bxz))),
+        axz.mul_add(bx + bz, bxz.mul_add(ax + az, axy.mul_add(byz, ayz * bxy))),
+        ayz.mul_add(by + bz, byz.mul_add(ay + az, axy.mul_add(bxz, axz * bxy))),
     ]
 }
 
@@ -78,7 +79,7 @@ fn anticommutator<T: Real>(a: Sym3<T>, b: Sym3<T>) -> Sym3<T> {
 /// vectorising.
 macro_rules! downwards {
     ($n:expr, $k:ident => $body:expr) => {
-        downwards!(@ $n, $k, $body, 22 21 20 19 18 17 16 15 14 13 12 11 10 9 8 7 6 5 4 3 2 1 0)
+        downwards!(@ $n, $k, $body, 24 23 22 21 20 19 18 17 16 15 14 13 12 11 10 9 8 7 6 5 4 3 2 1 0)
     };
     (@ $n:expr, $k:ident, $body:expr, $($at:literal)*) => {
         $(if $at + 1 < $n {
@@ -93,8 +94,8 @@ macro_rules! downwards {
 pub(crate) fn horner<T: Real>(p: &Series, m2: T, m3: T) -> [T; 3] {
     let c = &p.coefficients;
     let mut f = [T::of(c[p.terms - 1]), T::ZERO, T::ZERO];
-    downwards!(p.terms, k => f = [f[2] * m3 + T::of(c[k]), f[0] + f[2] * m2, f[1]]);
-    [f[2] * m3, f[0] + f[2] * m2, f[1]]
+    downwards!(p.terms, k => f = [f[2].mul_add(m3, T::of(c[k])), f[2].mul_add(m2, f[0]), f[1]]);
+    [f[2] * m3, f[2].mul_add(m2, f[0]), f[1]]
 }
 
 /// [`horner`], and the derivatives with respect to `m2` and `m3`.
@@ -104,11 +105,11 @@ pub(crate) fn horner_with_slopes<T: Real>(p: &Series, m2: T, m3: T) -> ([T; 3], 
     let mut f = [T::of(c[p.terms - 1]), T::ZERO, T::ZERO];
     let (mut by_m2, mut by_m3) = (zero, zero);
     downwards!(p.terms, k => {
-        by_m2 = [by_m2[2] * m3, by_m2[0] + (by_m2[2] * m2 + f[2]), by_m2[1]];
-        by_m3 = [by_m3[2] * m3 + f[2], by_m3[0] + by_m3[2] * m2, by_m3[1]];
-        f = [f[2] * m3 + T::of(c[k]), f[0] + f[2] * m2, f[1]];
+        by_m2 = [by_m2[2] * m3, by_m2[2].mul_add(m2, by_m2[0] + f[2]), by_m2[1]];
+        by_m3 = [by_m3[2].mul_add(m3, f[2]), by_m3[2].mul_add(m2, by_m3[0]), by_m3[1]];
+        f = [f[2].mul_add(m3, T::of(c[k])), f[2].mul_add(m2, f[0]), f[1]];
     });
-    by_m2 = [by_m2[2] * m3, by_m2[0] + (by_m2[2] * m2 + f[2]), by_m2[1]];
-    by_m3 = [by_m3[2] * m3 + f[2], by_m3[0] + by_m3[2] * m2, by_m3[1]];
-    ([f[2] * m3, f[0] + f[2] * m2, f[1]], [by_m2, by_m3])
+    by_m2 = [by_m2[2] * m3, by_m2[2].mul_add(m2, by_m2[0] + f[2]), by_m2[1]];
+    by_m3 = [by_m3[2].mul_add(m3, f[2]), by_m3[2].mul_add(m2, by_m3[0]), by_m3[1]];
+    ([f[2] * m3, f[2].mul_add(m2, f[0]), f[1]], [by_m2, by_m3])
 }

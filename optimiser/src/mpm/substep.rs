@@ -10,13 +10,13 @@ use crate::mpm::g2p::{TileToParticles, TileToParticlesAdjoint};
 use crate::mpm::grid_update::{UpdateNodes, UpdateNodesAdjoint};
 use crate::mpm::laps::{Laps, Pass, Stage};
 use crate::mpm::layout::{BLOCK_NODES, Layout, Lost, Nodes, empty_tile, sort, unsort};
-use crate::mpm::p2g::{ParticlesToTile, ParticlesToTileAdjoint, Payload, ReturnMap, ReturnMapAdjoint};
+use crate::mpm::p2g::{ParticlesToTile, ParticlesToTileAdjoint, ReturnMap, ReturnMapAdjoint};
 use crate::mpm::particles::{Group, LANES, Particles};
 use crate::mpm::stencil::Tile;
 use crate::real::Real;
 
 /// The state at the beginning of a substep.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(crate) struct State<T> {
     pub(crate) particles: Particles<T>,
     pub(crate) layout: Arc<Layout>,
@@ -26,32 +26,11 @@ pub(crate) struct State<T> {
     stale: bool,
 }
 
-impl<T: Clone> Clone for State<T> {
-    fn clone(&self) -> Self {
-        Self {
-            particles: self.particles.clone(),
-            layout: Arc::clone(&self.layout),
-            sorted_from: self.sorted_from.clone(),
-            stale: self.stale,
-        }
-    }
-
-    /// Into the memory that is already there.
-    fn clone_from(&mut self, from: &Self) {
-        copy_exactly(&mut self.particles.groups, &from.particles.groups);
-        copy_exactly(&mut self.particles.ids, &from.particles.ids);
-        self.layout.clone_from(&from.layout);
-        self.sorted_from.clone_from(&from.sorted_from);
-        self.stale = from.stale;
-    }
-}
-
-/// Into the memory that is already there, or as much more as is needed. The number of groups changes from sort to sort, and a
-/// vector that is left to grow by itself takes twice the memory at the first group more.
-fn copy_exactly<E: Clone>(to: &mut Vec<E>, from: &[E]) {
-    to.clear();
-    to.reserve_exact(from.len());
-    to.extend_from_slice(from);
+/// So many elements, in the memory that is already there or as much more as is needed: the number of groups changes from sort
+/// to sort, and a vector that is left to grow by itself takes twice the memory at the first group more.
+fn fit<E: Clone>(vector: &mut Vec<E>, length: usize, with: E) {
+    vector.reserve_exact(length.saturating_sub(vector.len()));
+    vector.resize(length, with);
 }
 
 impl<T: Real> State<T> {
@@ -59,6 +38,12 @@ impl<T: Real> State<T> {
     pub(crate) fn new(model: &Model<T>, particles: &Particles<T>) -> Result<Self, Lost> {
         let (particles, layout, _) = sort(&model.grid, particles)?;
         Ok(Self { particles, layout: Arc::new(layout), sorted_from: None, stale: false })
+    }
+
+    /// Memory for a state.
+    pub(crate) fn none() -> Self {
+        let layout = Arc::new(Layout { blocks: Vec::new(), nodes: Vec::new() });
+        Self { particles: Particles::empty(), layout, sorted_from: None, stale: false }
     }
 
     /// Sorts if a particle has come to the end of its block's reach.
@@ -77,21 +62,31 @@ impl<T: Real> State<T> {
         Ok(())
     }
 
-    /// Bytes that keeping this state costs.
+    /// Bytes that keeping this state costs, with what was on the grid.
     pub(crate) fn bytes(&self) -> usize {
         let per_group = size_of::<Group<T>>() + 2 * LANES * size_of::<u32>();
-        self.particles.groups.len() * per_group + self.layout.bytes()
+        let on_grid = 2 * self.layout.nodes.len() * size_of::<Nodes<T>>();
+        self.particles.groups.len() * per_group + self.layout.bytes() + on_grid
     }
+}
+
+/// What was on the grid in the substep that begins at a state. The adjoint of that substep needs it.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct OnGrid<T> {
+    /// Momentum and mass.
+    momentum: Vec<Nodes<T>>,
+    /// Velocity, after contact.
+    velocity: Vec<Nodes<T>>,
 }
 
 /// Scratch memory of the substeps, reused from one to the next.
 pub(crate) struct Workspace<T> {
     tiles: Vec<Tile<T>>,
-    momentum: Vec<Nodes<T>>,
-    velocity: Vec<Nodes<T>>,
+    /// Of the latest substep.
+    pub(crate) on_grid: OnGrid<T>,
     momentum_bar: Vec<Nodes<T>>,
-    payloads: Vec<Payload<T>>,
-    spare: Vec<Group<T>>,
+    /// Where the next state is written.
+    next: State<T>,
     pub(crate) laps: Laps,
 }
 
@@ -110,11 +105,9 @@ impl<T: Real> Workspace<T> {
     pub(crate) fn new() -> Self {
         Self {
             tiles: Vec::new(),
-            momentum: Vec::new(),
-            velocity: Vec::new(),
+            on_grid: OnGrid { momentum: Vec::new(), velocity: Vec::new() },
             momentum_bar: Vec::new(),
-            payloads: Vec::new(),
-            spare: Vec::new(),
+            next: State::none(),
             laps: Laps::default(),
         }
     }
@@ -122,16 +115,15 @@ impl<T: Real> Workspace<T> {
     /// Heap bytes that do not grow with the number of kept states.
     pub(crate) fn bytes(&self) -> usize {
         self.tiles.len() * size_of::<Tile<T>>()
-            + 3 * self.momentum.len() * size_of::<Nodes<T>>()
-            + self.spare.len() * size_of::<Payload<T>>()
+            + 3 * self.on_grid.momentum.len() * size_of::<Nodes<T>>()
+            + self.next.particles.groups.len() * size_of::<Group<T>>()
     }
 
-    fn fit(&mut self, layout: &Layout, groups: usize) {
+    fn fit(&mut self, layout: &Layout) {
         let zero_nodes = [[T::ZERO; 4]; BLOCK_NODES];
-        self.tiles.resize(layout.blocks.len(), empty_tile());
-        self.momentum.resize(layout.nodes.len(), zero_nodes);
-        self.velocity.resize(layout.nodes.len(), zero_nodes);
-        self.spare.resize(groups, Group::ZERO);
+        fit(&mut self.tiles, layout.blocks.len(), empty_tile());
+        fit(&mut self.on_grid.momentum, layout.nodes.len(), zero_nodes);
+        fit(&mut self.on_grid.velocity, layout.nodes.len(), zero_nodes);
     }
 
     /// Advances the state by one substep with the tool's motion at the substep's end.
@@ -141,13 +133,28 @@ impl<T: Real> Workspace<T> {
         tool: &Motion<T>,
         state: &mut State<T>,
     ) -> Result<(), Lost> {
+        let mut next = std::mem::replace(&mut self.next, State::none());
+        let advanced = self.advance_to(model, tool, state, &mut next);
+        self.next = std::mem::replace(state, next);
+        advanced
+    }
+
+    /// [`Self::advance`] with the state after the substep written elsewhere, into memory that is used again.
+    pub(crate) fn advance_to(
+        &mut self,
+        model: &Model<T>,
+        tool: &Motion<T>,
+        from: &State<T>,
+        to: &mut State<T>,
+    ) -> Result<(), Lost> {
         self.laps.begin(Pass::Forward);
-        let layout = Arc::clone(&state.layout);
-        self.fit(&layout, state.particles.groups.len());
-        let mut output = std::mem::take(&mut self.spare);
-        self.particles_to_grid(model, tool, &layout, &state.particles.groups, &mut output, false);
-        let (velocity, input) = (&self.velocity, &state.particles.groups);
-        let inside = split(&layout, &mut output)
+        let layout = &*from.layout;
+        fit(&mut to.particles.groups, from.particles.groups.len(), Group::ZERO);
+        to.particles.ids = Arc::clone(&from.particles.ids);
+        to.layout = Arc::clone(&from.layout);
+        self.particles_to_grid(model, tool, layout, &from.particles.groups, &mut to.particles.groups);
+        let (velocity, input) = (&self.on_grid.velocity, &from.particles.groups);
+        let inside = split(layout, &mut to.particles.groups)
             .into_par_iter()
             .zip(&layout.blocks)
             .map(|(output, block)| {
@@ -155,11 +162,9 @@ impl<T: Real> Workspace<T> {
                 model.arch.dispatch(TileToParticles { model, tool, block, velocity, input, output })
             })
             .reduce(|| true, |a, b| a && b);
-        std::mem::swap(&mut state.particles.groups, &mut output);
-        self.spare = output;
         self.laps.mark(Stage::GridToParticles);
-        state.stale = !inside;
-        let freshened = state.freshen(model);
+        to.stale = !inside;
+        let freshened = to.freshen(model);
         self.laps.mark(Stage::Sort);
         freshened
     }
@@ -172,49 +177,44 @@ impl<T: Real> Workspace<T> {
         layout: &Layout,
         input: &[Group<T>],
         output: &mut [Group<T>],
-        keep: bool,
     ) {
+        self.fit(layout);
         let jobs = split(layout, output).into_par_iter().zip(&mut self.tiles).zip(&layout.blocks);
-        let scatter = |output, tile, block: &crate::mpm::layout::Block, payloads| {
+        jobs.for_each(|((output, tile), block)| {
             let input = &input[block.first_group..block.first_group + block.groups()];
-            model.arch.dispatch(ParticlesToTile { model, block, input, output, tile, payloads });
-        };
-        if keep {
-            self.payloads.resize(input.len(), Payload::ZERO);
-            jobs.zip(split(layout, &mut self.payloads))
-                .for_each(|(((output, tile), block), payloads)| scatter(output, tile, block, Some(payloads)));
-        } else {
-            jobs.for_each(|((output, tile), block)| scatter(output, tile, block, None));
-        }
+            model.arch.dispatch(ParticlesToTile { model, block, input, output, tile });
+        });
         self.laps.mark(Stage::ParticlesToGrid);
-        let tiles = &self.tiles;
-        layout.nodes.par_iter().zip(&mut self.momentum).zip(&mut self.velocity).for_each(
-            |((node, momentum), velocity)| {
-                model.arch.dispatch(UpdateNodes { model, tool, node, tiles, momentum, velocity });
-            },
-        );
+        let (tiles, OnGrid { momentum, velocity }) = (&self.tiles, &mut self.on_grid);
+        layout.nodes.par_iter().zip(momentum).zip(velocity).for_each(|((node, momentum), velocity)| {
+            model.arch.dispatch(UpdateNodes { model, tool, node, tiles, momentum, velocity });
+        });
         self.laps.mark(Stage::GridUpdate);
     }
 
     /// Adjoint of [`Self::advance`], the sort at its end excepted: turns the cotangent `bar` of the state after the
-    /// substep into the one of `state`, and returns the cotangent of the tool's motion.
+    /// substep into the one of `state`, and returns the cotangent of the tool's motion. What was on the grid is computed again if
+    /// it is not known.
     pub(crate) fn retreat(
         &mut self,
         model: &Model<T>,
         tool: &Motion<T>,
         state: &State<T>,
+        known: Option<&OnGrid<T>>,
         bar: &mut [Group<T>],
     ) -> MotionBar {
         self.laps.begin(Pass::Adjoint);
         let layout = &*state.layout;
         let input = &state.particles.groups;
-        self.fit(layout, input.len());
-        self.momentum_bar.resize(layout.nodes.len(), [[T::ZERO; 4]; BLOCK_NODES]);
-        let mut output = std::mem::take(&mut self.spare);
-        self.particles_to_grid(model, tool, layout, input, &mut output, true);
-        self.spare = output;
-
-        let velocity = &self.velocity;
+        self.fit(layout);
+        fit(&mut self.momentum_bar, layout.nodes.len(), [[T::ZERO; 4]; BLOCK_NODES]);
+        if known.is_none() {
+            let mut unused = std::mem::take(&mut self.next.particles.groups);
+            fit(&mut unused, input.len(), Group::ZERO);
+            self.particles_to_grid(model, tool, layout, input, &mut unused);
+            self.next.particles.groups = unused;
+        }
+        let OnGrid { momentum, velocity } = known.unwrap_or(&self.on_grid);
         let at_particles: Vec<MotionBar> = split(layout, bar)
             .into_par_iter()
             .zip(&mut self.tiles)
@@ -233,7 +233,7 @@ impl<T: Real> Workspace<T> {
             })
             .collect();
         self.laps.mark(Stage::GridToParticlesAdjoint);
-        let (tiles, momentum) = (&self.tiles, &self.momentum);
+        let tiles = &self.tiles;
         let at_nodes: Vec<MotionBar> = layout
             .nodes
             .par_iter()
@@ -251,14 +251,13 @@ impl<T: Real> Workspace<T> {
             })
             .collect();
         self.laps.mark(Stage::GridUpdateAdjoint);
-        let (nodes_bar, payloads) = (&self.momentum_bar, &self.payloads);
+        let nodes_bar = &self.momentum_bar;
         split(layout, bar).into_par_iter().zip(&layout.blocks).for_each(|(bar, block)| {
             let range = block.first_group..block.first_group + block.groups();
             model.arch.dispatch(ParticlesToTileAdjoint {
                 model,
                 block,
-                input: &input[range.clone()],
-                payloads: &payloads[range],
+                input: &input[range],
                 nodes_bar,
                 bar,
             });
@@ -272,8 +271,8 @@ impl<T: Real> Workspace<T> {
     /// Sort, material and their adjoints by themselves, for the measuring tool. Leaves nothing behind.
     pub(crate) fn alone(&mut self, model: &Model<T>, state: &State<T>) -> Result<(), Lost> {
         let (layout, input) = (&state.layout, &state.particles.groups);
-        self.fit(layout, input.len());
-        let mut output = std::mem::take(&mut self.spare);
+        let mut output = std::mem::take(&mut self.next.particles.groups);
+        fit(&mut output, input.len(), Group::ZERO);
         let of_block =
             |block: &crate::mpm::layout::Block| &input[block.first_group..block.first_group + block.groups()];
         self.laps.begin(Pass::Alone);
@@ -291,7 +290,7 @@ impl<T: Real> Workspace<T> {
         self.laps.skip();
         std::hint::black_box(unsort(&particles.groups, &order, input.len()));
         self.laps.mark(Stage::Unsort);
-        self.spare = output;
+        self.next.particles.groups = output;
         Ok(())
     }
 }
@@ -309,12 +308,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_copy_takes_no_more_memory_than_it_needs() {
-        let mut to: Vec<u64> = Vec::with_capacity(1_000);
-        copy_exactly(&mut to, &[7; 1_001]);
-        assert_eq!(to, [7; 1_001]);
-        assert!(to.capacity() < 1_100, "{}", to.capacity());
-        copy_exactly(&mut to, &[8; 10]);
-        assert_eq!(to, [8; 10]);
+    fn a_vector_takes_no_more_memory_than_it_needs() {
+        let mut vector: Vec<u64> = Vec::with_capacity(1_000);
+        fit(&mut vector, 1_001, 7);
+        assert_eq!(vector, [7; 1_001]);
+        assert!(vector.capacity() < 1_100, "{}", vector.capacity());
+        fit(&mut vector, 10, 8);
+        assert_eq!(vector, [7; 10]);
     }
 }

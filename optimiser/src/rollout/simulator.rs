@@ -9,7 +9,7 @@ use crate::mpm::contact::MotionBar;
 use crate::mpm::laps::{Laps, Stage};
 use crate::mpm::layout::Lost;
 use crate::mpm::particles::{Group, LANES, Particles, set_vec};
-use crate::mpm::substep::{State, Workspace, unsort_bar};
+use crate::mpm::substep::{OnGrid, State, Workspace, unsort_bar};
 use crate::real::Real;
 use crate::rollout::branches::{self, Family};
 use crate::rollout::path::{Path, resting};
@@ -38,12 +38,32 @@ pub struct Simulator<T: Real> {
     settled: Option<State<T>>,
     /// States that earlier gradients kept. They stay: what one thread frees, the allocator keeps for that thread,
     /// and the next gradient may be run by another.
-    spare: Vec<State<T>>,
+    spare: Vec<Kept<T>>,
     packing: Vec<[f64; 3]>,
     pool: rayon::ThreadPool,
     memory_bytes: u64,
     /// States to keep at most, whatever memory would allow.
     most_kept: usize,
+}
+
+/// A state on the way of a gradient.
+struct Kept<T> {
+    /// The substep that begins there.
+    step: usize,
+    state: State<T>,
+    /// What was on the grid in that substep, if `has_grid`.
+    on_grid: OnGrid<T>,
+    has_grid: bool,
+}
+
+impl<T: Real> Kept<T> {
+    fn first(state: State<T>) -> Self {
+        Self { step: 0, state, on_grid: OnGrid::default(), has_grid: false }
+    }
+
+    fn grid(&self) -> Option<&OnGrid<T>> {
+        self.has_grid.then_some(&self.on_grid)
+    }
 }
 
 impl<T> Moment<T> {
@@ -297,7 +317,7 @@ struct Rollout<'a, T: Real> {
     model: &'a Model<T>,
     workspace: &'a mut Workspace<T>,
     settled: &'a mut Option<State<T>>,
-    spare: &'a mut Vec<State<T>>,
+    spare: &'a mut Vec<Kept<T>>,
     packing: &'a [[f64; 3]],
     memory_bytes: u64,
     most_kept: usize,
@@ -348,6 +368,17 @@ impl<T: Real> Rollout<'_, T> {
         }
     }
 
+    fn step_to(
+        &mut self,
+        from: &State<T>,
+        substep: usize,
+        tool: &crate::mpm::contact::Motion<T>,
+        to: &mut State<T>,
+    ) -> Result<(), RolloutError> {
+        let advanced = self.workspace.advance_to(self.model, tool, from, to);
+        advanced.map_err(|lost| lost_error(self.scene, substep, lost, Some(to)))
+    }
+
     fn forward(&mut self, mut state: State<T>, path: &Path) -> Result<State<T>, RolloutError> {
         let total = path.len() as u64;
         for substep in 0..path.len() {
@@ -366,53 +397,59 @@ impl<T: Real> Rollout<'_, T> {
         let mut done = 0;
         let mut back = path.pull_back();
         let mut end: Option<(Evaluation, Vec<Group<T>>)> = None;
-        let mut at = 0;
-        let mut working = start.clone();
-        let mut kept = vec![(0, start)];
+        // The state at work is the last one kept, until it is advanced: then it is `working`.
+        let mut kept = vec![Kept::first(start)];
+        let (mut working, mut next) = (State::none(), State::none());
+        let (mut at, mut is_kept) = (0, true);
         for action in schedule(path.len(), slots) {
+            let last = kept.last_mut().expect("the schedule keeps the first state");
             match action {
-                Action::Restore => {
-                    let (step, state) = kept.last().expect("the schedule keeps the first state");
-                    at = *step;
-                    working.clone_from(state);
-                }
+                Action::Restore => (at, is_kept) = (last.step, true),
                 Action::Advance(count) => {
                     for _ in 0..count {
-                        self.step(&mut working, at, &path.motion(at))?;
-                        at += 1;
+                        let from = if is_kept { &last.state } else { &working };
+                        self.step_to(from, at, &path.motion(at), &mut next)?;
+                        std::mem::swap(&mut working, &mut next);
+                        (at, is_kept) = (at + 1, false);
                         done += 1;
                         self.report(done, total)?;
                     }
                 }
                 Action::Keep => {
-                    // Memory of dropped states is used again: fresh pages cost more than the copy.
-                    let mut state = self.spare.pop().unwrap_or_else(|| working.clone());
-                    state.clone_from(&working);
-                    kept.push((at, state));
+                    if last.step + 1 == at {
+                        std::mem::swap(&mut last.on_grid, &mut self.workspace.on_grid);
+                        last.has_grid = true;
+                    }
+                    // Memory of dropped states is used again: fresh pages cost more than what is done with them.
+                    let spare = self.spare.pop().unwrap_or_else(|| Kept::first(State::none()));
+                    let state = std::mem::replace(&mut working, spare.state);
+                    kept.push(Kept { step: at, state, on_grid: spare.on_grid, has_grid: false });
+                    is_kept = true;
                 }
-                Action::Drop => self.spare.extend(kept.pop().map(|(_, state)| state)),
+                Action::Drop => self.spare.extend(kept.pop()),
                 Action::Reverse(step) => {
-                    let (evaluation, bar) = match end.take() {
+                    let (state, grid) = if is_kept { (&last.state, last.grid()) } else { (&working, None) };
+                    let (evaluation, mut bar) = match end.take() {
                         Some(end) => end,
-                        None => self.end_of(path, working.clone())?,
+                        None => self.end_of(path, state)?,
                     };
-                    let mut bar = bar;
-                    let tool_bar = self.workspace.retreat(self.model, &path.motion(step), &working, &mut bar);
-                    self.check_finite(step, &tool_bar, &working, &bar)?;
+                    let tool_bar = self.workspace.retreat(self.model, &path.motion(step), state, grid, &mut bar);
+                    self.check_finite(step, &tool_bar, state, &bar)?;
                     back.take(step, tool_bar);
                     self.workspace.laps.skip();
-                    end = Some((evaluation, unsort_bar(&working, bar)));
+                    end = Some((evaluation, unsort_bar(state, bar)));
                     self.workspace.laps.mark(Stage::Unsort);
                     done += ADJOINT_WORK;
                     self.report(done, total)?;
                 }
             }
         }
-        self.spare.extend(kept.into_iter().map(|(_, state)| state));
         let evaluation = match end {
             Some((evaluation, _)) => evaluation,
-            None => self.end_of(path, working)?.0,
+            // A motion of no step ends where it began.
+            None => self.end_of(path, &kept[0].state)?.0,
         };
+        self.spare.append(&mut kept);
         Ok((evaluation, back.finished()))
     }
 
@@ -420,8 +457,9 @@ impl<T: Real> Rollout<'_, T> {
     fn end_of(
         &mut self,
         path: &Path,
-        mut state: State<T>,
+        state: &State<T>,
     ) -> Result<(Evaluation, Vec<Group<T>>), RolloutError> {
+        let mut state = state.clone();
         if let Some(last) = path.len().checked_sub(1) {
             self.step(&mut state, last, &path.motion(last))?;
         }

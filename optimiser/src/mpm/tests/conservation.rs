@@ -67,7 +67,7 @@ fn relative_drift<T: Real>() -> f64 {
 
 fn relative_mass_error<T: Real>() -> f64 {
     let (model, state) = cloud::<T>();
-    let (tiles, ..) = to_tiles(&model, &state);
+    let (tiles, _) = to_tiles(&model, &state);
     let (nodes, _) = on_grid(&model, &far_away(), &state, &tiles);
     let on_grid: f64 = nodes.iter().flatten().map(|n| n[3].to_f64()).sum();
     let in_particles = model.mass.to_f64() * state.particles.living().count() as f64;

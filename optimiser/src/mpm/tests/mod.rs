@@ -15,7 +15,7 @@ use crate::mpm::contact::Motion;
 use crate::mpm::g2p::TileToParticles;
 use crate::mpm::grid_update::UpdateNodes;
 use crate::mpm::layout::{BLOCK_NODES, Nodes, empty_tile};
-use crate::mpm::p2g::{ParticlesToTile, Payload};
+use crate::mpm::p2g::ParticlesToTile;
 use crate::mpm::particles::{Group, Lanes, Particles, vec_of};
 use crate::mpm::principal::return_map;
 use crate::mpm::stencil::Tile;
@@ -174,27 +174,17 @@ fn row<T>(group: &mut Group<T>, k: usize) -> &mut Lanes<T> {
     }
 }
 
-/// Tiles, what each group sent, and the particles with their new strains.
-type ToTiles<T> = (Vec<Tile<T>>, Vec<Payload<T>>, Vec<Group<T>>);
-
-/// Material and scatter of all blocks: tiles, what the adjoint needs, and the particles with their new strains.
-fn to_tiles<T: Real>(model: &Model<T>, state: &State<T>) -> ToTiles<T> {
+/// Material and scatter of all blocks: tiles, and the particles with their new strains.
+fn to_tiles<T: Real>(model: &Model<T>, state: &State<T>) -> (Vec<Tile<T>>, Vec<Group<T>>) {
     let groups = &state.particles.groups;
     let mut tiles = vec![empty_tile(); state.layout.blocks.len()];
-    let mut payloads = vec![Payload::ZERO; groups.len()];
     let mut output = vec![Group::ZERO; groups.len()];
     for (block, tile) in state.layout.blocks.iter().zip(&mut tiles) {
         let range = block.first_group..block.first_group + block.groups();
-        model.arch.dispatch(ParticlesToTile {
-            model,
-            block,
-            input: &groups[range.clone()],
-            output: &mut output[range.clone()],
-            tile,
-            payloads: Some(&mut payloads[range]),
-        });
+        let (input, output) = (&groups[range.clone()], &mut output[range]);
+        model.arch.dispatch(ParticlesToTile { model, block, input, output, tile });
     }
-    (tiles, payloads, output)
+    (tiles, output)
 }
 
 /// Grid update of all node blocks: momentum and mass before, velocity after.

@@ -5,20 +5,20 @@
 use crate::mpm::Model;
 use crate::mpm::contact::{Motion, MotionBar};
 use crate::mpm::g2p::TileToParticlesAdjoint;
+use crate::mpm::gather::{Gathered, Sent, gather, gather_gradient, gather_with_gradient};
 use crate::mpm::grid_update::UpdateNodesAdjoint;
 use crate::mpm::layout::{BLOCK_NODES, Nodes, empty_tile, load_tile, sort, sum_tiles, unsort};
 use crate::mpm::material::Material;
 use crate::mpm::p2g::{ParticlesToTileAdjoint, affine, at_base};
-use crate::mpm::particles::{Group, Particles};
-use crate::mpm::stencil::{
-    Affine, Stencil, TILE_EDGE, TILE_LENGTH, Tile, gather, gather_with_gradient, scatter, weight_slopes,
-    weights,
-};
+use crate::mpm::particles::{Group, LANES, Particles};
+use crate::mpm::places::Places;
+use crate::mpm::stencil::{Affine, Stencil, TILE_EDGE, TILE_LENGTH, Tile, scatter, weight_slopes, weights};
 use crate::mpm::substep::{State, Workspace, unsort_bar};
 use crate::mpm::tests::{
     Dice, assert_gradient, empty_bench, far_away, lattice, moved, on_grid, row, standing, to_particles,
     to_tiles,
 };
+use crate::real::Real;
 use crate::shape::SignedDistance;
 use crate::small::{Mat3, Vec3, mul_vec, sub, tr_mul_vec};
 
@@ -168,71 +168,162 @@ fn random_tile(dice: &mut Dice) -> Tile<f64> {
     tile
 }
 
-fn inner(a: &Tile<f64>, b: &Tile<f64>) -> f64 {
-    a.as_flattened().iter().zip(b.as_flattened()).map(|(a, b)| a * b).sum()
+/// What a particle takes from its 27 nodes, one after another: `sum w g` and `sum w g (i, j, k)` of all four numbers, and
+/// `sum (dw/dX) (g.P)`.
+fn taken(tile: &Tile<f64>, x: Vec3<f64>, sent: &Affine<f64>) -> ([f64; 4], [[f64; 4]; 3], [f64; 3]) {
+    let (s, slopes, _) = stencil(x);
+    let (mut sum, mut first, mut gradient) = ([0.0; 4], [[0.0; 4]; 3], [0.0; 3]);
+    for n in 0..27 {
+        let ijk = [n / 9, n / 3 % 3, n % 3];
+        let g = tile[s.start + (ijk[0] * TILE_EDGE + ijk[1]) * TILE_EDGE + ijk[2]];
+        let w = [0, 1, 2].map(|axis| s.w[axis][ijk[axis]]);
+        let mut product = 0.0;
+        for c in 0..4 {
+            let steps: f64 = (0..3).map(|axis| ijk[axis] as f64 * sent.steps[axis][c]).sum();
+            product += g[c] * (sent.p[c] + steps);
+            sum[c] += w[0] * w[1] * w[2] * g[c];
+            for axis in 0..3 {
+                first[axis][c] += w[0] * w[1] * w[2] * g[c] * ijk[axis] as f64;
+            }
+        }
+        for axis in 0..3 {
+            let others = w[(axis + 1) % 3] * w[(axis + 2) % 3];
+            gradient[axis] += slopes[axis][ijk[axis]] * others * product;
+        }
+    }
+    (sum, first, gradient)
+}
+
+/// A group of particles at coordinates in a tile, and what they send.
+fn group_at<T: Real>(x: &[Vec3<f64>], sent: &[Affine<f64>]) -> (Places<T>, Sent<T>) {
+    let mut at = [[T::of(4.0); LANES]; 3];
+    let mut out = Sent::ZERO;
+    for (l, (x, sent)) in x.iter().zip(sent).enumerate() {
+        for c in 0..3 {
+            at[c][l] = T::of(x[c]);
+            out.base[c][l] = T::of(sent.p[c]);
+            for axis in 0..3 {
+                out.a_dx[3 * c + axis][l] = T::of(sent.steps[axis][c]);
+            }
+        }
+    }
+    (Places::of(T::ONE, [T::ZERO; 3], &at), out)
+}
+
+/// An affine function whose fourth number is the same at all nodes.
+fn random_affine(dice: &mut Dice, mass: f64) -> Affine<f64> {
+    let step = |[a, b, c]: [f64; 3]| [a, b, c, 0.0];
+    let [a, b, c]: [f64; 3] = dice.many(1.0);
+    Affine { p: [a, b, c, mass], steps: [step(dice.many(1.0)), step(dice.many(1.0)), step(dice.many(1.0))] }
+}
+
+/// Groups as they are: sorted, a few cells along z; with strayers; anywhere; and with lanes that hold nobody.
+fn positions_in_a_tile(which: usize, dice: &mut Dice) -> Vec<Vec3<f64>> {
+    let spread = [[0.4, 0.4, 1.1], [1.2, 0.4, 1.1], [2.4, 2.4, 2.4]][which % 3];
+    let living = if which % 4 == 3 { 5 } else { LANES };
+    let mut out: Vec<Vec3<f64>> =
+        (0..living).map(|_| [0, 1, 2].map(|axis| 4.0 + spread[axis] * dice.roll())).collect();
+    out.sort_by(|a, b| a[2].total_cmp(&b[2]));
+    out
+}
+
+fn gathered_as_taken<T: Real>(rounding: f64) {
+    const MASS: f64 = 0.7;
+    let mut dice = Dice::new(51);
+    for which in 0..60 {
+        let x: Vec<Vec3<f64>> = positions_in_a_tile(which, &mut dice)
+            .into_iter()
+            .map(|x| x.map(|x| T::of(x).to_f64()))
+            .collect();
+        let sent: Vec<_> = x.iter().map(|_| random_affine(&mut dice, MASS)).collect();
+        let tile = random_tile(&mut dice);
+        let narrow = tile.map(|node| node.map(T::of));
+        let (places, sends) = group_at::<T>(&x, &sent);
+        let (w, living) = (places.weights(), x.len());
+        let all = gather_with_gradient(&narrow, &places, &w, &sends, T::of(MASS), living);
+        let plain = gather(&narrow, &places, &w, living);
+        let massless = gather_gradient(&narrow, &places, &w, &sends, living);
+        let same = |got: T, want: f64, what: &str| {
+            assert!((got.to_f64() - want).abs() < rounding, "{which}, {what}: {got} for {want}");
+        };
+        for (l, (x, sent)) in x.iter().zip(&sent).enumerate() {
+            let (sum, first, gradient) = taken(&tile, *x, sent);
+            let mut without = *sent;
+            without.p[3] = 0.0;
+            let (.., gradient_without) = taken(&tile, *x, &without);
+            for c in 0..3 {
+                for of in [&all, &plain, &massless] {
+                    same(of.sum[c][l], sum[c], "sum");
+                }
+                for of in [&all, &plain] {
+                    (0..3).for_each(|axis| same(of.first[3 * c + axis][l], first[axis][c], "first moment"));
+                }
+                same(all.gradient[c][l], gradient[c], "gradient");
+                same(massless.gradient[c][l], gradient_without[c], "gradient without mass");
+            }
+        }
+        let rows = |g: &Gathered<T>| [g.sum.as_flattened(), g.first.as_flattened(), g.gradient.as_flattened()].concat();
+        for (n, number) in [&all, &plain, &massless].into_iter().flat_map(rows).enumerate() {
+            assert!(n % LANES < living || number == T::ZERO, "{which}: {number} for nobody");
+        }
+    }
 }
 
 #[test]
-fn scatter_and_gather_are_adjoints_of_each_other() {
-    let mut dice = Dice::new(51);
+fn a_group_gathers_what_its_particles_would_take_one_by_one() {
+    gathered_as_taken::<f64>(1e-13);
+    gathered_as_taken::<f32>(2e-5);
+}
+
+#[test]
+fn scatter_is_the_adjoint_of_taking() {
+    let mut dice = Dice::new(58);
     for _ in 0..200 {
-        let x: [f64; 3] = dice.many(2.4);
-        let (s, slopes, _) = stencil(x.map(|x| x + 4.0));
+        let x = dice.many(2.4).map(|x: f64| x + 4.0);
         let a = Affine { p: dice.many(1.0), steps: [dice.many(1.0), dice.many(1.0), dice.many(1.0)] };
         let g = random_tile(&mut dice);
         let mut sent = empty_tile();
-        scatter(&mut sent, &s, &a);
-        let m = gather(&g, &s);
-        let (with, _) = gather_with_gradient(&g, &s, &slopes, &a);
+        scatter(&mut sent, 1, |_| stencil(x).0, |_| a);
+        let (sum, first, _) = taken(&g, x, &a);
         let dot = |x: [f64; 4], y: [f64; 4]| -> f64 { x.iter().zip(y).map(|(x, y)| x * y).sum() };
-        let received = dot(a.p, m.sum) + (0..3).map(|i| dot(a.steps[i], m.first[i])).sum::<f64>();
-        assert!((inner(&g, &sent) - received).abs() < 4e-15, "{} {received}", inner(&g, &sent));
-        for (one, other) in [
-            (m.sum, with.sum),
-            (m.first[0], with.first[0]),
-            (m.first[1], with.first[1]),
-            (m.first[2], with.first[2]),
-        ] {
-            assert!(one.iter().zip(other).all(|(a, b)| (a - b).abs() < 1e-15));
-        }
+        let received = dot(a.p, sum) + (0..3).map(|i| dot(a.steps[i], first[i])).sum::<f64>();
+        let given: f64 = g.as_flattened().iter().zip(sent.as_flattened()).map(|(a, b)| a * b).sum();
+        assert!((given - received).abs() < 4e-15, "{given} {received}");
     }
 }
 
 /// A particle writes to a tile that others have written to and reads back; both ways see its position.
 #[test]
 fn round_trip_of_a_particle_has_taylor_slope_two_in_its_position() {
+    const MASS: f64 = 0.7;
     let mut dice = Dice::new(52);
     let others = random_tile(&mut dice);
     let (v, matrix): (Vec3<f64>, Mat3<f64>) =
         (dice.many(1.0), [dice.many(1.0), dice.many(1.0), dice.many(1.0)]);
-    let weight = Affine { p: dice.many(1.0), steps: [dice.many(1.0), dice.many(1.0), dice.many(1.0)] };
-    let read = |tile: &Tile<f64>, s: &Stencil<f64>| {
-        let m = gather(tile, s);
-        let rows = [
-            (weight.p, m.sum),
-            (weight.steps[0], m.first[0]),
-            (weight.steps[1], m.first[1]),
-            (weight.steps[2], m.first[2]),
-        ];
-        rows.iter().flat_map(|(w, m)| w.iter().zip(m)).map(|(w, m)| w * m).sum::<f64>()
+    let weight = random_affine(&mut dice, MASS);
+    let sends = |x: Vec3<f64>| affine(at_base(v, &matrix, stencil(x).2), &matrix, MASS);
+    let with = |tile: &Tile<f64>, x: Vec3<f64>, sent: &Affine<f64>| {
+        let (places, sends) = group_at::<f64>(&[x], &[*sent]);
+        gather_with_gradient(tile, &places, &places.weights(), &sends, MASS, 1)
     };
     for x in [[2.8, 3.3, 4.1], [3.6, 2.7, 5.2], [4.4, 4.0, 3.1]] {
         let f = |x: &[f64]| {
-            let (s, _, f) = stencil([x[0], x[1], x[2]]);
+            let x = [x[0], x[1], x[2]];
             let mut tile = others;
-            scatter(&mut tile, &s, &affine(at_base(v, &matrix, f), &matrix, 0.7));
-            read(&tile, &s)
+            scatter(&mut tile, 1, |_| stencil(x).0, |_| sends(x));
+            let (sum, first, _) = taken(&tile, x, &weight);
+            let of = |w: [f64; 4], m: [f64; 4]| w.iter().zip(m).map(|(w, m)| w * m).sum::<f64>();
+            of(weight.p, sum) + (0..3).map(|axis| of(weight.steps[axis], first[axis])).sum::<f64>()
         };
-        let (s, slopes, at) = stencil(x);
-        let sent = affine(at_base(v, &matrix, at), &matrix, 0.7);
+        let sent = sends(x);
         let mut tile = others;
-        scatter(&mut tile, &s, &sent);
-        let (_, reading) = gather_with_gradient(&tile, &s, &slopes, &weight);
+        scatter(&mut tile, 1, |_| stencil(x).0, |_| sent);
+        let reading = with(&tile, x, &weight);
         let mut tile_bar = empty_tile();
-        scatter(&mut tile_bar, &s, &weight);
-        let (moments, writing) = gather_with_gradient(&tile_bar, &s, &slopes, &sent);
-        let through_f = tr_mul_vec(&matrix, [moments.sum[0], moments.sum[1], moments.sum[2]]);
-        let gradient = [0, 1, 2].map(|i| reading[i] + writing[i] - through_f[i]);
+        scatter(&mut tile_bar, 1, |_| stencil(x).0, |_| weight);
+        let writing = with(&tile_bar, x, &sent);
+        let through_f = tr_mul_vec(&matrix, [0, 1, 2].map(|c| writing.sum[c][0]));
+        let gradient = [0, 1, 2].map(|i| reading.gradient[i][0] + writing.gradient[i][0] - through_f[i]);
         assert_gradient("round trip", 1e-2, &f, &x, &gradient);
     }
 }
@@ -257,11 +348,10 @@ fn particle_to_grid_has_taylor_slope_two() {
     let measure = Measure::random(state.particles.living().count(), 15..22, &mut dice);
     let f = |x: &[f64]| {
         let state = with_numbers(&state, x);
-        let (tiles, _, output) = to_tiles(&model, &state);
+        let (tiles, output) = to_tiles(&model, &state);
         let nodes: Vec<_> = state.layout.nodes.iter().map(|n| sum_tiles(n, &tiles)).collect();
         inner_nodes(&nodes_bar, &nodes) + measure.of(&state.particles, &output)
     };
-    let (_, payloads, _) = to_tiles(&model, &state);
     let mut bar = measure.cotangent(&state.particles);
     for block in &state.layout.blocks {
         let range = block.first_group..block.first_group + block.groups();
@@ -269,7 +359,6 @@ fn particle_to_grid_has_taylor_slope_two() {
             model: &model,
             block,
             input: &state.particles.groups[range.clone()],
-            payloads: &payloads[range.clone()],
             nodes_bar: &nodes_bar,
             bar: &mut bar[range],
         });
@@ -435,7 +524,7 @@ fn a_whole_substep_has_taylor_slope_two_in_the_state_and_the_tools_motion() {
     let mut workspace = Workspace::new();
     workspace.advance(&model, &tool, &mut after).unwrap();
     let mut bar = unsort_bar(&after, measure.cotangent(&after.particles));
-    let tool_bar = workspace.retreat(&model, &tool, &state, &mut bar);
+    let tool_bar = workspace.retreat(&model, &tool, &state, None, &mut bar);
     let mut gradient = gradient_of(&state.particles, &bar);
     gradient.extend(tool_gradient(&tool_bar));
     let mut x = numbers(&state.particles);
@@ -514,7 +603,7 @@ fn cotangents_survive_sorting() {
     let mut bar = measure.cotangent(&after.particles);
     for (state, order, groups) in states.into_iter().rev() {
         bar = unsort_bar(&after, bar);
-        workspace.retreat(&model, &tool, &state, &mut bar);
+        workspace.retreat(&model, &tool, &state, None, &mut bar);
         if state.sorted_from.is_none() {
             bar = unsort(&bar, &order, groups);
         }

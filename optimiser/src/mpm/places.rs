@@ -1,0 +1,82 @@
+//! Where the particles of a group stand in their block's tile, and their weights.
+
+use crate::mpm::particles::{LANES, Lanes, vec_of};
+use crate::mpm::stencil::{Stencil, TILE_EDGE, weight_slopes, weights};
+use crate::real::Real;
+use crate::small::{Vec3, three};
+
+/// Where the particles of a group stand in their block's tile.
+#[derive(Clone, Copy)]
+pub(crate) struct Places<T> {
+    /// The first of each particle's 27 nodes.
+    pub(crate) start: [i32; LANES],
+    /// Distance from that node, in cells.
+    pub(crate) f: [Lanes<T>; 3],
+}
+
+/// Weights of a group along the three axes, or their derivatives: axis, node, lane. Found for all lanes at once; the loops
+/// over nodes then only read them.
+pub(crate) type Weights<T> = [[Lanes<T>; 3]; 3];
+
+impl<T: Real> Places<T> {
+    /// Of the particles at `x` (m); `shift` is what `x/dx` lacks of the coordinate in the tile.
+    #[inline(always)]
+    pub(crate) fn of(inverse_dx: T, shift: Vec3<T>, x: &[Lanes<T>; 3]) -> Self {
+        let edge = TILE_EDGE as i32;
+        let mut out = Self { start: [0; LANES], f: [[T::ZERO; LANES]; 3] };
+        for axis in 0..3 {
+            let (mut f, mut start, x) = ([T::ZERO; LANES], out.start, x[axis]);
+            for l in 0..LANES {
+                let at = x[l] * inverse_dx + shift[axis];
+                // floor(at - 1/2), but for ties, where either neighbour is right: the splines are continuous.
+                let (whole, base) = (at - T::ONE).nearest();
+                f[l] = at - whole;
+                start[l] = start[l] * edge + base;
+            }
+            out.f[axis] = f;
+            out.start = start;
+        }
+        out
+    }
+
+    #[inline(always)]
+    pub(crate) fn f(&self, l: usize) -> Vec3<T> {
+        vec_of(&self.f, l)
+    }
+
+    /// Weights of the group.
+    #[inline(always)]
+    pub(crate) fn weights(&self) -> Weights<T> {
+        let mut out = [[[T::ZERO; LANES]; 3]; 3];
+        for l in 0..LANES {
+            for axis in 0..3 {
+                let w = weights(self.f[axis][l]);
+                for node in 0..3 {
+                    out[axis][node][l] = w[node];
+                }
+            }
+        }
+        out
+    }
+
+    /// Derivatives of [`Self::weights`].
+    #[inline(always)]
+    pub(crate) fn slopes(&self) -> Weights<T> {
+        let mut out = [[[T::ZERO; LANES]; 3]; 3];
+        for l in 0..LANES {
+            for axis in 0..3 {
+                let d = weight_slopes(self.f[axis][l]);
+                for node in 0..3 {
+                    out[axis][node][l] = d[node];
+                }
+            }
+        }
+        out
+    }
+
+    /// One particle's.
+    #[inline(always)]
+    pub(crate) fn stencil(&self, w: &Weights<T>, l: usize) -> Stencil<T> {
+        Stencil { start: self.start[l] as usize, w: three!(axis => three!(node => w[axis][node][l])) }
+    }
+}
