@@ -5,11 +5,11 @@
 
 use crate::mpm::Model;
 use crate::mpm::contact::{Motion, MotionBar};
-use crate::mpm::grid_update::{contact_lanes, contact_lanes_adjoint, meet};
+use crate::mpm::grid_update::{contact_lanes, contact_lanes_adjoint, find_near, meet};
 use crate::mpm::gather::{Sent, gather, gather_gradient};
 use crate::mpm::layout::{Block, Grid, Nodes, empty_tile, load_tile};
 use crate::mpm::p2g::at_base;
-use crate::mpm::particles::{Group, LANES, mat_of, set_mat, set_vec, vec_of};
+use crate::mpm::particles::{Group, LANES, Lanes, mat_of, set_mat, set_vec, vec_of};
 use crate::mpm::places::Places;
 use crate::mpm::stencil::{TILE_EDGE, Tile, scatter};
 use crate::real::Real;
@@ -21,8 +21,7 @@ pub(crate) struct TileToParticles<'a, T> {
     pub(crate) tool: &'a Motion<T>,
     pub(crate) block: &'a Block,
     pub(crate) velocity: &'a [Nodes<T>],
-    pub(crate) input: &'a [Group<T>],
-    pub(crate) output: &'a mut [Group<T>],
+    pub(crate) state: &'a mut [Group<T>],
 }
 
 impl<T: Real> pulp::NullaryFnOnce for TileToParticles<'_, T> {
@@ -36,33 +35,33 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticles<'_, T> {
         load_tile(self.block, self.velocity, &mut tile);
         let touching = model.obstacles.at_particles(&model.grid, self.block.coord, self.tool);
         let mut all_inside = true;
-        for g in 0..self.input.len() {
-            let (input, output) = (&self.input[g], &mut self.output[g]);
-            let places = Places::of(model.inverse_dx, shift, &input.x);
+        for (g, state) in self.state.iter_mut().enumerate() {
+            let x = state.x;
+            let places = Places::of(model.inverse_dx, shift, &x);
             let living = self.block.living(g);
             let gathered = gather(&tile, &places, &places.weights(), living);
             for l in 0..LANES {
                 let (f, v, first) = (places.f(l), vec_of(&gathered.sum, l), mat_of(&gathered.first, l));
                 let c = three!(i => three!(j => model.four_per_dx * (first[i][j] - v[i] * f[j])));
-                set_mat(&mut output.c, l, c);
+                set_mat(&mut state.c, l, c);
             }
-            output.v = gathered.sum;
+            let mut v = gathered.sum;
             for t in &touching {
-                contact_lanes(t, &t.piece.particle_law, &input.x, &mut output.v);
+                contact_lanes(t, &t.piece.particle_law, &x, &mut v);
             }
             let reach = T::of((TILE_EDGE - 2) as f64);
-            let mut outside = [T::ZERO; LANES];
+            let mut outside = Lanes::ZERO;
             for axis in 0..3 {
-                let (x, v) = (input.x[axis], output.v[axis]);
-                let mut next = x;
+                let mut next = x[axis];
                 for l in 0..LANES {
-                    next[l] = x[l] + model.dt * v[l];
+                    next[l] = x[axis][l] + model.dt * v[axis][l];
                     let base = next[l] * model.inverse_dx + shift[axis] - T::of(0.5);
                     // A number that is not finite counts as outside, too.
                     outside[l] = if base >= T::ZERO && base < reach { outside[l] } else { T::ONE };
                 }
-                output.x[axis] = next;
+                state.x[axis] = next;
             }
+            state.v = v;
             all_inside &= outside[..living].iter().all(|o| *o == T::ZERO);
         }
         all_inside
@@ -95,6 +94,8 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
         let touching = model.obstacles.at_particles(&model.grid, self.block.coord, self.tool);
         let mut tool_bar = MotionBar::default();
         let mut met = Vec::with_capacity(touching.len());
+        // Were it known to be 0, the compiler would leave out a quarter of each row, and with it the vectors.
+        let no_mass = std::hint::black_box(T::ZERO);
         for g in 0..self.input.len() {
             let (input, bar) = (&self.input[g], &mut self.bar[g]);
             let places = Places::of(model.inverse_dx, shift, &input.x);
@@ -105,12 +106,12 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
                     bar.v[axis][l] += model.dt * bar.x[axis][l];
                 }
             }
-            if !touching.is_empty() {
-                let v = gather(&tile, &places, &weights, living).sum;
-                meet(&touching, |piece| &piece.particle_law, &input.x, v, &mut met);
-                for m in met.iter().rev() {
-                    contact_lanes_adjoint(m, &input.x, &mut bar.v, Some(&mut bar.x), &mut tool_bar);
-                }
+            find_near(&touching, |piece| &piece.particle_law, &input.x, &mut met);
+            if !met.is_empty() {
+                meet(&mut met, &input.x, gather(&tile, &places, &weights, living).sum);
+            }
+            for m in met.iter().rev() {
+                contact_lanes_adjoint(m, &input.x, &mut bar.v, Some(&mut bar.x), &mut tool_bar);
             }
             let mut sent = Sent::ZERO;
             for l in 0..LANES {
@@ -118,7 +119,7 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
                 set_mat(&mut sent.a_dx, l, scaled);
                 set_vec(&mut sent.base, l, at_base(vec_of(&bar.v, l), &scaled, places.f(l)));
             }
-            scatter(self.tile_bar, living, |l| places.stencil(&weights, l), |l| sent.affine(l, T::ZERO));
+            scatter(self.tile_bar, living, |l| places.stencil(&weights, l), |l| sent.affine(l, no_mass));
             let gathered = gather_gradient(&tile, &places, &weights, &sent, living);
             for l in 0..LANES {
                 let through_f = tr_mul_vec(&mat_of(&sent.a_dx, l), vec_of(&gathered.sum, l));

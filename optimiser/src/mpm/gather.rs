@@ -28,7 +28,7 @@ pub(crate) struct Gathered<T> {
 
 impl<T: Real> Gathered<T> {
     const ZERO: Self =
-        Self { sum: [[T::ZERO; LANES]; 3], first: [[T::ZERO; LANES]; 9], gradient: [[T::ZERO; LANES]; 3] };
+        Self { sum: [Lanes::ZERO; 3], first: [Lanes::ZERO; 9], gradient: [Lanes::ZERO; 3] };
 }
 
 /// What the particles of a group send to the grid.
@@ -255,10 +255,10 @@ struct Row<T> {
 
 impl<T: Real> Row<T> {
     const ZERO: Self = Self {
-        sum: [[T::ZERO; LANES]; 3],
-        by_k: [[T::ZERO; LANES]; 3],
-        product: [T::ZERO; LANES],
-        slope: [T::ZERO; LANES],
+        sum: [Lanes::ZERO; 3],
+        by_k: [Lanes::ZERO; 3],
+        product: Lanes::ZERO,
+        slope: Lanes::ZERO,
     };
 }
 
@@ -307,7 +307,7 @@ fn along_rows<T: Real, const FROM: usize, const TO: usize>(
     slopes: &[Lanes<T>; 3],
     sent: &Sent<T>,
 ) -> Along<T> {
-    let zero = [T::ZERO; LANES];
+    let zero = Lanes::ZERO;
     let mut out = Along { w: [zero; 4], w_k: [zero; 3], slopes: [zero; 4], base: sent.base, up: zero };
     for l in FROM..TO {
         let w = run.along_row(l, three!(n => w[n][l]));

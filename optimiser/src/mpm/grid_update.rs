@@ -18,7 +18,7 @@ pub(crate) type NodeLanes<T> = [[Lanes<T>; 3]; CHUNKS];
 
 /// Positions of a block's nodes from its first one, m.
 pub(crate) fn node_places<T: Real>(dx: T) -> NodeLanes<T> {
-    let mut x = [[[T::ZERO; LANES]; 3]; CHUNKS];
+    let mut x = [[Lanes::ZERO; 3]; CHUNKS];
     for n in 0..BLOCK_NODES {
         let ijk = [n / (BLOCK_EDGE * BLOCK_EDGE), n / BLOCK_EDGE % BLOCK_EDGE, n % BLOCK_EDGE];
         for axis in 0..3 {
@@ -76,7 +76,7 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodes<'_, T> {
 
 #[inline(always)]
 fn free_velocity<T: Real>(model: &Model<T>, momentum: &Nodes<T>) -> NodeLanes<T> {
-    let mut v = [[[T::ZERO; LANES]; 3]; CHUNKS];
+    let mut v = [[Lanes::ZERO; 3]; CHUNKS];
     for (chunk, out) in v.iter_mut().enumerate() {
         for l in 0..LANES {
             let [px, py, pz, m] = momentum[chunk * LANES + l];
@@ -123,7 +123,7 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodesAdjoint<'_, T> {
             return MotionBar::default();
         }
         let incoming = sum_tiles(self.node, self.velocity_bar_tiles);
-        let mut bar = [[[T::ZERO; LANES]; 3]; CHUNKS];
+        let mut bar = [[Lanes::ZERO; 3]; CHUNKS];
         for (n, b) in incoming.iter().enumerate() {
             set_vec(&mut bar[n / LANES], n % LANES, [b[0], b[1], b[2]]);
         }
@@ -137,7 +137,8 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodesAdjoint<'_, T> {
                 if !any_mass(nodes) {
                     continue;
                 }
-                meet(&touching, |piece| &piece.node_law, x, v, &mut met);
+                find_near(&touching, |piece| &piece.node_law, x, &mut met);
+                meet(&mut met, x, v);
                 for m in met.iter().rev() {
                     contact_lanes_adjoint(m, x, bar, None, &mut tool_bar);
                 }
@@ -155,42 +156,47 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodesAdjoint<'_, T> {
     }
 }
 
-/// Whether any of [`LANES`] points is within the band of a piece. Beyond it contact changes nothing, exactly.
+/// Whether any of [`LANES`] points is within the reach of a piece. Beyond it contact changes nothing, exactly.
 #[inline(always)]
-fn reaches<T: Real, D: SignedDistance<T>>(
-    solid: &D,
-    motion: &Motion<T>,
-    law: &Law<T>,
-    x: &[Lanes<T>; 3],
-) -> bool {
-    let mut near = [T::ZERO; LANES];
-    for l in 0..LANES {
-        let y = tr_mul_vec(&motion.rotation, sub(vec_of(x, l), motion.position));
-        near[l] = T::ONE.only_if(solid.distance::<T>(y).0 < law.reach());
-    }
+fn is_near<T: Real>(t: &Touching<'_, T>, law: &Law<T>, x: &[Lanes<T>; 3]) -> bool {
+    let mut near = Lanes::ZERO;
+    with_solid!(t.piece.shape, solid => {
+        for l in 0..LANES {
+            let y = tr_mul_vec(&t.motion.rotation, sub(vec_of(x, l), t.motion.position));
+            near[l] = T::ONE.only_if(solid.distance::<T>(y).0 < law.reach());
+        }
+    });
     near.iter().any(|n| *n > T::ZERO)
 }
 
-/// Contact of [`LANES`] points with one piece; says whether any of them was within its reach.
+/// Contact of [`LANES`] points with one piece.
 #[inline(always)]
 pub(crate) fn contact_lanes<T: Real>(
     t: &Touching<'_, T>,
     law: &Law<T>,
     x: &[Lanes<T>; 3],
     v: &mut [Lanes<T>; 3],
-) -> bool {
-    // What is written is a copy on the stack, which cannot alias: otherwise the loop would stay scalar.
+) {
+    if is_near(t, law, x) {
+        *v = after_contact(t, law, x, v);
+    }
+}
+
+/// What is written is a value of its own, which cannot be what is read: otherwise the loop would stay scalar.
+#[inline(always)]
+fn after_contact<T: Real>(
+    t: &Touching<'_, T>,
+    law: &Law<T>,
+    x: &[Lanes<T>; 3],
+    v: &[Lanes<T>; 3],
+) -> [Lanes<T>; 3] {
     let mut after = *v;
     with_solid!(t.piece.shape, solid => {
-        let near = reaches(&solid, t.motion, law, x);
-        if near {
-            for l in 0..LANES {
-                set_vec(&mut after, l, contact(&solid, t.motion, law, vec_of(x, l), vec_of(v, l)));
-            }
-            *v = after;
+        for l in 0..LANES {
+            set_vec(&mut after, l, contact(&solid, t.motion, law, vec_of(x, l), vec_of(v, l)));
         }
-        near
-    })
+    });
+    after
 }
 
 /// A piece that [`LANES`] points met, and their velocities just before.
@@ -200,21 +206,29 @@ pub(crate) struct Met<'a, T> {
     before: [Lanes<T>; 3],
 }
 
-/// Runs through the pieces from velocity `v` and notes those within reach.
+/// Notes the pieces that are within reach.
 #[inline(always)]
-pub(crate) fn meet<'a, T: Real>(
+pub(crate) fn find_near<'a, T: Real>(
     touching: &[Touching<'a, T>],
     law: impl Fn(&'a Piece<T>) -> &'a Law<T>,
     x: &[Lanes<T>; 3],
-    mut v: [Lanes<T>; 3],
     met: &mut Vec<Met<'a, T>>,
 ) {
     met.clear();
     for t in touching {
-        let (law, before) = (law(t.piece), v);
-        if contact_lanes(t, law, x, &mut v) {
-            met.push(Met { touching: *t, law, before });
+        let law = law(t.piece);
+        if is_near(t, law, x) {
+            met.push(Met { touching: *t, law, before: [Lanes::ZERO; 3] });
         }
+    }
+}
+
+/// Runs through these pieces from velocity `v`.
+#[inline(always)]
+pub(crate) fn meet<T: Real>(met: &mut [Met<'_, T>], x: &[Lanes<T>; 3], mut v: [Lanes<T>; 3]) {
+    for m in met {
+        m.before = v;
+        v = after_contact(&m.touching, m.law, x, &m.before);
     }
 }
 
@@ -232,7 +246,7 @@ pub(crate) fn contact_lanes_adjoint<T: Real>(
     // Here the loop stays scalar without copies of all that is read, too.
     let (motion, law, x, v, bar_after) = (*t.motion, **law, *x, *v, *bar);
     let mut bar_before = bar_after;
-    let mut sums = [[T::ZERO; LANES]; 12];
+    let mut sums = [Lanes::ZERO; 12];
     with_solid!(t.piece.shape, solid => {
         for l in 0..LANES {
             let b = contact_adjoint(&solid, &motion, &law, vec_of(&x, l), vec_of(&v, l), vec_of(&bar_after, l));

@@ -8,7 +8,7 @@
 //! The tile has one cell of slack on every side: a particle may leave its block by up to a cell before
 //! the particles have to be sorted again.
 
-use crate::mpm::particles::{Group, LANES, NOBODY, Particles};
+use crate::mpm::particles::{Group, LANES, Lanes, NOBODY, Particles};
 use crate::mpm::stencil::{TILE_EDGE, TILE_LENGTH, Tile};
 use crate::real::Real;
 use crate::scene::{BLOCK_CELLS, PADDING_BLOCKS, Scene};
@@ -184,7 +184,7 @@ fn resting_group<T: Real>(grid: &Grid, coord: [i32; 3]) -> Group<T> {
     let mut group = Group::ZERO;
     let origin = grid.block_origin(coord);
     for axis in 0..3 {
-        group.x[axis] = [T::of(origin[axis] + 2.0 * grid.dx); LANES];
+        group.x[axis] = Lanes([T::of(origin[axis] + 2.0 * grid.dx); LANES]);
     }
     group
 }

@@ -29,7 +29,7 @@ pub(crate) fn affine<T: Real>(p: Vec3<T>, a_dx: &Mat3<T>, mass: T) -> Affine<T> 
 }
 
 impl<T: Real> Sent<T> {
-    pub(crate) const ZERO: Self = Self { base: [[T::ZERO; LANES]; 3], a_dx: [[T::ZERO; LANES]; 9] };
+    pub(crate) const ZERO: Self = Self { base: [Lanes::ZERO; 3], a_dx: [Lanes::ZERO; 9] };
 
     /// What one particle sends, and a fourth number.
     #[inline(always)]
@@ -38,12 +38,14 @@ impl<T: Real> Sent<T> {
     }
 }
 
-/// Scatters one block's particles into its tile and writes their new strain and volume correction.
+/// Scatters one block's particles into its tile and writes their new strain and volume correction; and their positions, if
+/// they come from elsewhere.
 pub(crate) struct ParticlesToTile<'a, T> {
     pub(crate) model: &'a Model<T>,
     pub(crate) block: &'a Block,
-    pub(crate) input: &'a [Group<T>],
-    pub(crate) output: &'a mut [Group<T>],
+    /// Where the particles are, if not in `state`.
+    pub(crate) from: Option<&'a [Group<T>]>,
+    pub(crate) state: &'a mut [Group<T>],
     pub(crate) tile: &'a mut Tile<T>,
 }
 
@@ -54,15 +56,34 @@ impl<T: Real> pulp::NullaryFnOnce for ParticlesToTile<'_, T> {
     fn call(self) {
         let shift = Grid::tile_shift(self.block.coord).map(T::of);
         *self.tile = empty_tile();
-        for g in 0..self.input.len() {
-            let (input, output) = (&self.input[g], &mut self.output[g]);
+        for g in 0..self.state.len() {
+            let input = self.from.map_or(&self.state[g], |from| &from[g]);
             let places = Places::of(self.model.inverse_dx, shift, &input.x);
-            let sent = stress(self.model, input, &TrialStrains::new(self.model, input), &places, output);
+            let mut returned = Returned::ZERO;
+            stress(self.model, input, &TrialStrains::new(self.model, input), &places, &mut returned);
+            let (x, sent, state) = (input.x, &returned.sent, &mut self.state[g]);
+            state.strain = returned.strain;
+            state.q = returned.q;
+            if self.from.is_some() {
+                state.x = x;
+            }
             let weights = places.weights();
             let living = self.block.living(g);
             scatter(self.tile, living, |l| places.stencil(&weights, l), |l| sent.affine(l, self.model.mass));
         }
     }
+}
+
+/// What the return map makes of a group.
+struct Returned<T> {
+    strain: [Lanes<T>; 6],
+    q: [Lanes<T>; 1],
+    /// The momentum it sends.
+    sent: Sent<T>,
+}
+
+impl<T: Real> Returned<T> {
+    const ZERO: Self = Self { strain: [Lanes::ZERO; 6], q: [Lanes::ZERO; 1], sent: Sent::ZERO };
 }
 
 /// Return map of a group, and the momentum it sends.
@@ -72,12 +93,12 @@ fn stress<T: Real>(
     input: &Group<T>,
     trial: &TrialStrains<T>,
     places: &Places<T>,
-    output: &mut Group<T>,
-) -> Sent<T> {
+    out: &mut Returned<T>,
+) {
     if trial.all_mild {
-        send::<T, true>(model, input, trial, places, output)
+        send::<T, true>(model, input, trial, places, out);
     } else {
-        send_sheared(model, input, trial, places, output)
+        send_sheared(model, input, trial, places, out);
     }
 }
 
@@ -91,8 +112,8 @@ struct TrialStrains<T> {
 impl<T: Real> TrialStrains<T> {
     #[inline(always)]
     fn new(model: &Model<T>, input: &Group<T>) -> Self {
-        let mut strain = [[T::ZERO; LANES]; 6];
-        let mut mild = [T::ZERO; LANES];
+        let mut strain = [Lanes::ZERO; 6];
+        let mut mild = Lanes::ZERO;
         for l in 0..LANES {
             let trial = trial_strain(input.strain_of(l), &dt_times(model.dt, &mat_of(&input.c, l)));
             for i in 0..6 {
@@ -117,9 +138,9 @@ fn send_sheared<T: Real>(
     input: &Group<T>,
     trial: &TrialStrains<T>,
     places: &Places<T>,
-    output: &mut Group<T>,
-) -> Sent<T> {
-    send::<T, false>(model, input, trial, places, output)
+    out: &mut Returned<T>,
+) {
+    send::<T, false>(model, input, trial, places, out);
 }
 
 #[inline(always)]
@@ -128,9 +149,8 @@ fn send<T: Real, const MILD: bool>(
     input: &Group<T>,
     trial: &TrialStrains<T>,
     places: &Places<T>,
-    output: &mut Group<T>,
-) -> Sent<T> {
-    let mut sent = Sent::ZERO;
+    out: &mut Returned<T>,
+) {
     for l in 0..LANES {
         let c = mat_of(&input.c, l);
         let (trial, q) = (trial.of(l), input.q[0][l]);
@@ -140,9 +160,9 @@ fn send<T: Real, const MILD: bool>(
             principal::return_map(&model.material, trial, q)
         };
         for i in 0..6 {
-            output.strain[i][l] = strain[i];
+            out.strain[i][l] = strain[i];
         }
-        output.q[0][l] = q;
+        out.q[0][l] = q;
         let tau = full(tau);
         let c = without_viscosity(&c, model.viscous_loss);
         let mut a_dx = [[T::ZERO; 3]; 3];
@@ -151,11 +171,10 @@ fn send<T: Real, const MILD: bool>(
                 a_dx[i][j] = model.mass_dx * c[i][j] - model.stress_dx * tau[i][j];
             }
         }
-        set_mat(&mut sent.a_dx, l, a_dx);
+        set_mat(&mut out.sent.a_dx, l, a_dx);
         let momentum = scale(model.mass, vec_of(&input.v, l));
-        set_vec(&mut sent.base, l, at_base(momentum, &a_dx, places.f(l)));
+        set_vec(&mut out.sent.base, l, at_base(momentum, &a_dx, places.f(l)));
     }
-    sent
 }
 
 /// `C` less what viscosity takes of its symmetric part, the strain rate `D`; spin is left alone, so that angular
@@ -196,11 +215,12 @@ impl<T: Real> pulp::NullaryFnOnce for ParticlesToTileAdjoint<'_, T> {
             let (input, bar) = (&self.input[g], &mut self.bar[g]);
             let places = Places::of(model.inverse_dx, shift, &input.x);
             let (trial, weights) = (TrialStrains::new(model, input), places.weights());
-            let mut after = Group::ZERO;
-            let sent = stress(model, input, &trial, &places, &mut after);
+            let mut returned = Returned::ZERO;
+            stress(model, input, &trial, &places, &mut returned);
+            let sent = &returned.sent;
             let living = self.block.living(g);
-            let gathered = gather_with_gradient(&tile, &places, &weights, &sent, model.mass, living);
-            let mut a_dx_bar = [[T::ZERO; LANES]; 9];
+            let gathered = gather_with_gradient(&tile, &places, &weights, sent, model.mass, living);
+            let mut a_dx_bar = [Lanes::ZERO; 9];
             for l in 0..LANES {
                 let (f, a_dx) = (places.f(l), mat_of(&sent.a_dx, l));
                 let (sum, first) = (vec_of(&gathered.sum, l), mat_of(&gathered.first, l));
@@ -295,10 +315,13 @@ impl<T: Real> pulp::NullaryFnOnce for ReturnMap<'_, T> {
 
     #[inline(always)]
     fn call(self) {
-        let places = Places { start: [0; LANES], f: [[T::ONE; LANES]; 3] };
+        let places = Places { start: [0; LANES], f: [Lanes([T::ONE; LANES]); 3] };
         for (input, output) in self.input.iter().zip(self.output) {
             let trial = TrialStrains::new(self.model, input);
-            std::hint::black_box(&stress(self.model, input, &trial, &places, output));
+            let mut returned = Returned::ZERO;
+            stress(self.model, input, &trial, &places, &mut returned);
+            output.strain = returned.strain;
+            std::hint::black_box(&returned.sent);
         }
     }
 }

@@ -1,5 +1,6 @@
 //! The powder's state: particles in groups of [`LANES`], structure of arrays inside a group.
 
+use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
 
 use crate::real::Real;
@@ -8,15 +9,37 @@ use crate::small::{Mat3, Sym3, Vec3};
 /// Particles in a group. A loop over the lanes of a group is what the compiler turns into vector instructions.
 pub(crate) const LANES: usize = 16;
 
-/// One number for each particle of a group.
-pub(crate) type Lanes<T> = [T; LANES];
+/// One number for each particle of a group. Aligned, wherever it is, as vectors are: those that straddle two lines of the
+/// cache take twice as long.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[repr(align(64))]
+pub(crate) struct Lanes<T>(pub(crate) [T; LANES]);
+
+impl<T: Real> Lanes<T> {
+    pub(crate) const ZERO: Self = Self([T::ZERO; LANES]);
+}
+
+impl<T> Deref for Lanes<T> {
+    type Target = [T; LANES];
+
+    #[inline(always)]
+    fn deref(&self) -> &[T; LANES] {
+        &self.0
+    }
+}
+
+impl<T> DerefMut for Lanes<T> {
+    #[inline(always)]
+    fn deref_mut(&mut self) -> &mut [T; LANES] {
+        &mut self.0
+    }
+}
 
 /// A lane that holds no particle.
 pub(crate) const NOBODY: u32 = u32::MAX;
 
 /// State of [`LANES`] particles, or their cotangents.
 #[derive(Clone, Copy, Debug, PartialEq)]
-#[repr(align(64))]
 pub(crate) struct Group<T> {
     /// Position, m.
     pub(crate) x: [Lanes<T>; 3],
@@ -32,11 +55,11 @@ pub(crate) struct Group<T> {
 
 impl<T: Real> Group<T> {
     pub(crate) const ZERO: Self = Self {
-        x: [[T::ZERO; LANES]; 3],
-        v: [[T::ZERO; LANES]; 3],
-        c: [[T::ZERO; LANES]; 9],
-        strain: [[T::ZERO; LANES]; 6],
-        q: [[T::ZERO; LANES]; 1],
+        x: [Lanes::ZERO; 3],
+        v: [Lanes::ZERO; 3],
+        c: [Lanes::ZERO; 9],
+        strain: [Lanes::ZERO; 6],
+        q: [Lanes::ZERO; 1],
     };
 
     /// The 22 rows of numbers, in a fixed order.

@@ -23,9 +23,9 @@ impl<T: Real> Places<T> {
     #[inline(always)]
     pub(crate) fn of(inverse_dx: T, shift: Vec3<T>, x: &[Lanes<T>; 3]) -> Self {
         let edge = TILE_EDGE as i32;
-        let mut out = Self { start: [0; LANES], f: [[T::ZERO; LANES]; 3] };
+        let mut out = Self { start: [0; LANES], f: [Lanes::ZERO; 3] };
         for axis in 0..3 {
-            let (mut f, mut start, x) = ([T::ZERO; LANES], out.start, x[axis]);
+            let (mut f, mut start, x) = (Lanes::ZERO, out.start, x[axis]);
             for l in 0..LANES {
                 let at = x[l] * inverse_dx + shift[axis];
                 // floor(at - 1/2), but for ties, where either neighbour is right: the splines are continuous.
@@ -47,7 +47,7 @@ impl<T: Real> Places<T> {
     /// Weights of the group.
     #[inline(always)]
     pub(crate) fn weights(&self) -> Weights<T> {
-        let mut out = [[[T::ZERO; LANES]; 3]; 3];
+        let mut out = [[Lanes::ZERO; 3]; 3];
         for l in 0..LANES {
             for axis in 0..3 {
                 let w = weights(self.f[axis][l]);
@@ -62,7 +62,7 @@ impl<T: Real> Places<T> {
     /// Derivatives of [`Self::weights`].
     #[inline(always)]
     pub(crate) fn slopes(&self) -> Weights<T> {
-        let mut out = [[[T::ZERO; LANES]; 3]; 3];
+        let mut out = [[Lanes::ZERO; 3]; 3];
         for l in 0..LANES {
             for axis in 0..3 {
                 let d = weight_slopes(self.f[axis][l]);

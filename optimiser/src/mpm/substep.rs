@@ -85,8 +85,8 @@ pub(crate) struct Workspace<T> {
     /// Of the latest substep.
     pub(crate) on_grid: OnGrid<T>,
     momentum_bar: Vec<Nodes<T>>,
-    /// Where the next state is written.
-    next: State<T>,
+    /// For what nobody asks for.
+    unused: Vec<Group<T>>,
     pub(crate) laps: Laps,
 }
 
@@ -107,7 +107,7 @@ impl<T: Real> Workspace<T> {
             tiles: Vec::new(),
             on_grid: OnGrid { momentum: Vec::new(), velocity: Vec::new() },
             momentum_bar: Vec::new(),
-            next: State::none(),
+            unused: Vec::new(),
             laps: Laps::default(),
         }
     }
@@ -116,7 +116,7 @@ impl<T: Real> Workspace<T> {
     pub(crate) fn bytes(&self) -> usize {
         self.tiles.len() * size_of::<Tile<T>>()
             + 3 * self.on_grid.momentum.len() * size_of::<Nodes<T>>()
-            + self.next.particles.groups.len() * size_of::<Group<T>>()
+            + self.unused.len() * size_of::<Group<T>>()
     }
 
     fn fit(&mut self, layout: &Layout) {
@@ -133,10 +133,10 @@ impl<T: Real> Workspace<T> {
         tool: &Motion<T>,
         state: &mut State<T>,
     ) -> Result<(), Lost> {
-        let mut next = std::mem::replace(&mut self.next, State::none());
-        let advanced = self.advance_to(model, tool, state, &mut next);
-        self.next = std::mem::replace(state, next);
-        advanced
+        self.laps.begin(Pass::Forward);
+        let layout = Arc::clone(&state.layout);
+        self.particles_to_grid(model, tool, &layout, None, &mut state.particles.groups);
+        self.grid_to_particles(model, tool, state)
     }
 
     /// [`Self::advance`] with the state after the substep written elsewhere, into memory that is used again.
@@ -148,23 +148,32 @@ impl<T: Real> Workspace<T> {
         to: &mut State<T>,
     ) -> Result<(), Lost> {
         self.laps.begin(Pass::Forward);
-        let layout = &*from.layout;
-        fit(&mut to.particles.groups, from.particles.groups.len(), Group::ZERO);
+        let input = &from.particles.groups;
+        fit(&mut to.particles.groups, input.len(), Group::ZERO);
         to.particles.ids = Arc::clone(&from.particles.ids);
         to.layout = Arc::clone(&from.layout);
-        self.particles_to_grid(model, tool, layout, &from.particles.groups, &mut to.particles.groups);
-        let (velocity, input) = (&self.on_grid.velocity, &from.particles.groups);
-        let inside = split(layout, &mut to.particles.groups)
+        self.particles_to_grid(model, tool, &from.layout, Some(input), &mut to.particles.groups);
+        self.grid_to_particles(model, tool, to)
+    }
+
+    /// Gather, advection and, if one is due, the sort.
+    fn grid_to_particles(
+        &mut self,
+        model: &Model<T>,
+        tool: &Motion<T>,
+        state: &mut State<T>,
+    ) -> Result<(), Lost> {
+        let (layout, velocity) = (&*state.layout, &self.on_grid.velocity);
+        let inside = split(layout, &mut state.particles.groups)
             .into_par_iter()
             .zip(&layout.blocks)
-            .map(|(output, block)| {
-                let input = &input[block.first_group..block.first_group + block.groups()];
-                model.arch.dispatch(TileToParticles { model, tool, block, velocity, input, output })
+            .map(|(state, block)| {
+                model.arch.dispatch(TileToParticles { model, tool, block, velocity, state })
             })
             .reduce(|| true, |a, b| a && b);
         self.laps.mark(Stage::GridToParticles);
-        to.stale = !inside;
-        let freshened = to.freshen(model);
+        state.stale = !inside;
+        let freshened = state.freshen(model);
         self.laps.mark(Stage::Sort);
         freshened
     }
@@ -175,14 +184,14 @@ impl<T: Real> Workspace<T> {
         model: &Model<T>,
         tool: &Motion<T>,
         layout: &Layout,
-        input: &[Group<T>],
-        output: &mut [Group<T>],
+        from: Option<&[Group<T>]>,
+        state: &mut [Group<T>],
     ) {
         self.fit(layout);
-        let jobs = split(layout, output).into_par_iter().zip(&mut self.tiles).zip(&layout.blocks);
-        jobs.for_each(|((output, tile), block)| {
-            let input = &input[block.first_group..block.first_group + block.groups()];
-            model.arch.dispatch(ParticlesToTile { model, block, input, output, tile });
+        let jobs = split(layout, state).into_par_iter().zip(&mut self.tiles).zip(&layout.blocks);
+        jobs.for_each(|((state, tile), block)| {
+            let from = from.map(|from| &from[block.first_group..block.first_group + block.groups()]);
+            model.arch.dispatch(ParticlesToTile { model, block, from, state, tile });
         });
         self.laps.mark(Stage::ParticlesToGrid);
         let (tiles, OnGrid { momentum, velocity }) = (&self.tiles, &mut self.on_grid);
@@ -209,10 +218,10 @@ impl<T: Real> Workspace<T> {
         self.fit(layout);
         fit(&mut self.momentum_bar, layout.nodes.len(), [[T::ZERO; 4]; BLOCK_NODES]);
         if known.is_none() {
-            let mut unused = std::mem::take(&mut self.next.particles.groups);
+            let mut unused = std::mem::take(&mut self.unused);
             fit(&mut unused, input.len(), Group::ZERO);
-            self.particles_to_grid(model, tool, layout, input, &mut unused);
-            self.next.particles.groups = unused;
+            self.particles_to_grid(model, tool, layout, Some(input), &mut unused);
+            self.unused = unused;
         }
         let OnGrid { momentum, velocity } = known.unwrap_or(&self.on_grid);
         let at_particles: Vec<MotionBar> = split(layout, bar)
@@ -271,7 +280,7 @@ impl<T: Real> Workspace<T> {
     /// Sort, material and their adjoints by themselves, for the measuring tool. Leaves nothing behind.
     pub(crate) fn alone(&mut self, model: &Model<T>, state: &State<T>) -> Result<(), Lost> {
         let (layout, input) = (&state.layout, &state.particles.groups);
-        let mut output = std::mem::take(&mut self.next.particles.groups);
+        let mut output = std::mem::take(&mut self.unused);
         fit(&mut output, input.len(), Group::ZERO);
         let of_block =
             |block: &crate::mpm::layout::Block| &input[block.first_group..block.first_group + block.groups()];
@@ -290,7 +299,7 @@ impl<T: Real> Workspace<T> {
         self.laps.skip();
         std::hint::black_box(unsort(&particles.groups, &order, input.len()));
         self.laps.mark(Stage::Unsort);
-        self.next.particles.groups = output;
+        self.unused = output;
         Ok(())
     }
 }

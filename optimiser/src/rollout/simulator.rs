@@ -399,7 +399,7 @@ impl<T: Real> Rollout<'_, T> {
         let mut end: Option<(Evaluation, Vec<Group<T>>)> = None;
         // The state at work is the last one kept, until it is advanced: then it is `working`.
         let mut kept = vec![Kept::first(start)];
-        let (mut working, mut next) = (State::none(), State::none());
+        let mut working = State::none();
         let (mut at, mut is_kept) = (0, true);
         for action in schedule(path.len(), slots) {
             let last = kept.last_mut().expect("the schedule keeps the first state");
@@ -407,9 +407,11 @@ impl<T: Real> Rollout<'_, T> {
                 Action::Restore => (at, is_kept) = (last.step, true),
                 Action::Advance(count) => {
                     for _ in 0..count {
-                        let from = if is_kept { &last.state } else { &working };
-                        self.step_to(from, at, &path.motion(at), &mut next)?;
-                        std::mem::swap(&mut working, &mut next);
+                        if is_kept {
+                            self.step_to(&last.state, at, &path.motion(at), &mut working)?;
+                        } else {
+                            self.step(&mut working, at, &path.motion(at))?;
+                        }
                         (at, is_kept) = (at + 1, false);
                         done += 1;
                         self.report(done, total)?;

@@ -181,8 +181,8 @@ fn to_tiles<T: Real>(model: &Model<T>, state: &State<T>) -> (Vec<Tile<T>>, Vec<G
     let mut output = vec![Group::ZERO; groups.len()];
     for (block, tile) in state.layout.blocks.iter().zip(&mut tiles) {
         let range = block.first_group..block.first_group + block.groups();
-        let (input, output) = (&groups[range.clone()], &mut output[range]);
-        model.arch.dispatch(ParticlesToTile { model, block, input, output, tile });
+        let (from, state) = (Some(&groups[range.clone()]), &mut output[range]);
+        model.arch.dispatch(ParticlesToTile { model, block, from, state, tile });
     }
     (tiles, output)
 }
@@ -209,12 +209,10 @@ fn to_particles<T: Real>(
     state: &State<T>,
     velocity: &[Nodes<T>],
 ) -> Vec<Group<T>> {
-    let groups = &state.particles.groups;
-    let mut output = groups.clone();
+    let mut output = state.particles.groups.clone();
     for block in &state.layout.blocks {
-        let range = block.first_group..block.first_group + block.groups();
-        let (input, output) = (&groups[range.clone()], &mut output[range]);
-        model.arch.dispatch(TileToParticles { model, tool, block, velocity, input, output });
+        let state = &mut output[block.first_group..block.first_group + block.groups()];
+        model.arch.dispatch(TileToParticles { model, tool, block, velocity, state });
     }
     output
 }

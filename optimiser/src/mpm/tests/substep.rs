@@ -196,7 +196,7 @@ fn taken(tile: &Tile<f64>, x: Vec3<f64>, sent: &Affine<f64>) -> ([f64; 4], [[f64
 
 /// A group of particles at coordinates in a tile, and what they send.
 fn group_at<T: Real>(x: &[Vec3<f64>], sent: &[Affine<f64>]) -> (Places<T>, Sent<T>) {
-    let mut at = [[T::of(4.0); LANES]; 3];
+    let mut at = [Lanes([T::of(4.0); LANES]); 3];
     let mut out = Sent::ZERO;
     for (l, (x, sent)) in x.iter().zip(sent).enumerate() {
         for c in 0..3 {
