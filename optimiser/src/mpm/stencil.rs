@@ -115,9 +115,10 @@ impl<T: Real> Rows<T> {
     fn add_to(&self, tile: &mut Tile<T>, start: usize) {
         let start = 4 * start;
         let tile = &mut tile.as_flattened_mut()[start..start + REACH];
-        for i in 0..3 {
-            for j in 0..3 {
-                for n in 0..ROW {
+        // All rows in one loop, as above: a short loop for each would be unrolled, and its pieces not always put together again.
+        for n in 0..ROW {
+            for i in 0..3 {
+                for j in 0..3 {
                     tile[i * NEXT_LAYER + j * NEXT_ROW + n] += self.0[3 * i + j][n];
                 }
             }
