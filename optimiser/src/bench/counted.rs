@@ -166,6 +166,7 @@ impl<T: Elementary> Real for Counted<T> {
 mod tests {
     use super::*;
     use crate::mpm::gather::gather;
+    use crate::mpm::particles::Lanes;
     use crate::mpm::places::Places;
     use crate::mpm::stencil::{Affine, Stencil, TILE_LENGTH, scatter, weights};
     use crate::small::{compose, dot};
@@ -214,21 +215,21 @@ mod tests {
         // 3/2 - f, f - 1, f - 1/2; two squares of two products, one of one product and a difference.
         assert_eq!(cost(|| weights(x)), [3 + 2 + 2 + 2, 0]);
 
-        let mut tile = [[x; 4]; TILE_LENGTH];
+        let tile = [[x; 4]; TILE_LENGTH];
         let stencil = Stencil { start: 0, w: [[x; 3]; 3] };
         let affine = Affine { p: [x; 4], steps: [[x; 4]; 3] };
         // Sixteen numbers a row: the products and sums of the affine function, and its steps; nine rows: their weight, a product and
-        // a sum. One sum for 2.
+        // a sum. One sum for 2. For each run of particles with the same nodes, nine rows are added to the tile.
         let rows = 16 * (2 + 3 + 3 + 3 * 3 + 9 * 3) + 1;
-        assert_eq!(cost(|| scatter(&mut tile, &stencil, &affine)), [rows, 0]);
-        // For sixteen lanes: the weights of a row's moments, three products and sums; nine rows of seven and five for each of three
-        // components; three layers of five, three and five; then five, three, five and five, the step back of two for each
-        // component, and four sums that put a run to the others. Once for each of the two runs here.
-        let places = Places { start: std::array::from_fn(|l| if l < 9 { 3 } else { 77 }), f: [[x; 16]; 3] };
+        let scattered = |count: usize| cost(|| scatter(&mut tile.clone(), count, |_| stencil, |_| affine));
+        assert_eq!([scattered(1), scattered(5)], [[rows + 16 * 9, 0], [5 * rows + 16 * 9, 0]]);
+        // For each of sixteen lanes: the weights of moments along a row; nine rows of four and three nodes for three components;
+        // three layers of two sums and a moment; over the layers the same and one more sum, each put to the other runs', and the
+        // step back of two. Once for each of the two runs here.
+        let places =
+            Places { start: std::array::from_fn(|l| if l < 9 { 3 } else { 77 }), f: [Lanes([x; 16]); 3] };
         let w = places.weights();
-        let run = 2 + 9 * 3 * (7 + 5) + 3 * 3 * (5 + 3 + 5) + 3 * (5 + 3 + 5 + 5 + 2 + 4);
-        let doubled = 1 + 1 + 0;
-        let _ = doubled;
+        let run = 2 + 9 * 3 * (7 + 5) + 3 * 3 * (5 + 4 + 5) + 3 * ((5 + 1) + (4 + 1) + (5 + 1) + (5 + 2 + 1));
         assert_eq!(cost(|| gather(&tile, &places, &w, 16)), [2 * 16 * run, 0]);
     }
 

@@ -5,8 +5,8 @@
 
 use crate::mpm::Model;
 use crate::mpm::contact::{Motion, MotionBar};
-use crate::mpm::grid_update::{contact_lanes, contact_lanes_adjoint, find_near, meet};
 use crate::mpm::gather::{Sent, gather, gather_gradient};
+use crate::mpm::grid_update::{contact_lanes, contact_lanes_adjoint, find_near, meet};
 use crate::mpm::layout::{Block, Grid, Nodes, empty_tile, load_tile};
 use crate::mpm::p2g::at_base;
 use crate::mpm::particles::{Group, LANES, Lanes, mat_of, set_mat, set_vec, vec_of};

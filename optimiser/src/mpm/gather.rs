@@ -27,8 +27,7 @@ pub(crate) struct Gathered<T> {
 }
 
 impl<T: Real> Gathered<T> {
-    const ZERO: Self =
-        Self { sum: [Lanes::ZERO; 3], first: [Lanes::ZERO; 9], gradient: [Lanes::ZERO; 3] };
+    const ZERO: Self = Self { sum: [Lanes::ZERO; 3], first: [Lanes::ZERO; 9], gradient: [Lanes::ZERO; 3] };
 }
 
 /// What the particles of a group send to the grid.
@@ -254,12 +253,8 @@ struct Row<T> {
 }
 
 impl<T: Real> Row<T> {
-    const ZERO: Self = Self {
-        sum: [Lanes::ZERO; 3],
-        by_k: [Lanes::ZERO; 3],
-        product: Lanes::ZERO,
-        slope: Lanes::ZERO,
-    };
+    const ZERO: Self =
+        Self { sum: [Lanes::ZERO; 3], by_k: [Lanes::ZERO; 3], product: Lanes::ZERO, slope: Lanes::ZERO };
 }
 
 /// Weights along the rows of a run, their derivatives, and `p` at the rows' first nodes.
@@ -343,7 +338,8 @@ fn of_row<T: Real, const FROM: usize, const TO: usize, const ALL: bool>(
         let w = [along.w[0][l], along.w[1][l], along.w[2][l], along.w[3][l]];
         let slopes = [along.slopes[0][l], along.slopes[1][l], along.slopes[2][l], along.slopes[3][l]];
         let step = three!(c => sent.a_dx[3 * c + 2][l]);
-        let p0 = three!(c => i.mul_add(sent.a_dx[3 * c][l], j.mul_add(sent.a_dx[3 * c + 1][l], along.base[c][l])));
+        let p0 =
+            three!(c => i.mul_add(sent.a_dx[3 * c][l], j.mul_add(sent.a_dx[3 * c + 1][l], along.base[c][l])));
         let p1 = three!(c => p0[c] + step[c]);
         let p2 = three!(c => p1[c] + step[c]);
         let p3 = three!(c => p2[c] + step[c]);

@@ -67,15 +67,23 @@ impl<T: Real> Group<T> {
         self.x.iter().chain(&self.v).chain(&self.c).chain(&self.strain).chain(&self.q)
     }
 
-    pub(crate) fn rows_mut(&mut self) -> impl Iterator<Item = &mut Lanes<T>> {
-        self.x.iter_mut().chain(&mut self.v).chain(&mut self.c).chain(&mut self.strain).chain(&mut self.q)
-    }
-
     /// Copies one particle.
     pub(crate) fn copy_lane(&mut self, lane: usize, from: &Self, from_lane: usize) {
-        for (to, from) in self.rows_mut().zip(from.rows()) {
-            to[lane] = from[from_lane];
+        fn copy<T: Copy, const N: usize>(
+            to: &mut [Lanes<T>; N],
+            lane: usize,
+            from: &[Lanes<T>; N],
+            at: usize,
+        ) {
+            for n in 0..N {
+                to[n][lane] = from[n][at];
+            }
         }
+        copy(&mut self.x, lane, &from.x, from_lane);
+        copy(&mut self.v, lane, &from.v, from_lane);
+        copy(&mut self.c, lane, &from.c, from_lane);
+        copy(&mut self.strain, lane, &from.strain, from_lane);
+        copy(&mut self.q, lane, &from.q, from_lane);
     }
 
     #[inline(always)]

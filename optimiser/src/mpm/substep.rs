@@ -24,7 +24,13 @@ pub(crate) struct State<T> {
     pub(crate) sorted_from: Option<(Arc<[u32]>, usize)>,
     /// The next substep cannot begin before a sort.
     stale: bool,
+    /// Substeps since the last sort.
+    age: u32,
 }
+
+/// Substeps after which particles are sorted even if they could go on: fewer of a group are then in the same cell, and those
+/// in the same cell are what transfers do at once.
+const SORT_EVERY: u32 = 100;
 
 /// So many elements, in the memory that is already there or as much more as is needed: the number of groups changes from sort
 /// to sort, and a vector that is left to grow by itself takes twice the memory at the first group more.
@@ -37,13 +43,13 @@ impl<T: Real> State<T> {
     /// Sorted state of the given particles.
     pub(crate) fn new(model: &Model<T>, particles: &Particles<T>) -> Result<Self, Lost> {
         let (particles, layout, _) = sort(&model.grid, particles)?;
-        Ok(Self { particles, layout: Arc::new(layout), sorted_from: None, stale: false })
+        Ok(Self { particles, layout: Arc::new(layout), sorted_from: None, stale: false, age: 0 })
     }
 
     /// Memory for a state.
     pub(crate) fn none() -> Self {
         let layout = Arc::new(Layout { blocks: Vec::new(), nodes: Vec::new() });
-        Self { particles: Particles::empty(), layout, sorted_from: None, stale: false }
+        Self { particles: Particles::empty(), layout, sorted_from: None, stale: false, age: 0 }
     }
 
     /// Sorts if a particle has come to the end of its block's reach.
@@ -57,6 +63,7 @@ impl<T: Real> State<T> {
                 layout: Arc::new(layout),
                 sorted_from: Some((order.into(), groups)),
                 stale: false,
+                age: 0,
             };
         }
         Ok(())
@@ -136,6 +143,7 @@ impl<T: Real> Workspace<T> {
         self.laps.begin(Pass::Forward);
         let layout = Arc::clone(&state.layout);
         self.particles_to_grid(model, tool, &layout, None, &mut state.particles.groups);
+        state.age += 1;
         self.grid_to_particles(model, tool, state)
     }
 
@@ -152,6 +160,7 @@ impl<T: Real> Workspace<T> {
         fit(&mut to.particles.groups, input.len(), Group::ZERO);
         to.particles.ids = Arc::clone(&from.particles.ids);
         to.layout = Arc::clone(&from.layout);
+        to.age = from.age + 1;
         self.particles_to_grid(model, tool, &from.layout, Some(input), &mut to.particles.groups);
         self.grid_to_particles(model, tool, to)
     }
@@ -172,7 +181,7 @@ impl<T: Real> Workspace<T> {
             })
             .reduce(|| true, |a, b| a && b);
         self.laps.mark(Stage::GridToParticles);
-        state.stale = !inside;
+        state.stale = !inside || state.age >= SORT_EVERY;
         let freshened = state.freshen(model);
         self.laps.mark(Stage::Sort);
         freshened

@@ -435,7 +435,8 @@ impl<T: Real> Rollout<'_, T> {
                         Some(end) => end,
                         None => self.end_of(path, state)?,
                     };
-                    let tool_bar = self.workspace.retreat(self.model, &path.motion(step), state, grid, &mut bar);
+                    let tool_bar =
+                        self.workspace.retreat(self.model, &path.motion(step), state, grid, &mut bar);
                     self.check_finite(step, &tool_bar, state, &bar)?;
                     back.take(step, tool_bar);
                     self.workspace.laps.skip();
@@ -456,11 +457,7 @@ impl<T: Real> Rollout<'_, T> {
     }
 
     /// Last step, loss, and the loss's cotangent in the order of the last step's particles.
-    fn end_of(
-        &mut self,
-        path: &Path,
-        state: &State<T>,
-    ) -> Result<(Evaluation, Vec<Group<T>>), RolloutError> {
+    fn end_of(&mut self, path: &Path, state: &State<T>) -> Result<(Evaluation, Vec<Group<T>>), RolloutError> {
         let mut state = state.clone();
         if let Some(last) = path.len().checked_sub(1) {
             self.step(&mut state, last, &path.motion(last))?;

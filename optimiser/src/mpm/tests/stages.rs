@@ -136,7 +136,7 @@ fn differences<T: Real>(size: f64, cohesion: f64) -> ([f64; 2], [usize; 2]) {
 
 #[test]
 fn series_and_eigenvectors_say_the_same() {
-    for size in [1e-6, 1e-3, 0.03, 0.15, 0.3] {
+    for size in [1e-6, 1e-3, 0.03, 0.15, 0.3, 0.4] {
         for cohesion in [0.0, 0.02] {
             let (worst, seen) = differences::<f64>(size, cohesion);
             assert!(worst.iter().all(|off| *off < 5e-14), "{size}: {worst:?}");
@@ -152,7 +152,7 @@ fn series_and_eigenvectors_say_the_same() {
 #[test]
 fn what_is_no_mild_strain_is_known() {
     let spin = |shear: f64| -> Sym3<f64> { [0.0, 0.0, 0.0, shear, 0.0, 0.0] };
-    assert!(is_mild(spin(0.28)) && !is_mild(spin(0.29)));
+    assert!(is_mild(spin(0.42)) && !is_mild(spin(0.43)));
     // Any change of volume that leaves one.
     assert!(is_mild([9.0, 9.0, 9.0, 0.0, 0.0, 0.0]) && is_mild([-0.9, -0.9, -0.9, 0.0, 0.0, 0.0]));
     assert!(!is_mild([-1.1, -1.1, -1.1, 0.0, 0.0, 0.0]) && !is_mild([f64::NAN; 6]));

@@ -10,7 +10,7 @@ use crate::mpm::grid_update::UpdateNodesAdjoint;
 use crate::mpm::layout::{BLOCK_NODES, Nodes, empty_tile, load_tile, sort, sum_tiles, unsort};
 use crate::mpm::material::Material;
 use crate::mpm::p2g::{ParticlesToTileAdjoint, affine, at_base};
-use crate::mpm::particles::{Group, LANES, Particles};
+use crate::mpm::particles::{Group, LANES, Lanes, Particles};
 use crate::mpm::places::Places;
 use crate::mpm::stencil::{Affine, Stencil, TILE_EDGE, TILE_LENGTH, Tile, scatter, weight_slopes, weights};
 use crate::mpm::substep::{State, Workspace, unsort_bar};
@@ -231,10 +231,8 @@ fn gathered_as_taken<T: Real>(rounding: f64) {
     const MASS: f64 = 0.7;
     let mut dice = Dice::new(51);
     for which in 0..60 {
-        let x: Vec<Vec3<f64>> = positions_in_a_tile(which, &mut dice)
-            .into_iter()
-            .map(|x| x.map(|x| T::of(x).to_f64()))
-            .collect();
+        let x: Vec<Vec3<f64>> =
+            positions_in_a_tile(which, &mut dice).into_iter().map(|x| x.map(|x| T::of(x).to_f64())).collect();
         let sent: Vec<_> = x.iter().map(|_| random_affine(&mut dice, MASS)).collect();
         let tile = random_tile(&mut dice);
         let narrow = tile.map(|node| node.map(T::of));
@@ -262,7 +260,9 @@ fn gathered_as_taken<T: Real>(rounding: f64) {
                 same(massless.gradient[c][l], gradient_without[c], "gradient without mass");
             }
         }
-        let rows = |g: &Gathered<T>| [g.sum.as_flattened(), g.first.as_flattened(), g.gradient.as_flattened()].concat();
+        let rows = |g: &Gathered<T>| -> Vec<T> {
+            g.sum.iter().chain(&g.first).chain(&g.gradient).flat_map(|row| row.0).collect()
+        };
         for (n, number) in [&all, &plain, &massless].into_iter().flat_map(rows).enumerate() {
             assert!(n % LANES < living || number == T::ZERO, "{which}: {number} for nobody");
         }
