@@ -105,6 +105,7 @@ fn scene(shape: &Shape, grid: usize) -> Scene {
     let half_width = 0.5 * shape.width as f64 * cell;
     scene.name = "bed".into();
     scene.domain.size_m = [grid as f64 * cell; 3];
+    scene.domain.sleep_speed_m_s = 0.0;
     scene.powder.particles_per_cell = PARTICLES_PER_CELL;
     scene.powder.fill_min_m = [middle - half_width, middle - half_width, cell];
     scene.powder.fill_max_m = [middle + half_width, middle + half_width, (1.0 + shape.depth) * cell];

@@ -11,11 +11,12 @@ use crate::mpm::layout::{Block, Grid, Nodes, empty_tile, load_tile};
 use crate::mpm::p2g::at_base;
 use crate::mpm::particles::{Group, LANES, Lanes, mat_of, set_mat, set_vec, vec_of};
 use crate::mpm::places::Places;
+use crate::mpm::sleep::Seen;
 use crate::mpm::stencil::{TILE_EDGE, Tile, scatter};
 use crate::real::Real;
-use crate::small::{three, tr_mul_vec};
+use crate::small::{dot, three, tr_mul_vec};
 
-/// Moves one block's particles. Returns whether all of them are still within the reach of their tile.
+/// Moves one block's particles.
 pub(crate) struct TileToParticles<'a, T> {
     pub(crate) model: &'a Model<T>,
     pub(crate) tool: &'a Motion<T>,
@@ -25,25 +26,29 @@ pub(crate) struct TileToParticles<'a, T> {
 }
 
 impl<T: Real> pulp::NullaryFnOnce for TileToParticles<'_, T> {
-    type Output = bool;
+    type Output = Seen;
 
     #[inline(always)]
-    fn call(self) -> bool {
+    fn call(self) -> Seen {
         let model = self.model;
         let shift = Grid::tile_shift(self.block.coord).map(T::of);
         let mut tile = empty_tile();
         load_tile(self.block, self.velocity, &mut tile);
         let touching = model.obstacles.at_particles(&model.grid, self.block.coord, self.tool);
-        let mut all_inside = true;
+        let mut seen = Seen { inside: true, quiet: true };
+        let sleep = [model.sleep_speed, model.sleep_speed * model.inverse_dx].map(|limit| limit * limit);
         for (g, state) in self.state.iter_mut().enumerate() {
             let x = state.x;
             let places = Places::of(model.inverse_dx, shift, &x);
             let living = self.block.living(g);
             let gathered = gather(&tile, &places, &places.weights(), living);
+            let mut loud = Lanes::ZERO;
             for l in 0..LANES {
                 let (f, v, first) = (places.f(l), vec_of(&gathered.sum, l), mat_of(&gathered.first, l));
                 let c = three!(i => three!(j => model.four_per_dx * (first[i][j] - v[i] * f[j])));
                 set_mat(&mut state.c, l, c);
+                let rate = dot(c[0], c[0]) + dot(c[1], c[1]) + dot(c[2], c[2]);
+                loud[l] = T::ONE.only_if(!(dot(v, v) < sleep[0] && rate < sleep[1]));
             }
             let mut v = gathered.sum;
             for t in &touching {
@@ -62,9 +67,10 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticles<'_, T> {
                 state.x[axis] = next;
             }
             state.v = v;
-            all_inside &= outside[..living].iter().all(|o| *o == T::ZERO);
+            let none = |lanes: &Lanes<T>| lanes[..living].iter().all(|lane| *lane == T::ZERO);
+            seen = Seen { inside: seen.inside && none(&outside), quiet: seen.quiet && none(&loud) };
         }
-        all_inside
+        seen
     }
 }
 

@@ -5,7 +5,7 @@ use crate::mpm::contact::{Law, Motion, MotionBar, contact, contact_adjoint};
 use crate::mpm::layout::{BLOCK_EDGE, BLOCK_NODES, NodeBlock, Nodes, sum_tiles};
 use crate::mpm::obstacle::{Piece, Touching};
 use crate::mpm::particles::{LANES, Lanes, set_vec, vec_of};
-use crate::mpm::stencil::Tile;
+use crate::mpm::sleep::{Tiles, wakes};
 use crate::real::Real;
 use crate::shape::{SignedDistance, with_solid};
 use crate::small::{sub, three, tr_mul_vec};
@@ -34,26 +34,30 @@ fn any_mass<T: Real>(nodes: &[[T; 4]]) -> bool {
     nodes.iter().any(|node| node[3] > T::ZERO)
 }
 
-/// Sums one node block's tiles and finds its velocities after gravity and contact.
+/// Sums one node block's tiles and finds its velocities after gravity and contact. Where all sleep, nothing is done.
 pub(crate) struct UpdateNodes<'a, T> {
     pub(crate) model: &'a Model<T>,
     pub(crate) tool: &'a Motion<T>,
     pub(crate) node: &'a NodeBlock,
-    pub(crate) tiles: &'a [Tile<T>],
+    pub(crate) tiles: Tiles<'a, T>,
     /// Momentum and mass.
     pub(crate) momentum: &'a mut Nodes<T>,
     pub(crate) velocity: &'a mut Nodes<T>,
 }
 
 impl<T: Real> pulp::NullaryFnOnce for UpdateNodes<'_, T> {
-    type Output = ();
+    /// Whether any node moves too fast for sleepers.
+    type Output = bool;
 
     #[inline(always)]
-    fn call(self) {
+    fn call(self) -> bool {
+        if !self.tiles.any_awake(self.node) {
+            return false;
+        }
         *self.momentum = sum_tiles(self.node, self.tiles);
         if !any_mass(self.momentum) {
             *self.velocity = [[T::ZERO; 4]; BLOCK_NODES];
-            return;
+            return false;
         }
         let mut v = free_velocity(self.model, self.momentum);
         let touching = self.model.obstacles.at_nodes(&self.model.grid, self.node.coord, self.tool);
@@ -71,6 +75,7 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodes<'_, T> {
             let lanes = &v[n / LANES];
             *out = [lanes[0][n % LANES], lanes[1][n % LANES], lanes[2][n % LANES], T::ZERO];
         }
+        self.velocity.iter().zip(self.momentum).any(|(v, p)| p[3] > T::ZERO && wakes(self.model, v))
     }
 }
 
@@ -108,7 +113,7 @@ pub(crate) struct UpdateNodesAdjoint<'a, T> {
     pub(crate) model: &'a Model<T>,
     pub(crate) tool: &'a Motion<T>,
     pub(crate) node: &'a NodeBlock,
-    pub(crate) velocity_bar_tiles: &'a [Tile<T>],
+    pub(crate) velocity_bar_tiles: Tiles<'a, T>,
     pub(crate) momentum: &'a Nodes<T>,
     pub(crate) momentum_bar: &'a mut Nodes<T>,
 }
@@ -118,6 +123,9 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodesAdjoint<'_, T> {
 
     #[inline(always)]
     fn call(self) -> MotionBar {
+        if !self.velocity_bar_tiles.any_awake(self.node) {
+            return MotionBar::default();
+        }
         if !any_mass(self.momentum) {
             *self.momentum_bar = [[T::ZERO; 4]; BLOCK_NODES];
             return MotionBar::default();

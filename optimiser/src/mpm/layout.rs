@@ -9,6 +9,7 @@
 //! the particles have to be sorted again.
 
 use crate::mpm::particles::{Group, LANES, Lanes, NOBODY, Particles};
+use crate::mpm::sleep::Tiles;
 use crate::mpm::stencil::{TILE_EDGE, TILE_LENGTH, Tile};
 use crate::real::Real;
 use crate::scene::{BLOCK_CELLS, PADDING_BLOCKS, Scene};
@@ -235,10 +236,10 @@ const fn overlap(offset: i32) -> (usize, usize, usize) {
 
 /// Adds up the tiles that overlap a node block, in a fixed order.
 #[inline(always)]
-pub(crate) fn sum_tiles<T: Real>(node: &NodeBlock, tiles: &[Tile<T>]) -> Nodes<T> {
+pub(crate) fn sum_tiles<T: Real>(node: &NodeBlock, tiles: Tiles<'_, T>) -> Nodes<T> {
     let mut sum = [[T::ZERO; 4]; BLOCK_NODES];
     for (n, offset) in neighbour_offsets().enumerate() {
-        let Some(tile) = tiles.get(node.tiles[n] as usize) else { continue };
+        let Some(tile) = tiles.of(node.tiles[n]) else { continue };
         let [(ax, tx, nx), (ay, ty, ny), (az, tz, _)] = offset.map(overlap);
         for i in 0..nx {
             for j in 0..ny {
@@ -253,6 +254,27 @@ pub(crate) fn sum_tiles<T: Real>(node: &NodeBlock, tiles: &[Tile<T>]) -> Nodes<T
         }
     }
     sum
+}
+
+/// Whether a condition holds for any node that a block's tile shares with a node block that is asked for:
+/// `test(node block, place in it, place in the tile)`.
+pub(crate) fn any_shared(
+    block: &Block,
+    ask: impl Fn(usize) -> bool,
+    test: impl Fn(usize, usize, usize) -> bool,
+) -> bool {
+    neighbour_offsets().zip(block.nodes).filter(|(_, node_block)| ask(*node_block as usize)).any(
+        |(offset, node_block)| {
+            // Seen from the node block, the tile's block lies in the opposite direction.
+            let [(ax, tx, nx), (ay, ty, ny), (az, tz, nz)] = offset.map(|o| overlap(-o));
+            (0..nx * ny * nz).any(|n| {
+                let [i, j, k] = [n / (ny * nz), n / nz % ny, n % nz];
+                let node = ((ax + i) * BLOCK_EDGE + ay + j) * BLOCK_EDGE + az + k;
+                let at = ((tx + i) * TILE_EDGE + ty + j) * TILE_EDGE + tz + k;
+                test(node_block as usize, node, at)
+            })
+        },
+    )
 }
 
 /// Adds `N` nodes along z.

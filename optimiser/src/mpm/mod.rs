@@ -26,6 +26,7 @@ pub(crate) mod particles;
 pub(crate) mod places;
 pub(crate) mod principal;
 pub(crate) mod series;
+pub(crate) mod sleep;
 pub(crate) mod stencil;
 pub(crate) mod substep;
 #[cfg(test)]
@@ -75,6 +76,10 @@ pub(crate) struct Model<T> {
     pub(crate) viscous_loss: T,
     /// Gravity times substep, m/s.
     pub(crate) gravity_dt: [T; 3],
+    /// Speed below which powder may sleep, m/s; 0: it never does.
+    pub(crate) sleep_speed: T,
+    /// Substeps for which it has to be quiet before.
+    pub(crate) quiet_substeps: u32,
     pub(crate) arch: Arch<T>,
 }
 
@@ -103,6 +108,8 @@ impl<T: Real> Model<T> {
             mass_dx: T::of(mass * dx),
             stress_dx: T::of(dt * volume * 4.0 / dx),
             viscous_loss: T::of(scene.viscous_loss()),
+            sleep_speed: T::of(scene.domain.sleep_speed_m_s),
+            quiet_substeps: (sleep::QUIET_S / dt).ceil() as u32,
             gravity_dt: scene.domain.gravity_m_s2.map(|g| T::of(g * dt)),
             arch: Arch::new(),
         }

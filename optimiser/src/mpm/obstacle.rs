@@ -86,6 +86,19 @@ impl<T: Real> Obstacles<T> {
         self.touching(grid, coord, tool, &self.near_particles, BLOCK_EDGE + 4)
     }
 
+    /// Whether the tool is within so many cells of the block's.
+    pub(crate) fn tool_is_near(
+        &self,
+        grid: &Grid,
+        coord: [i32; 3],
+        tool: &Motion<T>,
+        margin_cells: usize,
+    ) -> bool {
+        let centre = block_centre(grid, coord);
+        let reach = T::of(half_diagonal(BLOCK_EDGE + 2 * margin_cells, grid.dx));
+        self.tool.iter().any(|p| distance(p, tool, centre) <= reach + p.node_law.reach())
+    }
+
     fn touching<'a>(
         &'a self,
         grid: &Grid,

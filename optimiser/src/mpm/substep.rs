@@ -12,6 +12,7 @@ use crate::mpm::laps::{Laps, Pass, Stage};
 use crate::mpm::layout::{BLOCK_NODES, Layout, Lost, Nodes, empty_tile, sort, unsort};
 use crate::mpm::p2g::{ParticlesToTile, ParticlesToTileAdjoint, ReturnMap, ReturnMapAdjoint};
 use crate::mpm::particles::{Group, LANES, Particles};
+use crate::mpm::sleep::{self, Rest, Seen, Tiles};
 use crate::mpm::stencil::Tile;
 use crate::real::Real;
 
@@ -26,6 +27,8 @@ pub(crate) struct State<T> {
     stale: bool,
     /// Substeps since the last sort.
     age: u32,
+    /// Of each block.
+    rest: Vec<Rest<T>>,
 }
 
 /// Substeps after which particles are sorted even if they could go on: fewer of a group are then in the same cell, and those
@@ -43,13 +46,15 @@ impl<T: Real> State<T> {
     /// Sorted state of the given particles.
     pub(crate) fn new(model: &Model<T>, particles: &Particles<T>) -> Result<Self, Lost> {
         let (particles, layout, _) = sort(&model.grid, particles)?;
-        Ok(Self { particles, layout: Arc::new(layout), sorted_from: None, stale: false, age: 0 })
+        let rest = sleep::all_awake(&layout);
+        Ok(Self { particles, layout: Arc::new(layout), sorted_from: None, stale: false, age: 0, rest })
     }
 
     /// Memory for a state.
     pub(crate) fn none() -> Self {
         let layout = Arc::new(Layout { blocks: Vec::new(), nodes: Vec::new() });
-        Self { particles: Particles::empty(), layout, sorted_from: None, stale: false, age: 0 }
+        let (particles, rest) = (Particles::empty(), Vec::new());
+        Self { particles, layout, sorted_from: None, stale: false, age: 0, rest }
     }
 
     /// Sorts if a particle has come to the end of its block's reach.
@@ -59,6 +64,7 @@ impl<T: Real> State<T> {
             let groups = self.particles.groups.len();
             let (particles, layout, order) = sort(&model.grid, &self.particles)?;
             *self = Self {
+                rest: sleep::sorted(&self.rest, &self.layout, &layout, &order),
                 particles,
                 layout: Arc::new(layout),
                 sorted_from: Some((order.into(), groups)),
@@ -73,7 +79,8 @@ impl<T: Real> State<T> {
     pub(crate) fn bytes(&self) -> usize {
         let per_group = size_of::<Group<T>>() + 2 * LANES * size_of::<u32>();
         let on_grid = 2 * self.layout.nodes.len() * size_of::<Nodes<T>>();
-        self.particles.groups.len() * per_group + self.layout.bytes() + on_grid
+        let rest = self.rest.len() * size_of::<Rest<T>>();
+        self.particles.groups.len() * per_group + self.layout.bytes() + on_grid + rest
     }
 }
 
@@ -91,6 +98,8 @@ pub(crate) struct Workspace<T> {
     tiles: Vec<Tile<T>>,
     /// Of the latest substep.
     pub(crate) on_grid: OnGrid<T>,
+    /// The node blocks in which something moves too fast for sleepers.
+    moving: Vec<bool>,
     momentum_bar: Vec<Nodes<T>>,
     /// For what nobody asks for.
     unused: Vec<Group<T>>,
@@ -113,6 +122,7 @@ impl<T: Real> Workspace<T> {
         Self {
             tiles: Vec::new(),
             on_grid: OnGrid { momentum: Vec::new(), velocity: Vec::new() },
+            moving: Vec::new(),
             momentum_bar: Vec::new(),
             unused: Vec::new(),
             laps: Laps::default(),
@@ -141,8 +151,7 @@ impl<T: Real> Workspace<T> {
         state: &mut State<T>,
     ) -> Result<(), Lost> {
         self.laps.begin(Pass::Forward);
-        let layout = Arc::clone(&state.layout);
-        self.particles_to_grid(model, tool, &layout, None, &mut state.particles.groups);
+        self.particles_to_grid(model, tool, &state.layout, &state.rest, None, &mut state.particles.groups);
         state.age += 1;
         self.grid_to_particles(model, tool, state)
     }
@@ -160,8 +169,10 @@ impl<T: Real> Workspace<T> {
         fit(&mut to.particles.groups, input.len(), Group::ZERO);
         to.particles.ids = Arc::clone(&from.particles.ids);
         to.layout = Arc::clone(&from.layout);
+        to.rest.clone_from(&from.rest);
         to.age = from.age + 1;
-        self.particles_to_grid(model, tool, &from.layout, Some(input), &mut to.particles.groups);
+        let state = &mut to.particles.groups;
+        self.particles_to_grid(model, tool, &from.layout, &from.rest, Some(input), state);
         self.grid_to_particles(model, tool, to)
     }
 
@@ -173,16 +184,25 @@ impl<T: Real> Workspace<T> {
         state: &mut State<T>,
     ) -> Result<(), Lost> {
         let (layout, velocity) = (&*state.layout, &self.on_grid.velocity);
-        let inside = split(layout, &mut state.particles.groups)
+        let (before, moving) = (&state.rest, &self.moving);
+        let (seen, rest): (Vec<Seen>, Vec<Rest<T>>) = split(layout, &mut state.particles.groups)
             .into_par_iter()
             .zip(&layout.blocks)
-            .map(|(state, block)| {
-                model.arch.dispatch(TileToParticles { model, tool, block, velocity, state })
+            .zip(before)
+            .map(|((state, block), before)| {
+                let (seen, disturbed) = if before.is_asleep() {
+                    (Seen::ASLEEP, sleep::is_disturbed(model, block, before, velocity, moving))
+                } else {
+                    (model.arch.dispatch(TileToParticles { model, tool, block, velocity, state }), false)
+                };
+                (seen, sleep::after(model, tool, block, before, seen, disturbed))
             })
-            .reduce(|| true, |a, b| a && b);
+            .unzip();
         self.laps.mark(Stage::GridToParticles);
-        state.stale = !inside || state.age >= SORT_EVERY;
+        state.rest = rest;
+        state.stale = seen.iter().any(|seen| !seen.inside) || state.age >= SORT_EVERY;
         let freshened = state.freshen(model);
+        sleep::fall_asleep(model, &state.layout, &state.particles.groups, &mut state.rest);
         self.laps.mark(Stage::Sort);
         freshened
     }
@@ -193,20 +213,31 @@ impl<T: Real> Workspace<T> {
         model: &Model<T>,
         tool: &Motion<T>,
         layout: &Layout,
+        rest: &[Rest<T>],
         from: Option<&[Group<T>]>,
         state: &mut [Group<T>],
     ) {
         self.fit(layout);
-        let jobs = split(layout, state).into_par_iter().zip(&mut self.tiles).zip(&layout.blocks);
-        jobs.for_each(|((state, tile), block)| {
+        let jobs = split(layout, state).into_par_iter().zip(&mut self.tiles).zip(&layout.blocks).zip(rest);
+        jobs.for_each(|(((state, tile), block), rest)| {
             let from = from.map(|from| &from[block.first_group..block.first_group + block.groups()]);
-            model.arch.dispatch(ParticlesToTile { model, block, from, state, tile });
+            match from {
+                _ if !rest.is_asleep() => {
+                    model.arch.dispatch(ParticlesToTile { model, block, from, state, tile });
+                }
+                Some(from) => state.copy_from_slice(from),
+                None => {}
+            }
         });
         self.laps.mark(Stage::ParticlesToGrid);
-        let (tiles, OnGrid { momentum, velocity }) = (&self.tiles, &mut self.on_grid);
-        layout.nodes.par_iter().zip(momentum).zip(velocity).for_each(|((node, momentum), velocity)| {
-            model.arch.dispatch(UpdateNodes { model, tool, node, tiles, momentum, velocity });
-        });
+        let OnGrid { momentum, velocity } = &mut self.on_grid;
+        let tiles = Tiles { fresh: &self.tiles, rest, sleepers_send: true };
+        let nodes = layout.nodes.par_iter().zip(momentum).zip(velocity);
+        nodes
+            .map(|((node, momentum), velocity)| {
+                model.arch.dispatch(UpdateNodes { model, tool, node, tiles, momentum, velocity })
+            })
+            .collect_into_vec(&mut self.moving);
         self.laps.mark(Stage::GridUpdate);
     }
 
@@ -229,7 +260,7 @@ impl<T: Real> Workspace<T> {
         if known.is_none() {
             let mut unused = std::mem::take(&mut self.unused);
             fit(&mut unused, input.len(), Group::ZERO);
-            self.particles_to_grid(model, tool, layout, Some(input), &mut unused);
+            self.particles_to_grid(model, tool, layout, &state.rest, Some(input), &mut unused);
             self.unused = unused;
         }
         let OnGrid { momentum, velocity } = known.unwrap_or(&self.on_grid);
@@ -237,7 +268,9 @@ impl<T: Real> Workspace<T> {
             .into_par_iter()
             .zip(&mut self.tiles)
             .zip(&layout.blocks)
-            .map(|((bar, tile_bar), block)| {
+            .zip(&state.rest)
+            .filter(|(_, rest)| !rest.is_asleep())
+            .map(|(((bar, tile_bar), block), _)| {
                 let input = &input[block.first_group..block.first_group + block.groups()];
                 model.arch.dispatch(TileToParticlesAdjoint {
                     model,
@@ -251,7 +284,7 @@ impl<T: Real> Workspace<T> {
             })
             .collect();
         self.laps.mark(Stage::GridToParticlesAdjoint);
-        let tiles = &self.tiles;
+        let tiles = Tiles { fresh: &self.tiles, rest: &state.rest, sleepers_send: false };
         let at_nodes: Vec<MotionBar> = layout
             .nodes
             .par_iter()
@@ -270,16 +303,14 @@ impl<T: Real> Workspace<T> {
             .collect();
         self.laps.mark(Stage::GridUpdateAdjoint);
         let nodes_bar = &self.momentum_bar;
-        split(layout, bar).into_par_iter().zip(&layout.blocks).for_each(|(bar, block)| {
-            let range = block.first_group..block.first_group + block.groups();
-            model.arch.dispatch(ParticlesToTileAdjoint {
-                model,
-                block,
-                input: &input[range],
-                nodes_bar,
-                bar,
-            });
-        });
+        split(layout, bar).into_par_iter().zip(&layout.blocks).zip(&state.rest).for_each(
+            |((bar, block), rest)| {
+                let input = &input[block.first_group..block.first_group + block.groups()];
+                if !rest.is_asleep() {
+                    model.arch.dispatch(ParticlesToTileAdjoint { model, block, input, nodes_bar, bar });
+                }
+            },
+        );
         let mut total = MotionBar::default();
         at_particles.iter().chain(&at_nodes).for_each(|b| total.add(b));
         self.laps.mark(Stage::ParticlesToGridAdjoint);

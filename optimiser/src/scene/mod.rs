@@ -71,6 +71,9 @@ pub struct Domain {
     /// Width over which contact with tool and containers fades out beyond a surface, in cells; 0.01 to 2,
     /// typically 0.25.
     pub contact_band_cells: f64,
+    /// Speed below which powder that nothing disturbs falls asleep and costs nothing any more, m/s; 0 to 0.01, typically 0.0005;
+    /// 0: it never does.
+    pub sleep_speed_m_s: f64,
 }
 
 /// Powder: its initial box, its sampling by particles and its material.

@@ -109,6 +109,7 @@ fn assert_slope_two(name: &str, slope: f64) {
 fn empty_bench(size_m: [f64; 3]) -> Scene {
     let mut scene = Scene::load("bench-small").unwrap();
     scene.domain.size_m = size_m;
+    scene.domain.sleep_speed_m_s = 0.0;
     scene.container.clear();
     scene
 }

@@ -33,7 +33,8 @@ fn domain(checker: &Checker<'_>, domain: &Domain) -> Checked {
     checker.number("domain.cell_m", domain.cell_m, Range::closed(1e-4, 0.1))?;
     checker.vector("domain.gravity_m_s2", &domain.gravity_m_s2, Range::closed(-100.0, 100.0))?;
     checker.number("domain.friction", domain.friction, FRICTION)?;
-    checker.number("domain.contact_band_cells", domain.contact_band_cells, Range::closed(0.01, 2.0))
+    checker.number("domain.contact_band_cells", domain.contact_band_cells, Range::closed(0.01, 2.0))?;
+    checker.number("domain.sleep_speed_m_s", domain.sleep_speed_m_s, Range::closed(0.0, 0.01))
 }
 
 fn powder(checker: &Checker<'_>, powder: &Powder) -> Checked {

@@ -1,0 +1,181 @@
+//! Powder at rest sleeps: it is left alone until something happens to it.
+//!
+//! A block of particles whose speeds `|v|` and `|C| dx` have stayed below the scene's `sleep_speed_m_s` for [`QUIET_S`], and
+//! that the tool is not near, falls asleep: its particles stay as they are, and what they send to the grid stays what it
+//! was, so that neighbours that are awake still rest on it. Nodes to which sleepers alone send are not computed. It wakes when the
+//! tool comes within [`TOOL_MARGIN_CELLS`], when one of its nodes moves at more than [`WAKE_RATIO`] times that speed, or when a
+//! sort brings it a new particle or takes one away.
+//!
+//! Backwards a sleeper's cotangents stay as they are, like its particles: how its weight on its neighbours depends on them is
+//! left out. All that decides is part of the state, so that whoever begins at a state does the same.
+
+use std::sync::Arc;
+
+use crate::mpm::Model;
+use crate::mpm::contact::Motion;
+use crate::mpm::layout::{Block, Layout, NodeBlock, Nodes, any_shared, empty_tile};
+use crate::mpm::p2g::ParticlesToTile;
+use crate::mpm::particles::{Group, LANES, NOBODY};
+use crate::mpm::stencil::Tile;
+use crate::real::Real;
+
+/// How long a block has to be quiet before it falls asleep, s.
+pub(crate) const QUIET_S: f64 = 0.03;
+/// Distance from the tool to the nearest cell that may sleep, in cells.
+pub(crate) const TOOL_MARGIN_CELLS: usize = 2;
+/// Speed of a node that wakes, over the speed of particles that may sleep.
+pub(crate) const WAKE_RATIO: f64 = 2.0;
+
+/// What is to be known of a block's rest.
+#[derive(Clone, Debug)]
+pub(crate) struct Rest<T> {
+    /// Substeps for which it has been quiet.
+    quiet: u32,
+    /// What its particles send to the grid, if it sleeps.
+    tile: Option<Arc<Tile<T>>>,
+}
+
+/// What grid to particles has seen of a block that is awake.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Seen {
+    /// All particles are within the reach of their tile.
+    pub(crate) inside: bool,
+    /// All particles are slower than the speed below which powder may sleep.
+    pub(crate) quiet: bool,
+}
+
+impl Seen {
+    /// What is seen of a sleeper.
+    pub(crate) const ASLEEP: Self = Self { inside: true, quiet: true };
+}
+
+impl<T> Rest<T> {
+    pub(crate) const AWAKE: Self = Self { quiet: 0, tile: None };
+
+    pub(crate) fn is_asleep(&self) -> bool {
+        self.tile.is_some()
+    }
+}
+
+/// Every block awake.
+pub(crate) fn all_awake<T>(layout: &Layout) -> Vec<Rest<T>> {
+    layout.blocks.iter().map(|_| Rest::AWAKE).collect()
+}
+
+/// The tiles of all blocks: those of this substep, and the sleepers'.
+#[derive(Clone, Copy)]
+pub(crate) struct Tiles<'a, T> {
+    pub(crate) fresh: &'a [Tile<T>],
+    pub(crate) rest: &'a [Rest<T>],
+    /// Whether sleepers send anything; in the adjoint they do not.
+    pub(crate) sleepers_send: bool,
+}
+
+impl<'a, T> Tiles<'a, T> {
+    /// Tile number `b`, or none where there is no block.
+    #[inline(always)]
+    pub(crate) fn of(&self, b: u32) -> Option<&'a Tile<T>> {
+        match &self.rest.get(b as usize)?.tile {
+            None => self.fresh.get(b as usize),
+            Some(tile) => self.sleepers_send.then_some(tile),
+        }
+    }
+
+    /// Whether anyone who is awake reaches a block of nodes.
+    #[inline(always)]
+    pub(crate) fn any_awake(&self, node: &NodeBlock) -> bool {
+        node.tiles.iter().any(|b| self.rest.get(*b as usize).is_some_and(|rest| rest.tile.is_none()))
+    }
+}
+
+/// Whether a node of this velocity wakes those who send to it; one that is no number does.
+#[inline(always)]
+pub(crate) fn wakes<T: Real>(model: &Model<T>, [x, y, z, _]: &[T; 4]) -> bool {
+    let limit = T::of(WAKE_RATIO) * model.sleep_speed;
+    let still = *x * *x + *y * *y + *z * *z <= limit * limit;
+    !still
+}
+
+/// Whether a sleeper is disturbed. `moving` are the node blocks in which any node moves that fast.
+pub(crate) fn is_disturbed<T: Real>(
+    model: &Model<T>,
+    block: &Block,
+    rest: &Rest<T>,
+    velocity: &[Nodes<T>],
+    moving: &[bool],
+) -> bool {
+    let Some(tile) = &rest.tile else { return false };
+    any_shared(
+        block,
+        |node_block| moving[node_block],
+        |node_block, node, at| tile[at][3] > T::ZERO && wakes(model, &velocity[node_block][node]),
+    )
+}
+
+/// The rest of a block after a substep.
+pub(crate) fn after<T: Real>(
+    model: &Model<T>,
+    tool: &Motion<T>,
+    block: &Block,
+    before: &Rest<T>,
+    seen: Seen,
+    disturbed: bool,
+) -> Rest<T> {
+    let near = || model.obstacles.tool_is_near(&model.grid, block.coord, tool, TOOL_MARGIN_CELLS);
+    if before.is_asleep() {
+        return if disturbed || near() { Rest::AWAKE } else { before.clone() };
+    }
+    if !seen.quiet {
+        return Rest::AWAKE;
+    }
+    let quiet = before.quiet.saturating_add(1);
+    // Quiet long enough, but held awake by the tool: it waits.
+    let quiet = if quiet >= model.quiet_substeps && near() { model.quiet_substeps - 1 } else { quiet };
+    Rest { quiet, tile: None }
+}
+
+/// Lets those fall asleep that have been quiet long enough.
+pub(crate) fn fall_asleep<T: Real>(
+    model: &Model<T>,
+    layout: &Layout,
+    groups: &[Group<T>],
+    rest: &mut [Rest<T>],
+) {
+    let mut unused = Vec::new();
+    for (block, rest) in layout.blocks.iter().zip(rest) {
+        if rest.is_asleep() || rest.quiet < model.quiet_substeps {
+            continue;
+        }
+        let groups = &groups[block.first_group..block.first_group + block.groups()];
+        unused.resize(groups.len(), Group::ZERO);
+        let mut tile = Arc::new(empty_tile());
+        let sent = Arc::get_mut(&mut tile).expect("nobody else has it yet");
+        let (from, state) = (Some(groups), &mut unused[..]);
+        model.arch.dispatch(ParticlesToTile { model, block, from, state, tile: sent });
+        rest.tile = Some(tile);
+    }
+}
+
+/// What is left of rest after a sort: that of blocks which have the same particles as before. `order` is where each lane came
+/// from.
+pub(crate) fn sorted<T: Clone>(
+    before: &[Rest<T>],
+    old: &Layout,
+    new: &Layout,
+    order: &[u32],
+) -> Vec<Rest<T>> {
+    new.blocks
+        .iter()
+        .map(|block| {
+            let places = &order[block.first_group * LANES..(block.first_group + block.groups()) * LANES];
+            let group_of = |place: u32| place as usize / LANES;
+            let first = group_of(places[0]);
+            let b = old.blocks.partition_point(|old| old.first_group <= first) - 1;
+            let groups = old.blocks[b].first_group..old.blocks[b].first_group + old.blocks[b].groups();
+            let mut lanes = places.iter().filter(|place| **place != NOBODY);
+            let same = old.blocks[b].particles == block.particles
+                && lanes.all(|place| groups.contains(&group_of(*place)));
+            if same { before[b].clone() } else { Rest::AWAKE }
+        })
+        .collect()
+}
