@@ -86,6 +86,8 @@ fn check_in<T: Real>(
     context: &mut Context<'_>,
 ) -> Result<Report, CliError> {
     let interrupt = context.interrupt.clone();
+    // Falling asleep is a jump, if a small one, that no difference over a small step survives.
+    let scene = &scene.awake();
     check_memory(scene, settings)?;
     let mut progress = Progress::new(context.err, context.live);
     let report = compare::<T>(arguments, scene, settings, &mut progress, &interrupt);

@@ -75,7 +75,8 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodes<'_, T> {
             let lanes = &v[n / LANES];
             *out = [lanes[0][n % LANES], lanes[1][n % LANES], lanes[2][n % LANES], T::ZERO];
         }
-        self.velocity.iter().zip(self.momentum).any(|(v, p)| p[3] > T::ZERO && wakes(self.model, v))
+        self.model.sleep_speed > T::ZERO
+            && self.velocity.iter().zip(self.momentum).any(|(v, p)| p[3] > T::ZERO && wakes(self.model, v))
     }
 }
 

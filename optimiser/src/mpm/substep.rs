@@ -75,6 +75,22 @@ impl<T: Real> State<T> {
         Ok(())
     }
 
+    /// Which blocks sleep.
+    pub(crate) fn sleepers(&self) -> impl Iterator<Item = bool> {
+        self.rest.iter().map(Rest::is_asleep)
+    }
+
+    #[cfg(test)]
+    pub(crate) fn rest(&self) -> &[Rest<T>] {
+        &self.rest
+    }
+
+    /// These tiles of those who are awake, with the sleepers'.
+    #[cfg(test)]
+    pub(crate) fn tiles<'a>(&'a self, fresh: &'a [Tile<T>]) -> Tiles<'a, T> {
+        Tiles { fresh, rest: &self.rest, sleepers_send: true }
+    }
+
     /// Bytes that keeping this state costs, with what was on the grid.
     pub(crate) fn bytes(&self) -> usize {
         let per_group = size_of::<Group<T>>() + 2 * LANES * size_of::<u32>();

@@ -66,7 +66,13 @@ impl<T: Real> Kept<T> {
     }
 }
 
-impl<T> Moment<T> {
+impl<T: Real> Moment<T> {
+    /// Blocks whose powder sleeps.
+    #[cfg(test)]
+    pub(crate) fn sleepers(&self) -> usize {
+        self.state.sleepers().filter(|asleep| *asleep).count()
+    }
+
     /// Blocks of the grid that hold particles, and lanes of their groups, particles in them or not.
     pub(crate) fn blocks_and_lanes(&self) -> (usize, usize) {
         (self.state.layout.blocks.len(), self.state.particles.groups.len() * LANES)

@@ -8,7 +8,10 @@ use crate::skill::{SkillMap, Theta, displacement};
 
 #[test]
 fn threads_and_memory_change_no_bit_of_loss_and_gradient() {
-    let scene = Scene::load("bench-small").expect("shipped");
+    let mut scene = Scene::load("bench-small").expect("shipped");
+    // So that powder falls asleep, and is woken by the spoon, within these steps.
+    scene.domain.sleep_speed_m_s = 0.01;
+    scene.time.settle_s = 0.4;
     let map = SkillMap::new(&scene);
     let controls: Vec<_> =
         map.controls(&gradcheck::CHECKED_THETA).expect("fits")[..24].iter().map(displacement).collect();
@@ -18,6 +21,7 @@ fn threads_and_memory_change_no_bit_of_loss_and_gradient() {
         let mut s = simulator::<f32>(&scene, &settings).expect("threads");
         let start = s.beginning(&mut |_, _| true).expect("settles");
         let (evaluation, bars) = s.control_gradient(&start, &controls, &mut |_, _| true).expect("runs");
+        assert!(start.sleepers() > 0);
         let bits: Vec<[u64; 6]> = bars.iter().map(|b| b.map(f64::to_bits)).collect();
         (evaluation.loss.to_bits(), bits)
     };

@@ -75,6 +75,14 @@ impl Powder {
 }
 
 impl Scene {
+    /// The same with powder that never sleeps.
+    #[must_use]
+    pub fn awake(&self) -> Self {
+        let mut scene = self.clone();
+        scene.domain.sleep_speed_m_s = 0.0;
+        scene
+    }
+
     /// Volume of one particle at rest, cell^3 / particles_per_cell, m^3.
     pub fn particle_volume_m3(&self) -> f64 {
         self.domain.cell_m.powi(3) / f64::from(self.powder.particles_per_cell)

@@ -213,6 +213,11 @@ const SINGLE_FIELDS: &[Case] = &[
         ": domain.contact_band_cells is 0, but it must be from 0.01 to 2",
     ),
     (
+        "sleep_speed_m_s = 0.0002",
+        "sleep_speed_m_s = 0.2",
+        ": domain.sleep_speed_m_s is 0.2, but it must be from 0 to 0.01",
+    ),
+    (
         "particles_per_cell = 8",
         "particles_per_cell = 0",
         ": powder.particles_per_cell is 0, but it must be from 1 to 64",

@@ -3,7 +3,7 @@
 use crate::mpm::Model;
 use crate::mpm::particles::Particles;
 use crate::mpm::substep::State;
-use crate::mpm::tests::{Settled, advance, empty_bench, even_lattice, far_away, mean, settle};
+use crate::mpm::tests::{Settled, advance, awake, empty_bench, even_lattice, far_away, mean, settle};
 use crate::scene::{ContainerShape, Scene};
 
 /// Height of the bed in [`boxed`], m.
@@ -11,7 +11,7 @@ const HEIGHT_M: f64 = 0.024;
 
 /// A box of 24 x 24 mm whose floor and walls lie `shift` off the grid's nodes, and a bed in it.
 fn boxed(shift: f64, friction: f64) -> (Scene, Vec<[f64; 3]>) {
-    let mut scene = Scene::load("bench-small").unwrap();
+    let mut scene = awake("bench-small");
     scene.container.truncate(1);
     let c = &mut scene.container[0];
     c.friction = friction;

@@ -2,6 +2,7 @@
 
 mod bulk;
 mod conservation;
+mod sleep;
 mod stages;
 mod substep;
 mod walls;
@@ -105,11 +106,17 @@ fn assert_slope_two(name: &str, slope: f64) {
     assert!((slope - 2.0).abs() < 0.1, "{name}: Taylor slope {slope}");
 }
 
+/// A shipped scene whose powder never sleeps.
+fn awake(name: &str) -> Scene {
+    let mut scene = Scene::load(name).unwrap();
+    scene.domain.sleep_speed_m_s = 0.0;
+    scene
+}
+
 /// The floor and walls of a box of the given size, and the tool of the small bench.
 fn empty_bench(size_m: [f64; 3]) -> Scene {
-    let mut scene = Scene::load("bench-small").unwrap();
+    let mut scene = awake("bench-small");
     scene.domain.size_m = size_m;
-    scene.domain.sleep_speed_m_s = 0.0;
     scene.container.clear();
     scene
 }
@@ -198,6 +205,7 @@ fn on_grid<T: Real>(
     let zero = vec![[[T::ZERO; 4]; BLOCK_NODES]; state.layout.nodes.len()];
     let (mut momentum, mut velocity) = (zero.clone(), zero);
     for ((node, momentum), velocity) in state.layout.nodes.iter().zip(&mut momentum).zip(&mut velocity) {
+        let tiles = state.tiles(tiles);
         model.arch.dispatch(UpdateNodes { model, tool, node, tiles, momentum, velocity });
     }
     (momentum, velocity)

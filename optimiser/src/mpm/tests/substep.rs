@@ -349,7 +349,7 @@ fn particle_to_grid_has_taylor_slope_two() {
     let f = |x: &[f64]| {
         let state = with_numbers(&state, x);
         let (tiles, output) = to_tiles(&model, &state);
-        let nodes: Vec<_> = state.layout.nodes.iter().map(|n| sum_tiles(n, &tiles)).collect();
+        let nodes: Vec<_> = state.layout.nodes.iter().map(|n| sum_tiles(n, state.tiles(&tiles))).collect();
         inner_nodes(&nodes_bar, &nodes) + measure.of(&state.particles, &output)
     };
     let mut bar = measure.cotangent(&state.particles);
@@ -420,7 +420,7 @@ fn grid_update_has_taylor_slope_two_in_momentum_mass_and_the_tools_motion() {
 fn tiles_at_nodes(state: &State<f64>) -> Vec<[f64; BLOCK_NODES]> {
     let mut ones = vec![empty_tile(); state.layout.blocks.len()];
     ones.as_flattened_mut().iter_mut().for_each(|n| *n = [1.0; 4]);
-    state.layout.nodes.iter().map(|n| sum_tiles(n, &ones).map(|n| n[0])).collect()
+    state.layout.nodes.iter().map(|n| sum_tiles(n, state.tiles(&ones)).map(|n| n[0])).collect()
 }
 
 /// Tiles that add up to the given values at the nodes: each takes its share.
@@ -450,7 +450,7 @@ fn grid_adjoint(
             model,
             tool,
             node,
-            velocity_bar_tiles,
+            velocity_bar_tiles: state.tiles(velocity_bar_tiles),
             momentum,
             momentum_bar,
         }));
@@ -498,7 +498,9 @@ fn grid_to_particle_has_taylor_slope_two_in_positions_velocities_and_the_tools_m
     for node in &state.layout.nodes {
         // The fourth number at a node is no velocity.
         gradient.extend(
-            sum_tiles(node, &tiles).iter().flat_map(|b| [b[0] * SPEED, b[1] * SPEED, b[2] * SPEED, 0.0]),
+            sum_tiles(node, state.tiles(&tiles))
+                .iter()
+                .flat_map(|b| [b[0] * SPEED, b[1] * SPEED, b[2] * SPEED, 0.0]),
         );
     }
     gradient.extend(tool_gradient(&tool_bar));

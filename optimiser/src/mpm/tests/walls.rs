@@ -3,13 +3,13 @@
 use crate::mpm::Model;
 use crate::mpm::particles::Particles;
 use crate::mpm::substep::State;
-use crate::mpm::tests::{Settled, advance, even_lattice, mean, settle, standing};
+use crate::mpm::tests::{Settled, advance, awake, even_lattice, mean, settle, standing};
 use crate::scene::{ContainerShape, Scene, ToolShape};
 use crate::small::{dot, sub};
 
 /// A wall from x = `face` to `face + thickness` across the domain.
 fn with_wall(face: f64, thickness: f64, end: f64) -> Scene {
-    let mut scene = Scene::load("bench-small").unwrap();
+    let mut scene = awake("bench-small");
     scene.container.truncate(1);
     let c = &mut scene.container[0];
     c.wall_thickness_m = thickness;
@@ -71,7 +71,7 @@ fn powder_falls_off_a_wall() {
 
 #[test]
 fn a_full_spoon_leaks_nothing_in_five_seconds() {
-    let scene = Scene::load("bench").unwrap();
+    let scene = awake("bench");
     let ToolShape::Bowl { inner_radius_m: r } = scene.tool.shape else { panic!("the bench has a bowl") };
     let centre = [0.12, 0.048, 0.12];
     let mut positions =

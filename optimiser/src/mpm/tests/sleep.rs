@@ -1,0 +1,167 @@
+//! Powder that sleeps: what it changes, what wakes it, and that nobody else notices.
+
+use crate::mpm::Model;
+use crate::mpm::contact::Motion;
+use crate::mpm::layout::sort;
+use crate::mpm::particles::{Group, LANES, Particles};
+use crate::mpm::sleep;
+use crate::mpm::substep::{State, Workspace};
+use crate::mpm::tests::{Dice, advance, empty_bench, even_lattice, far_away, standing};
+
+const SLEEP_SPEED: f64 = 5e-4;
+/// The bed: a box of powder on the floor of an empty volume, between its walls.
+const SIZE_M: [f64; 3] = [0.048, 0.032, 0.160];
+const DEPTH_M: f64 = 0.032;
+
+fn model(sleep_speed_m_s: f64) -> Model<f64> {
+    let mut scene = empty_bench(SIZE_M);
+    scene.domain.sleep_speed_m_s = sleep_speed_m_s;
+    Model::new(&scene)
+}
+
+fn bed() -> Vec<[f64; 3]> {
+    even_lattice([0.0; 3], [SIZE_M[0], SIZE_M[1], DEPTH_M])
+}
+
+/// After so many substeps without a tool.
+fn rested(model: &Model<f64>, points: &[[f64; 3]], substeps: usize) -> State<f64> {
+    let mut state = State::new(model, &Particles::at_rest(points)).unwrap();
+    advance(model, &far_away(), &mut state, substeps);
+    state
+}
+
+fn asleep(state: &State<f64>) -> usize {
+    state.sleepers().filter(|asleep| *asleep).count()
+}
+
+fn farthest(a: &[[f64; 3]], b: &[[f64; 3]]) -> f64 {
+    let distance =
+        |(a, b): (&[f64; 3], &[f64; 3])| [0, 1, 2].map(|i| (a[i] - b[i]).powi(2)).iter().sum::<f64>().sqrt();
+    a.iter().zip(b).map(distance).fold(0.0, f64::max)
+}
+
+#[test]
+fn a_bed_at_rest_falls_asleep_where_it_would_have_stayed() {
+    let (sleepy, wakeful) = (model(SLEEP_SPEED), model(0.0));
+    let points = bed();
+    let mut state = rested(&sleepy, &points, 1500);
+    assert_eq!(asleep(&state), state.layout.blocks.len(), "a bed at rest");
+    let before = state.particles.groups.clone();
+    advance(&sleepy, &far_away(), &mut state, 300);
+    assert!(state.particles.groups == before, "sleepers stay as they are");
+
+    let watched = rested(&wakeful, &points, 1800);
+    assert_eq!(asleep(&watched), 0);
+    let apart = farthest(&state.particles.positions_by_id(), &watched.particles.positions_by_id());
+    println!("asleep after 0.75 s, at most {:.1e} m from where the awake bed is after 0.9 s", apart);
+    assert!(apart < 5e-5, "{apart}");
+}
+
+#[test]
+fn the_tool_wakes_what_it_comes_near_to() {
+    let model = model(SLEEP_SPEED);
+    let mut state = rested(&model, &bed(), 1500);
+    let blocks = state.layout.blocks.len();
+    // A bowl just above one end of the bed.
+    let tool: Motion<f64> = standing([0.0, 0.016, DEPTH_M + 0.020]);
+    advance(&model, &tool, &mut state, 2);
+    let woken = blocks - asleep(&state);
+    assert!(woken > 0 && woken < blocks, "{woken} of {blocks}");
+    // As long as it is there they do not fall asleep again.
+    advance(&model, &tool, &mut state, 300);
+    assert_eq!(blocks - asleep(&state), woken);
+    advance(&model, &far_away(), &mut state, 300);
+    assert_eq!(asleep(&state), blocks);
+}
+
+#[test]
+fn what_falls_on_sleepers_wakes_them_and_comes_to_rest_as_on_those_awake() {
+    let (sleepy, wakeful) = (model(SLEEP_SPEED), model(0.0));
+    let mut points = bed();
+    let count = points.len();
+    points.extend(even_lattice([0.016, 0.012, 0.130], [0.024, 0.020, 0.138]));
+    let mut state = State::new(&sleepy, &Particles::at_rest(&points)).unwrap();
+    let mut workspace = Workspace::new();
+    let mut most = [0; 2];
+    for substep in 0..1200 {
+        workspace.advance(&sleepy, &far_away(), &mut state).unwrap();
+        // The lump arrives after 0.14 s.
+        let of = if substep < 250 { 0 } else { 1 };
+        let awake = state.layout.blocks.len() - asleep(&state);
+        most[of] = if substep < 250 { asleep(&state) } else { most[of].max(awake) };
+    }
+    println!("{} blocks asleep before the lump arrives, up to {} awake after it", most[0], most[1]);
+    assert!(most[0] > 0 && most[1] > 3, "{most:?}");
+    let want = rested(&wakeful, &points, 1200).particles.positions_by_id();
+    let got = state.particles.positions_by_id();
+    let height = |of: &[[f64; 3]]| of.iter().map(|x| x[2]).sum::<f64>() / of.len() as f64;
+    for (name, range) in [("bed", 0..count), ("lump", count..points.len())] {
+        let apart = height(&got[range.clone()]) - height(&want[range]);
+        println!("{name}: {apart:.1e} m higher than awake, on average");
+        assert!(apart.abs() < 2e-4, "{name}: {apart}");
+    }
+}
+
+#[test]
+fn cotangents_of_sleepers_stay_and_those_of_others_are_what_they_are_without_them() {
+    // A bed, and a lump on its way to it, far above.
+    let (sleepy, wakeful) = (model(SLEEP_SPEED), model(0.0));
+    let mut points = bed();
+    let count = points.len();
+    points.extend(even_lattice([0.016, 0.012, 0.130], [0.024, 0.020, 0.138]));
+    let mut state = rested(&sleepy, &points, 230);
+    for _ in 0..200 {
+        if asleep(&state) > 0 {
+            break;
+        }
+        advance(&sleepy, &far_away(), &mut state, 1);
+    }
+    let sleepers: Vec<bool> = state.sleepers().collect();
+    assert!(sleepers.iter().any(|asleep| *asleep));
+    let mut dice = Dice::new(91);
+    let mut bar = vec![Group::ZERO; state.particles.groups.len()];
+    for (g, l, _) in state.particles.living() {
+        (0..22).for_each(|k| super::row(&mut bar[g], k)[l] = dice.roll());
+    }
+    let before = bar.clone();
+    let mut wide_awake = State::new(&wakeful, &state.particles).unwrap();
+    assert_eq!(asleep(&wide_awake), 0);
+    wide_awake.particles = state.particles.clone();
+    wide_awake.layout = state.layout.clone();
+    let mut other = bar.clone();
+    Workspace::new().retreat(&sleepy, &far_away(), &state, None, &mut bar);
+    Workspace::new().retreat(&wakeful, &far_away(), &wide_awake, None, &mut other);
+    let (mut of_lump, mut kept) = (0, 0);
+    for (block, asleep) in state.layout.blocks.iter().zip(sleepers) {
+        for g in block.first_group..block.first_group + block.groups() {
+            if asleep {
+                assert!(bar[g] == before[g]);
+                kept += 1;
+            } else if state.particles.ids[g].iter().all(|id| *id as usize >= count) {
+                assert!(bar[g] == other[g] && bar[g] != before[g]);
+                of_lump += 1;
+            }
+        }
+    }
+    assert!(of_lump > 0 && kept > 0, "{of_lump} {kept}");
+}
+
+#[test]
+fn a_sort_wakes_only_blocks_whose_particles_change() {
+    let model = model(SLEEP_SPEED);
+    let mut state = rested(&model, &bed(), 1500);
+    let blocks = state.layout.blocks.len();
+    let (_, layout, order) = sort(&model.grid, &state.particles).unwrap();
+    let kept = |layout, order: &[u32], state: &State<f64>| {
+        let rest = sleep::sorted(state.rest(), &state.layout, layout, order);
+        rest.iter().filter(|rest| rest.is_asleep()).count()
+    };
+    assert_eq!(kept(&layout, &order, &state), blocks);
+    // One particle goes to the block beside its own.
+    let block = state.layout.blocks[0].clone();
+    let group = &mut state.particles.groups[block.first_group];
+    let lane = (0..LANES).max_by(|a, b| group.x[0][*a].total_cmp(&group.x[0][*b])).unwrap();
+    group.x[0][lane] += 0.016;
+    let (_, layout, order) = sort(&model.grid, &state.particles).unwrap();
+    assert_eq!(kept(&layout, &order, &state), blocks - 2);
+}
