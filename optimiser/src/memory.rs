@@ -55,24 +55,31 @@ pub fn memory_needs(scene: &Scene, precision: Precision) -> [Need; 4] {
         Precision::F64 => 8,
     };
     let particles = scene.particle_count() as u64;
-    // Identity and origin of each particle; a tenth for lanes that hold none.
-    let state_bytes = particles * (PARTICLE_SCALARS * scalar_bytes + 2 * size_of::<u32>() as u64) * 11 / 10;
+    let [tiles, nodes] = grid_bytes(scene, scalar_bytes);
+    // Identity and origin of each particle; a tenth for lanes that hold none. Momentum and velocity at the nodes.
+    let powder = particles * (PARTICLE_SCALARS * scalar_bytes + 2 * size_of::<u32>() as u64) * 11 / 10;
+    let state_bytes = powder + 2 * nodes;
     let steps = u64::from(scene.time.horizon_steps) * u64::from(scene.time.substeps);
     let standing_bytes =
-        fixed_bytes(scene) + (STANDING_STATES + BRANCHES) * state_bytes + 3 * grid_bytes(scene, scalar_bytes);
+        fixed_bytes(scene) + STANDING_STATES * state_bytes + BRANCHES * powder + 3 * (tiles + 3 * nodes);
     PASSES.map(|passes| {
         let kept_states = fewest_states(steps, passes);
-        Need { passes, kept_states, bytes: standing_bytes + kept_states * state_bytes / 9 * 10 }
+        Need { passes, kept_states, bytes: standing_bytes + grown(kept_states * state_bytes) }
     })
 }
 
-/// Nodes of the blocks in use: about the powder's own, and one layer of neighbours; three sets of four numbers, and
-/// tiles of eight times the nodes.
-fn grid_bytes(scene: &Scene, scalar_bytes: u64) -> u64 {
-    let cells = scene.particle_count() as u64 / u64::from(scene.powder.particles_per_cell) + 1;
-    let nodes_per_block = BLOCK_CELLS.pow(3) as u64;
-    let blocks = 2 * (cells / nodes_per_block + 1);
-    blocks * nodes_per_block * 4 * scalar_bytes * (8 + 3 * 4)
+/// What kept states take before the end: they grow as the powder spreads over more blocks, and with it the fragments between them.
+pub(crate) fn grown(bytes: u64) -> u64 {
+    bytes + bytes / 5 * 2
+}
+
+/// Tiles of the blocks that hold powder, and four numbers for each node of these and of the layer of blocks around them; for powder
+/// in one heap that lies anywhere on the grid.
+fn grid_bytes(scene: &Scene, scalar_bytes: u64) -> [u64; 2] {
+    let cells = scene.particle_count() as f64 / f64::from(scene.powder.particles_per_cell);
+    let edge = (cells / BLOCK_CELLS.pow(3) as f64).cbrt() + 1.0;
+    let of_blocks = |edge: f64, nodes: usize| (edge.powi(3).ceil() as u64) * nodes as u64 * 4 * scalar_bytes;
+    [of_blocks(edge, (2 * BLOCK_CELLS).pow(3)), of_blocks(edge + 2.0, BLOCK_CELLS.pow(3))]
 }
 
 /// Smallest `c` with `binomial(c + passes, passes) >= steps`.

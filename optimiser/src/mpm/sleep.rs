@@ -31,8 +31,17 @@ pub(crate) const WAKE_RATIO: f64 = 2.0;
 pub(crate) struct Rest<T> {
     /// Substeps for which it has been quiet.
     quiet: u32,
-    /// What its particles send to the grid, if it sleeps.
-    tile: Option<Arc<Tile<T>>>,
+    /// If it sleeps.
+    sleeper: Option<Arc<Sleeper<T>>>,
+}
+
+/// A block that sleeps.
+#[derive(Debug)]
+struct Sleeper<T> {
+    /// What its particles send to the grid.
+    tile: Tile<T>,
+    /// The particles. All states in which it sleeps share them, and need not have them among their own.
+    groups: Vec<Group<T>>,
 }
 
 /// What grid to particles has seen of a block that is awake.
@@ -49,16 +58,23 @@ impl Seen {
     pub(crate) const ASLEEP: Self = Self { inside: true, quiet: true };
 }
 
-impl<T> Rest<T> {
-    pub(crate) const AWAKE: Self = Self { quiet: 0, tile: None };
+impl<T: Copy> Rest<T> {
+    pub(crate) const AWAKE: Self = Self { quiet: 0, sleeper: None };
 
     pub(crate) fn is_asleep(&self) -> bool {
-        self.tile.is_some()
+        self.sleeper.is_some()
+    }
+
+    /// Puts a sleeper's particles where they belong.
+    pub(crate) fn put_to(&self, groups: &mut [Group<T>]) {
+        if let Some(sleeper) = &self.sleeper {
+            groups.copy_from_slice(&sleeper.groups);
+        }
     }
 }
 
 /// Every block awake.
-pub(crate) fn all_awake<T>(layout: &Layout) -> Vec<Rest<T>> {
+pub(crate) fn all_awake<T: Copy>(layout: &Layout) -> Vec<Rest<T>> {
     layout.blocks.iter().map(|_| Rest::AWAKE).collect()
 }
 
@@ -75,16 +91,16 @@ impl<'a, T> Tiles<'a, T> {
     /// Tile number `b`, or none where there is no block.
     #[inline(always)]
     pub(crate) fn of(&self, b: u32) -> Option<&'a Tile<T>> {
-        match &self.rest.get(b as usize)?.tile {
+        match &self.rest.get(b as usize)?.sleeper {
             None => self.fresh.get(b as usize),
-            Some(tile) => self.sleepers_send.then_some(tile),
+            Some(sleeper) => self.sleepers_send.then_some(&sleeper.tile),
         }
     }
 
     /// Whether anyone who is awake reaches a block of nodes.
     #[inline(always)]
     pub(crate) fn any_awake(&self, node: &NodeBlock) -> bool {
-        node.tiles.iter().any(|b| self.rest.get(*b as usize).is_some_and(|rest| rest.tile.is_none()))
+        node.tiles.iter().any(|b| self.rest.get(*b as usize).is_some_and(|rest| rest.sleeper.is_none()))
     }
 }
 
@@ -104,11 +120,11 @@ pub(crate) fn is_disturbed<T: Real>(
     velocity: &[Nodes<T>],
     moving: &[bool],
 ) -> bool {
-    let Some(tile) = &rest.tile else { return false };
+    let Some(sleeper) = &rest.sleeper else { return false };
     any_shared(
         block,
         |node_block| moving[node_block],
-        |node_block, node, at| tile[at][3] > T::ZERO && wakes(model, &velocity[node_block][node]),
+        |node_block, node, at| sleeper.tile[at][3] > T::ZERO && wakes(model, &velocity[node_block][node]),
     )
 }
 
@@ -131,7 +147,7 @@ pub(crate) fn after<T: Real>(
     let quiet = before.quiet.saturating_add(1);
     // Quiet long enough, but held awake by the tool: it waits.
     let quiet = if quiet >= model.quiet_substeps && near() { model.quiet_substeps - 1 } else { quiet };
-    Rest { quiet, tile: None }
+    Rest { quiet, sleeper: None }
 }
 
 /// Lets those fall asleep that have been quiet long enough.
@@ -148,34 +164,43 @@ pub(crate) fn fall_asleep<T: Real>(
         }
         let groups = &groups[block.first_group..block.first_group + block.groups()];
         unused.resize(groups.len(), Group::ZERO);
-        let mut tile = Arc::new(empty_tile());
-        let sent = Arc::get_mut(&mut tile).expect("nobody else has it yet");
-        let (from, state) = (Some(groups), &mut unused[..]);
-        model.arch.dispatch(ParticlesToTile { model, block, from, state, tile: sent });
-        rest.tile = Some(tile);
+        let mut sleeper = Sleeper { tile: empty_tile(), groups: groups.to_vec() };
+        let (from, state, tile) = (Some(groups), &mut unused[..], &mut sleeper.tile);
+        model.arch.dispatch(ParticlesToTile { model, block, from, state, tile });
+        rest.sleeper = Some(Arc::new(sleeper));
     }
 }
 
 /// What is left of rest after a sort: that of blocks which have the same particles as before. `order` is where each lane came
-/// from.
-pub(crate) fn sorted<T: Clone>(
+/// from, and `groups` are the particles after it.
+pub(crate) fn sorted<T: Copy>(
     before: &[Rest<T>],
     old: &Layout,
     new: &Layout,
     order: &[u32],
+    groups: &[Group<T>],
 ) -> Vec<Rest<T>> {
-    new.blocks
-        .iter()
-        .map(|block| {
-            let places = &order[block.first_group * LANES..(block.first_group + block.groups()) * LANES];
-            let group_of = |place: u32| place as usize / LANES;
-            let first = group_of(places[0]);
-            let b = old.blocks.partition_point(|old| old.first_group <= first) - 1;
-            let groups = old.blocks[b].first_group..old.blocks[b].first_group + old.blocks[b].groups();
-            let mut lanes = places.iter().filter(|place| **place != NOBODY);
-            let same = old.blocks[b].particles == block.particles
-                && lanes.all(|place| groups.contains(&group_of(*place)));
-            if same { before[b].clone() } else { Rest::AWAKE }
-        })
-        .collect()
+    let rest_of = |block: &Block| {
+        let range = block.first_group..block.first_group + block.groups();
+        let places = &order[range.start * LANES..range.start * LANES + block.particles];
+        let group_of = |place: u32| place as usize / LANES;
+        let b = old.blocks.partition_point(|old| old.first_group <= group_of(places[0])) - 1;
+        let old_block = &old.blocks[b];
+        let old_groups = old_block.first_group..old_block.first_group + old_block.groups();
+        let mut lanes = places.iter().filter(|place| **place != NOBODY);
+        if old_block.particles != block.particles
+            || !lanes.all(|place| old_groups.contains(&group_of(*place)))
+        {
+            return Rest::AWAKE;
+        }
+        let in_order = places.iter().zip(old_groups.start * LANES..).all(|(place, at)| *place as usize == at);
+        match &before[b].sleeper {
+            Some(sleeper) if !in_order => {
+                let sleeper = Sleeper { tile: sleeper.tile, groups: groups[range].to_vec() };
+                Rest { quiet: before[b].quiet, sleeper: Some(Arc::new(sleeper)) }
+            }
+            _ => before[b].clone(),
+        }
+    };
+    new.blocks.iter().map(rest_of).collect()
 }

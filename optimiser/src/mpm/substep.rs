@@ -61,10 +61,11 @@ impl<T: Real> State<T> {
     fn freshen(&mut self, model: &Model<T>) -> Result<(), Lost> {
         self.sorted_from = None;
         if self.stale {
+            self.fill();
             let groups = self.particles.groups.len();
             let (particles, layout, order) = sort(&model.grid, &self.particles)?;
             *self = Self {
-                rest: sleep::sorted(&self.rest, &self.layout, &layout, &order),
+                rest: sleep::sorted(&self.rest, &self.layout, &layout, &order, &particles.groups),
                 particles,
                 layout: Arc::new(layout),
                 sorted_from: Some((order.into(), groups)),
@@ -75,7 +76,15 @@ impl<T: Real> State<T> {
         Ok(())
     }
 
+    /// Puts the sleepers' particles among the state's own: a state that was written elsewhere than it began lacks them.
+    pub(crate) fn fill(&mut self) {
+        for (rest, groups) in self.rest.iter().zip(split(&self.layout, &mut self.particles.groups)) {
+            rest.put_to(groups);
+        }
+    }
+
     /// Which blocks sleep.
+    #[cfg(test)]
     pub(crate) fn sleepers(&self) -> impl Iterator<Item = bool> {
         self.rest.iter().map(Rest::is_asleep)
     }
@@ -206,12 +215,16 @@ impl<T: Real> Workspace<T> {
             .zip(&layout.blocks)
             .zip(before)
             .map(|((state, block), before)| {
-                let (seen, disturbed) = if before.is_asleep() {
-                    (Seen::ASLEEP, sleep::is_disturbed(model, block, before, velocity, moving))
-                } else {
-                    (model.arch.dispatch(TileToParticles { model, tool, block, velocity, state }), false)
-                };
-                (seen, sleep::after(model, tool, block, before, seen, disturbed))
+                if !before.is_asleep() {
+                    let seen = model.arch.dispatch(TileToParticles { model, tool, block, velocity, state });
+                    return (seen, sleep::after(model, tool, block, before, seen, false));
+                }
+                let disturbed = sleep::is_disturbed(model, block, before, velocity, moving);
+                let rest = sleep::after(model, tool, block, before, Seen::ASLEEP, disturbed);
+                if !rest.is_asleep() {
+                    before.put_to(state);
+                }
+                (Seen::ASLEEP, rest)
             })
             .unzip();
         self.laps.mark(Stage::GridToParticles);
@@ -237,12 +250,8 @@ impl<T: Real> Workspace<T> {
         let jobs = split(layout, state).into_par_iter().zip(&mut self.tiles).zip(&layout.blocks).zip(rest);
         jobs.for_each(|(((state, tile), block), rest)| {
             let from = from.map(|from| &from[block.first_group..block.first_group + block.groups()]);
-            match from {
-                _ if !rest.is_asleep() => {
-                    model.arch.dispatch(ParticlesToTile { model, block, from, state, tile });
-                }
-                Some(from) => state.copy_from_slice(from),
-                None => {}
+            if !rest.is_asleep() {
+                model.arch.dispatch(ParticlesToTile { model, block, from, state, tile });
             }
         });
         self.laps.mark(Stage::ParticlesToGrid);

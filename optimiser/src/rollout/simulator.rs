@@ -3,7 +3,7 @@
 use powderline_shared::displacement::Displacement;
 use powderline_shared::pose::Pose;
 
-use crate::memory::{BRANCHES, STANDING_STATES, fixed_bytes};
+use crate::memory::{BRANCHES, STANDING_STATES, fixed_bytes, grown};
 use crate::mpm::Model;
 use crate::mpm::contact::MotionBar;
 use crate::mpm::laps::{Laps, Stage};
@@ -465,6 +465,7 @@ impl<T: Real> Rollout<'_, T> {
     /// Last step, loss, and the loss's cotangent in the order of the last step's particles.
     fn end_of(&mut self, path: &Path, state: &State<T>) -> Result<(Evaluation, Vec<Group<T>>), RolloutError> {
         let mut state = state.clone();
+        state.fill();
         if let Some(last) = path.len().checked_sub(1) {
             self.step(&mut state, last, &path.motion(last))?;
         }
@@ -506,7 +507,6 @@ fn slots<T: Real>(scene: &Scene, memory_bytes: u64, state: &State<T>, workspace:
     // Beside the kept states live those of rollouts side by side, and two workers' workspaces.
     let side_by_side = BRANCHES * per_state + 2 * workspace.bytes() as u64;
     let fixed = fixed_bytes(scene) + STANDING_STATES * per_state + workspace.bytes() as u64 + side_by_side;
-    // A tenth in reserve: states grow a little as the powder spreads over more blocks.
-    let free = memory_bytes.saturating_sub(fixed) / 10 * 9;
-    ((free / per_state.max(1)) as usize).max(2)
+    let free = memory_bytes.saturating_sub(fixed);
+    ((free / grown(per_state).max(1)) as usize).max(2)
 }

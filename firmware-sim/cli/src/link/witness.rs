@@ -165,6 +165,9 @@ impl Witness {
         }
         self.check_silence(at_us, arm_us, arm, &now);
         if now.standstill {
+            if !last.standstill {
+                self.came_to_rest(at_us, arm, &now);
+            }
             self.stood_us = at_us;
             self.seen = Motion::at_rest(now.pose);
         }
@@ -187,6 +190,14 @@ impl Witness {
             && now.lost == self.last.lost;
         if taken {
             self.check_authentic(at_us, arm, now);
+        }
+    }
+
+    /// An arm that is said to stand no longer moves in the tick to come, whenever it was said: that, too, is within limits.
+    fn came_to_rest(&mut self, at_us: u64, arm: &Controller, now: &Look) {
+        self.seen = self.seen.moved_to(now.pose, arm.period_us());
+        if self.blind_ticks == 0 {
+            self.check_limits(at_us, arm, now);
         }
     }
 
