@@ -16,6 +16,9 @@ use crate::mpm::sleep::{self, Rest, Seen, Tiles};
 use crate::mpm::stencil::Tile;
 use crate::real::Real;
 
+/// Blocks that a thread takes at a time, at most: they differ in how many particles they hold, and who has done with his waits.
+const MAX_BLOCKS: usize = 4;
+
 /// The state at the beginning of a substep.
 #[derive(Clone, Debug)]
 pub(crate) struct State<T> {
@@ -214,6 +217,7 @@ impl<T: Real> Workspace<T> {
             .into_par_iter()
             .zip(&layout.blocks)
             .zip(before)
+            .with_max_len(MAX_BLOCKS)
             .map(|((state, block), before)| {
                 if !before.is_asleep() {
                     let seen = model.arch.dispatch(TileToParticles { model, tool, block, velocity, state });
@@ -248,6 +252,7 @@ impl<T: Real> Workspace<T> {
     ) {
         self.fit(layout);
         let jobs = split(layout, state).into_par_iter().zip(&mut self.tiles).zip(&layout.blocks).zip(rest);
+        let jobs = jobs.with_max_len(MAX_BLOCKS);
         jobs.for_each(|(((state, tile), block), rest)| {
             let from = from.map(|from| &from[block.first_group..block.first_group + block.groups()]);
             if !rest.is_asleep() {
@@ -294,6 +299,7 @@ impl<T: Real> Workspace<T> {
             .zip(&mut self.tiles)
             .zip(&layout.blocks)
             .zip(&state.rest)
+            .with_max_len(MAX_BLOCKS)
             .filter(|(_, rest)| !rest.is_asleep())
             .map(|(((bar, tile_bar), block), _)| {
                 let input = &input[block.first_group..block.first_group + block.groups()];
@@ -328,14 +334,17 @@ impl<T: Real> Workspace<T> {
             .collect();
         self.laps.mark(Stage::GridUpdateAdjoint);
         let nodes_bar = &self.momentum_bar;
-        split(layout, bar).into_par_iter().zip(&layout.blocks).zip(&state.rest).for_each(
-            |((bar, block), rest)| {
+        split(layout, bar)
+            .into_par_iter()
+            .zip(&layout.blocks)
+            .zip(&state.rest)
+            .with_max_len(MAX_BLOCKS)
+            .for_each(|((bar, block), rest)| {
                 let input = &input[block.first_group..block.first_group + block.groups()];
                 if !rest.is_asleep() {
                     model.arch.dispatch(ParticlesToTileAdjoint { model, block, input, nodes_bar, bar });
                 }
-            },
-        );
+            });
         let mut total = MotionBar::default();
         at_particles.iter().chain(&at_nodes).for_each(|b| total.add(b));
         self.laps.mark(Stage::ParticlesToGridAdjoint);
