@@ -160,7 +160,12 @@ fn a_sort_wakes_only_blocks_whose_particles_change() {
             rest.put_to(&mut groups[block.first_group..block.first_group + block.groups()]);
         }
         for (g, l, _) in particles.living() {
-            assert!(groups[g].rows().zip(particles.groups[g].rows()).all(|(a, b)| a[l] == b[l]));
+            assert!(
+                groups[g]
+                    .rows()
+                    .zip(particles.groups[g].rows())
+                    .all(|(a, b)| a[l].to_bits() == b[l].to_bits())
+            );
         }
         rest.iter().filter(|rest| rest.is_asleep()).count()
     };
