@@ -63,7 +63,7 @@ fn empty_binary_and_truncated_files() {
     assert_eq!(
         refusal(&path),
         format!(
-            "{shown} is not valid TOML at line 16, column 17: string values must be quoted, expected literal string"
+            "{shown} is not valid TOML at line 16, column 20: string values must be quoted, expected literal string"
         )
     );
 }
