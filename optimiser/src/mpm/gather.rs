@@ -121,12 +121,12 @@ fn moment<T: Real>(w: [T; 3], g: [T; 3]) -> T {
 
 /// Calls a kernel for as many lanes at a time as a vector of 512 bits holds: runs are then no longer than they have to be.
 macro_rules! for_parts {
-    ($t:ty, $kernel:ident($($argument:expr),*)) => {
+    ($t:ty, $kernel:ident $(<$all:literal>)? ($($argument:expr),*)) => {
         if size_of::<$t>() == 4 {
-            $kernel::<$t, 0, 16>($($argument),*);
+            $kernel::<$t, 0, 16 $(, $all)?>($($argument),*);
         } else {
-            $kernel::<$t, 0, 8>($($argument),*);
-            $kernel::<$t, 8, 16>($($argument),*);
+            $kernel::<$t, 0, 8 $(, $all)?>($($argument),*);
+            $kernel::<$t, 8, 16 $(, $all)?>($($argument),*);
         }
     };
 }
@@ -197,7 +197,7 @@ pub(crate) fn gather_with_gradient<T: Real>(
     living: usize,
 ) -> Gathered<T> {
     let (slopes, mut out) = (places.slopes(), Gathered::ZERO);
-    for_parts!(T, moments_and_gradient(tile, places, w, &slopes, sent, mass, living, &mut out));
+    for_parts!(T, of_runs<true>(tile, places, w, &slopes, sent, mass, living, &mut out));
     out
 }
 
@@ -211,36 +211,8 @@ pub(crate) fn gather_gradient<T: Real>(
     living: usize,
 ) -> Gathered<T> {
     let (slopes, mut out) = (places.slopes(), Gathered::ZERO);
-    for_parts!(T, sum_and_gradient(tile, places, w, &slopes, sent, living, &mut out));
+    for_parts!(T, of_runs<false>(tile, places, w, &slopes, sent, T::ZERO, living, &mut out));
     out
-}
-
-#[inline(always)]
-#[expect(clippy::too_many_arguments, reason = "inlined parts of one function")]
-fn moments_and_gradient<T: Real, const FROM: usize, const TO: usize>(
-    tile: &Tile<T>,
-    places: &Places<T>,
-    w: &Weights<T>,
-    slopes: &Weights<T>,
-    sent: &Sent<T>,
-    mass: T,
-    living: usize,
-    out: &mut Gathered<T>,
-) {
-    of_runs::<T, FROM, TO, true>(tile, places, w, slopes, sent, mass, living, out);
-}
-
-#[inline(always)]
-fn sum_and_gradient<T: Real, const FROM: usize, const TO: usize>(
-    tile: &Tile<T>,
-    places: &Places<T>,
-    w: &Weights<T>,
-    slopes: &Weights<T>,
-    sent: &Sent<T>,
-    living: usize,
-    out: &mut Gathered<T>,
-) {
-    of_runs::<T, FROM, TO, false>(tile, places, w, slopes, sent, T::ZERO, living, out);
 }
 
 /// What the weights along z make of a row's nodes: `sum w g`, `sum w g k`, `sum w g.P` and `sum dw/dz g.P`.

@@ -47,27 +47,23 @@ impl<T: Real> Places<T> {
     /// Weights of the group.
     #[inline(always)]
     pub(crate) fn weights(&self) -> Weights<T> {
-        let mut out = [[Lanes::ZERO; 3]; 3];
-        for l in 0..LANES {
-            for axis in 0..3 {
-                let w = weights(self.f[axis][l]);
-                for node in 0..3 {
-                    out[axis][node][l] = w[node];
-                }
-            }
-        }
-        out
+        self.along_axes(weights)
     }
 
     /// Derivatives of [`Self::weights`].
     #[inline(always)]
     pub(crate) fn slopes(&self) -> Weights<T> {
+        self.along_axes(weight_slopes)
+    }
+
+    #[inline(always)]
+    fn along_axes(&self, of: impl Fn(T) -> [T; 3]) -> Weights<T> {
         let mut out = [[Lanes::ZERO; 3]; 3];
         for l in 0..LANES {
             for axis in 0..3 {
-                let d = weight_slopes(self.f[axis][l]);
+                let numbers = of(self.f[axis][l]);
                 for node in 0..3 {
-                    out[axis][node][l] = d[node];
+                    out[axis][node][l] = numbers[node];
                 }
             }
         }

@@ -23,6 +23,14 @@ fn bed() -> Vec<[f64; 3]> {
     even_lattice([0.0; 3], [SIZE_M[0], SIZE_M[1], DEPTH_M])
 }
 
+/// The bed with a lump far above it, which arrives after 0.14 s; and how many particles the bed has.
+fn bed_and_lump() -> (Vec<[f64; 3]>, usize) {
+    let mut points = bed();
+    let count = points.len();
+    points.extend(even_lattice([0.016, 0.012, 0.130], [0.024, 0.020, 0.138]));
+    (points, count)
+}
+
 /// After so many substeps without a tool.
 fn rested(model: &Model<f64>, points: &[[f64; 3]], substeps: usize) -> State<f64> {
     let mut state = State::new(model, &Particles::at_rest(points)).unwrap();
@@ -77,21 +85,20 @@ fn the_tool_wakes_what_it_comes_near_to() {
 #[test]
 fn what_falls_on_sleepers_wakes_them_and_comes_to_rest_as_on_those_awake() {
     let (sleepy, wakeful) = (model(SLEEP_SPEED), model(0.0));
-    let mut points = bed();
-    let count = points.len();
-    points.extend(even_lattice([0.016, 0.012, 0.130], [0.024, 0.020, 0.138]));
+    let (points, count) = bed_and_lump();
     let mut state = State::new(&sleepy, &Particles::at_rest(&points)).unwrap();
     let mut workspace = Workspace::new();
-    let mut most = [0; 2];
+    let (mut sleepers, mut awake) = (0, 0);
     for substep in 0..1200 {
         workspace.advance(&sleepy, &far_away(), &mut state).unwrap();
-        // The lump arrives after 0.14 s.
-        let of = if substep < 250 { 0 } else { 1 };
-        let awake = state.layout.blocks.len() - asleep(&state);
-        most[of] = if substep < 250 { asleep(&state) } else { most[of].max(awake) };
+        if substep < 250 {
+            sleepers = asleep(&state);
+        } else {
+            awake = awake.max(state.layout.blocks.len() - asleep(&state));
+        }
     }
-    println!("{} blocks asleep before the lump arrives, up to {} awake after it", most[0], most[1]);
-    assert!(most[0] > 0 && most[1] > 3, "{most:?}");
+    println!("{sleepers} blocks asleep before the lump arrives, up to {awake} awake after it");
+    assert!(sleepers > 0 && awake > 3, "{sleepers} {awake}");
     let want = rested(&wakeful, &points, 1200).particles.positions_by_id();
     let got = state.particles.positions_by_id();
     let height = |of: &[[f64; 3]]| of.iter().map(|x| x[2]).sum::<f64>() / of.len() as f64;
@@ -104,11 +111,8 @@ fn what_falls_on_sleepers_wakes_them_and_comes_to_rest_as_on_those_awake() {
 
 #[test]
 fn cotangents_of_sleepers_stay_and_those_of_others_are_what_they_are_without_them() {
-    // A bed, and a lump on its way to it, far above.
     let (sleepy, wakeful) = (model(SLEEP_SPEED), model(0.0));
-    let mut points = bed();
-    let count = points.len();
-    points.extend(even_lattice([0.016, 0.012, 0.130], [0.024, 0.020, 0.138]));
+    let (points, count) = bed_and_lump();
     let mut state = rested(&sleepy, &points, 230);
     for _ in 0..200 {
         if asleep(&state) > 0 {
