@@ -32,6 +32,24 @@ fn threads_and_memory_change_no_bit_of_loss_and_gradient() {
 }
 
 #[test]
+fn a_gradient_ends_with_the_powder_of_a_simulation_sleepers_and_all() {
+    let mut scene = Scene::load("bench-small").expect("shipped");
+    scene.domain.sleep_speed_m_s = 0.01;
+    scene.time.settle_s = 0.4;
+    let map = SkillMap::new(&scene);
+    let controls: Vec<_> =
+        map.controls(&gradcheck::CHECKED_THETA).expect("fits")[..4].iter().map(displacement).collect();
+    let settings =
+        SimulatorSettings { seed: 1, precision: Precision::F32, threads: Some(2), memory_bytes: 1 << 30 };
+    let mut s = simulator::<f32>(&scene, &settings).expect("threads");
+    let start = s.beginning(&mut |_, _| true).expect("settles");
+    let end = s.after(&start, &controls, &mut |_, _| true).expect("runs");
+    assert!(end.sleepers() > 0);
+    let (evaluation, _) = s.control_gradient(&start, &controls, &mut |_, _| true).expect("runs");
+    assert_eq!(s.judge(&end).loss.to_bits(), evaluation.loss.to_bits());
+}
+
+#[test]
 fn skills_evaluated_side_by_side_have_the_bits_of_skills_evaluated_alone() {
     let mut scene = Scene::load("bench-small").expect("shipped");
     // The beginnings of the skills differ in depth, in angle, in nothing, and in what comes later.
