@@ -828,10 +828,12 @@ fn bench_reports_stages_that_add_up_to_no_more_than_the_whole() {
             let [forward, gradient] = column(&report, "whole", None, key)[..] else { panic!("two rows") };
             let advances = report["whole"][1]["advances"].as_f64().unwrap();
             let [once, adjoint] = [sum("forward", key), sum("adjoint", key)];
-            assert!(once > 0.0 && adjoint > once, "{key}: {once} {adjoint}");
+            assert!(once > 0.0, "{key}");
             if key == "mean_ns" {
+                // Stages lie within the whole; which of them takes longer is the machine's affair.
                 assert!(once <= forward && adjoint <= gradient, "{once} {forward} {adjoint} {gradient}");
             } else {
+                assert!(adjoint > once, "{key}: {once} {adjoint}");
                 assert!((once - forward).abs() < 1e-6 * once, "{key}: {once} {forward}");
                 assert!((advances * once + adjoint - gradient).abs() < 1e-6 * gradient, "{key}: {gradient}");
             }
