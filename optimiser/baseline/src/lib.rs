@@ -1,0 +1,13 @@
+//! What the gradient is compared with: searches that see losses and nothing else.
+
+/// A search over [-1, 1]^n that asks for points in batches and is told their losses.
+///
+/// A search is a function of its seed and of the losses it was told, to the last bit: whoever keeps those can make it again.
+pub trait Search {
+    /// The next points to evaluate, at least one; may be fewer than `most`, never more. They do not depend on each
+    /// other's losses.
+    fn ask(&mut self, most: usize) -> Vec<Vec<f64>>;
+
+    /// The losses of the points asked for last, in their order; lower is better.
+    fn tell(&mut self, losses: &[f64]);
+}

@@ -1,0 +1,115 @@
+//! Motions of powder and tool as pictures, as a page with a 3-D replay, and as files for other programs.
+//!
+//! The simulator hands over a [`Bench`] once, then a [`Frame`] after another, to a [`Sink`]. It knows nothing of what
+//! becomes of them, and this package nothing of where they come from.
+//!
+//! World frame: z up, floor at z = 0, the simulated volume is `[0, size_m]`. Lengths in metres, times in seconds.
+
+pub mod mesh;
+
+use powderline_shared::pose::Pose;
+
+use mesh::Mesh;
+
+/// What stands still, what the tool looks like, and how many frames are to come.
+#[derive(Clone, Debug)]
+pub struct Bench {
+    /// Name of the scene.
+    pub name: String,
+    /// The simulated volume.
+    pub size_m: [f64; 3],
+    /// Edge of a grid cell; particles lie a half or a third of it apart.
+    pub cell_m: f64,
+    /// Containers, world frame.
+    pub containers: Vec<Container>,
+    /// The tool in its own frame: origin at the middle of its opening, +z out of it, +x the direction in which it pours.
+    pub tool: Mesh,
+    /// The point that the loss draws the powder to.
+    pub target_m: [f64; 3],
+    /// How many particles there are.
+    pub particles: usize,
+    /// From one frame to the next.
+    pub period_s: f64,
+    /// How many frames there will be.
+    pub frames: usize,
+}
+
+/// A container.
+#[derive(Clone, Debug)]
+pub struct Container {
+    /// Its name.
+    pub name: String,
+    /// What the powder is to do with it.
+    pub role: Role,
+    /// World frame.
+    pub mesh: Mesh,
+}
+
+/// What a container is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Role {
+    /// The powder is there at first.
+    Source,
+    /// The powder should come there.
+    Target,
+    /// Neither.
+    Bystander,
+}
+
+/// Where a particle is when all is over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Destination {
+    /// In the source, or a bystander.
+    Left,
+    /// In the target.
+    Target,
+    /// On the tool.
+    Tool,
+    /// In no container and not on the tool.
+    Spilled,
+}
+
+/// One moment.
+#[derive(Clone, Copy, Debug)]
+pub struct Frame<'a> {
+    /// 0 first.
+    pub index: usize,
+    /// Since the motion began.
+    pub time_s: f64,
+    /// The tool as it was.
+    pub tool: Pose,
+    /// The tool as planned, where that is something else.
+    pub planned: Option<Pose>,
+    /// Particles, each always at the same index, metres.
+    pub positions_m: &'a [[f32; 3]],
+    /// Their velocities, m/s.
+    pub velocities_m_s: &'a [[f32; 3]],
+}
+
+/// What takes frames: a picture, a page, a series of files.
+pub trait Sink {
+    /// The next frame.
+    ///
+    /// # Errors
+    /// What became of writing.
+    fn frame(&mut self, frame: &Frame<'_>) -> Result<(), ViewError>;
+
+    /// There are no more; and where the particles have got to, in order.
+    ///
+    /// # Errors
+    /// What became of writing.
+    fn finish(&mut self, destinations: &[Destination]) -> Result<(), ViewError>;
+}
+
+/// Why there is no picture, no page, no file.
+#[derive(Debug, thiserror::Error)]
+pub enum ViewError {
+    /// A file could not be written.
+    #[error("{}: {source}", path.display())]
+    File {
+        /// The file.
+        path: std::path::PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+}
