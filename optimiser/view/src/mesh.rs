@@ -151,7 +151,8 @@ fn points_of(profile: &[[f64; 2]], triangle: [u32; 3], rows: usize) -> [[f64; 2]
 
 /// Whether two corners are one point on the axis.
 fn is_flat(points: &[[f64; 2]; 3]) -> bool {
-    let on_axis = |i: usize, j: usize| points[i][0].abs() < 1e-12 && points[i] == points[j];
+    let near = |i: usize, j: usize| (points[i][1] - points[j][1]).abs() < 1e-12;
+    let on_axis = |i: usize, j: usize| points[i][0].max(points[j][0]) < 1e-12 && near(i, j);
     on_axis(0, 1) || on_axis(1, 2) || on_axis(0, 2)
 }
 
