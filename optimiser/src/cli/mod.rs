@@ -11,6 +11,7 @@ mod executed;
 mod gradcheck;
 mod inspect;
 mod interrupt;
+mod motion;
 mod options;
 mod progress;
 mod run;

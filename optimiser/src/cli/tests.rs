@@ -4,7 +4,7 @@ use super::*;
 use crate::{
     optim::EpochRecord,
     report::folder::{CURVES, METRICS, PLAN, RunFolder, SCENE, STATE},
-    rollout::{Evaluation, Progress, RolloutError},
+    rollout::{Evaluation, Look, Progress, RolloutError, Shot, Take},
     skill::{Control, SkillMap, Theta},
 };
 use powderline_shared::{
@@ -13,6 +13,7 @@ use powderline_shared::{
     pose::Pose,
     trajectory::{Sample, TrajectoryHeader},
 };
+use powderline_view::Destination;
 use serde_json::Value;
 use std::{
     cell::Cell,
@@ -95,6 +96,28 @@ impl Evaluate for Ends {
         let offset = self.map.start_pose().displacement_to(anchor);
         // Added last: an anchor at the start pose changes no bit.
         Ok(Self::judge(controls.chain([offset.components()])).0)
+    }
+
+    /// Two particles: one that stays, one that goes with the tool.
+    fn record(
+        &mut self,
+        take: &Take<'_>,
+        look: Look<'_>,
+        progress: Progress<'_>,
+    ) -> Result<(Evaluation, Vec<Destination>), RolloutError> {
+        let mut tool = *take.anchor;
+        for step in 0..=take.controls.len() {
+            if step.is_multiple_of(take.every) {
+                let carried = tool.position_m.map(|x| x as f32).into();
+                let positions_m = [[0.05, 0.06, 0.01], carried];
+                if !look(&Shot { step, tool, positions_m: &positions_m, velocities_m_s: &[[0.0; 3]; 2] }) {
+                    return Err(RolloutError::Stopped);
+                }
+            }
+            tool = take.controls.get(step).map_or(tool, |control| tool.displaced(control));
+        }
+        let evaluation = self.simulate_from(take.anchor, take.controls, progress)?;
+        Ok((evaluation, vec![Destination::Left, Destination::Tool]))
     }
 }
 

@@ -157,9 +157,18 @@ impl<T: Real> Particles<T> {
 
     /// Positions (m) in the order of identities.
     pub(crate) fn positions_by_id(&self) -> Vec<[f64; 3]> {
+        self.by_id(|group| &group.x)
+    }
+
+    /// Velocities (m/s) in the order of identities.
+    pub(crate) fn velocities_by_id(&self) -> Vec<[f64; 3]> {
+        self.by_id(|group| &group.v)
+    }
+
+    fn by_id(&self, rows: impl Fn(&Group<T>) -> &[Lanes<T>; 3]) -> Vec<[f64; 3]> {
         let mut out = vec![[0.0; 3]; self.living().count()];
         for (g, l, id) in self.living() {
-            out[id as usize] = vec_of(&self.groups[g].x, l).map(Real::to_f64);
+            out[id as usize] = vec_of(rows(&self.groups[g]), l).map(Real::to_f64);
         }
         out
     }

@@ -5,4 +5,5 @@ pub mod folder;
 pub mod plan;
 pub mod state;
 pub mod summary;
+pub mod view;
 pub(crate) mod words;

@@ -17,6 +17,7 @@ use crate::real::Real;
 use crate::scene::Scene;
 use crate::skill::{SkillError, Theta};
 use powderline_shared::{displacement::Displacement, plan::Precision, pose::Pose};
+use powderline_view::Destination;
 use thiserror::Error;
 
 /// What one simulated motion achieved.
@@ -36,6 +37,33 @@ pub struct Evaluation {
 
 /// Called now and then with work units done and in total; `false` stops the rollout with [`RolloutError::Stopped`].
 pub type Progress<'a> = &'a mut (dyn FnMut(u64, u64) -> bool + Send);
+
+/// Powder and tool at one moment of a motion.
+#[derive(Clone, Copy, Debug)]
+pub struct Shot<'a> {
+    /// Control steps done.
+    pub step: usize,
+    /// The tool.
+    pub tool: Pose,
+    /// Particles in the order of the packing, metres.
+    pub positions_m: &'a [[f32; 3]],
+    /// Their velocities, m/s.
+    pub velocities_m_s: &'a [[f32; 3]],
+}
+
+/// Looks at shots as they come; `false` stops the rollout with [`RolloutError::Stopped`].
+pub type Look<'a> = &'a mut (dyn FnMut(&Shot<'_>) -> bool + Send);
+
+/// A motion that is looked at.
+#[derive(Clone, Copy, Debug)]
+pub struct Take<'a> {
+    /// Where the tool begins.
+    pub anchor: &'a Pose,
+    /// What it does.
+    pub controls: &'a [Displacement],
+    /// Control steps from one shot to the next, at least one; the first shot is that of the beginning.
+    pub every: usize,
+}
 
 /// Why a rollout has no result.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -88,6 +116,22 @@ pub enum RolloutError {
     Skill(#[from] SkillError),
 }
 
+impl RolloutError {
+    /// The same for whom the motion began so many control steps before.
+    fn later_by(self, steps: usize) -> Self {
+        let more = steps as u32;
+        match self {
+            Self::NonFinite { stage, step, substep, particle } => {
+                Self::NonFinite { stage, step: step + more, substep, particle }
+            }
+            Self::Escaped { step, substep, particle } => {
+                Self::Escaped { step: step + more, substep, particle }
+            }
+            other => other,
+        }
+    }
+}
+
 /// A simulator of one scene.
 pub trait Evaluate {
     /// Loss of a skill, and its gradient if wanted.
@@ -137,6 +181,17 @@ pub trait Evaluate {
         controls: &[Displacement],
         progress: Progress<'_>,
     ) -> Result<Evaluation, RolloutError>;
+
+    /// The same, looked at on the way; and where each particle is in the end, in the order of the packing.
+    ///
+    /// # Errors
+    /// See [`RolloutError`].
+    fn record(
+        &mut self,
+        take: &Take<'_>,
+        look: Look<'_>,
+        progress: Progress<'_>,
+    ) -> Result<(Evaluation, Vec<Destination>), RolloutError>;
 }
 
 /// How a scene is simulated. Nothing here but seed and precision changes a bit of the result.

@@ -5,6 +5,7 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 
 use crate::scene::{Container, ContainerShape, Norm, Observation, Scene, ToolShape};
 use powderline_shared::pose::Pose;
+use powderline_view::Destination;
 
 /// Which particles the loss sees, by identity.
 ///
@@ -84,12 +85,33 @@ pub(crate) struct Census {
 }
 
 pub(crate) fn census(scene: &Scene, positions: &[[f64; 3]], tool: &Pose) -> Census {
-    let target = scene.container.iter().find(|c| c.name == scene.objective.target);
-    let count = |test: &dyn Fn(&[f64; 3]) -> bool| positions.iter().filter(|p| test(p)).count() as u32;
-    Census {
-        transported: target.map_or(0, |t| count(&|p| inside(t, p))),
-        spilled: count(&|p| !scene.container.iter().any(|c| above(c, p, 1.0)) && !held(scene, tool, p)),
+    let mut census = Census { transported: 0, spilled: 0 };
+    for destination in destinations(scene, positions, tool) {
+        match destination {
+            Destination::Target => census.transported += 1,
+            Destination::Spilled => census.spilled += 1,
+            Destination::Left | Destination::Tool => {}
+        }
     }
+    census
+}
+
+/// Where each particle is when the motion is over.
+pub(crate) fn destinations(scene: &Scene, positions: &[[f64; 3]], tool: &Pose) -> Vec<Destination> {
+    let target = scene.container.iter().find(|c| c.name == scene.objective.target);
+    let of = |p: &[f64; 3]| {
+        let held = held(scene, tool, p);
+        if target.is_some_and(|t| inside(t, p)) {
+            Destination::Target
+        } else if held {
+            Destination::Tool
+        } else if scene.container.iter().any(|c| above(c, p, 1.0)) {
+            Destination::Left
+        } else {
+            Destination::Spilled
+        }
+    };
+    positions.iter().map(of).collect()
 }
 
 /// In the container's own frame, floor at z = 0.

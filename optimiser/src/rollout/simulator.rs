@@ -2,6 +2,7 @@
 
 use powderline_shared::displacement::Displacement;
 use powderline_shared::pose::Pose;
+use powderline_view::Destination;
 
 use crate::memory::{BRANCHES, STANDING_STATES, fixed_bytes, grown};
 use crate::mpm::Model;
@@ -14,7 +15,7 @@ use crate::real::Real;
 use crate::rollout::branches::{self, Family};
 use crate::rollout::path::{Path, resting};
 use crate::rollout::schedule::{Action, advances, schedule};
-use crate::rollout::{Evaluate, Evaluation, Progress, RolloutError, outcome, thread_pool};
+use crate::rollout::{Evaluate, Evaluation, Look, Progress, RolloutError, Shot, Take, outcome, thread_pool};
 use crate::scene::Scene;
 use crate::skill::{Control, SkillMap, Theta, displacement};
 
@@ -67,6 +68,17 @@ impl<T: Real> Kept<T> {
 }
 
 impl<T: Real> Moment<T> {
+    /// Lets somebody look at it.
+    fn show(&self, step: usize, look: Look<'_>) -> bool {
+        let particles = &self.state.particles;
+        let narrow = |rows: Vec<[f64; 3]>| -> Vec<[f32; 3]> {
+            rows.into_iter().map(|row| row.map(|x| x as f32)).collect()
+        };
+        let positions_m = narrow(particles.positions_by_id());
+        let velocities_m_s = narrow(particles.velocities_by_id());
+        look(&Shot { step, tool: self.tool, positions_m: &positions_m, velocities_m_s: &velocities_m_s })
+    }
+
     /// Blocks whose powder sleeps.
     #[cfg(test)]
     pub(crate) fn sleepers(&self) -> usize {
@@ -283,6 +295,35 @@ impl<T: Real> Evaluate for Simulator<T> {
         let start = self.beginning_under(anchor, progress)?;
         let end = self.after(&start, controls, progress)?;
         Ok(self.judge(&end))
+    }
+
+    fn record(
+        &mut self,
+        take: &Take<'_>,
+        look: Look<'_>,
+        progress: Progress<'_>,
+    ) -> Result<(Evaluation, Vec<Destination>), RolloutError> {
+        let mut moment = self.beginning_under(take.anchor, progress)?;
+        let (total, mut step) = (take.controls.len(), 0);
+        let mut shown = take.controls.chunks(take.every.max(1)).peekable();
+        loop {
+            if !moment.show(step, look) {
+                return Err(RolloutError::Stopped);
+            }
+            // What is left after the last shot belongs to the motion all the same.
+            let whole = shown.next_if(|controls| controls.len() == take.every.max(1));
+            let Some(controls) = whole else { break };
+            let next = self.after(&moment, controls, &mut |_, _| true);
+            moment = next.map_err(|error| error.later_by(step))?;
+            step += controls.len();
+            if !progress(step as u64, total as u64) {
+                return Err(RolloutError::Stopped);
+            }
+        }
+        let end = self.after(&moment, &take.controls[step..], &mut |_, _| true);
+        let end = end.map_err(|error| error.later_by(step))?;
+        let positions = end.state.particles.positions_by_id();
+        Ok((self.judge(&end), outcome::destinations(&self.scene, &positions, &end.tool)))
     }
 }
 

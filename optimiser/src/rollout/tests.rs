@@ -2,7 +2,7 @@
 
 use powderline_shared::plan::Precision;
 
-use crate::rollout::{Evaluate, RolloutError, SimulatorSettings, gradcheck, simulator};
+use crate::rollout::{Evaluate, RolloutError, Shot, SimulatorSettings, Take, gradcheck, simulator};
 use crate::scene::Scene;
 use crate::skill::{SkillMap, Theta, displacement};
 
@@ -123,4 +123,38 @@ fn the_gradient_of_a_scoop_agrees_with_central_differences() {
     }
     assert!(window.components[0].adjoint != 0.0 && window.components[1].adjoint != 0.0);
     assert!(window.error < 1e-5, "{}", window.error);
+}
+
+#[test]
+fn a_motion_that_is_looked_at_ends_as_one_that_is_not() {
+    let mut scene = Scene::load("bench-small").expect("shipped");
+    scene.domain.sleep_speed_m_s = 0.01;
+    scene.time.settle_s = 0.1;
+    let map = SkillMap::new(&scene);
+    let controls: Vec<_> =
+        map.controls(&gradcheck::CHECKED_THETA).expect("fits")[..25].iter().map(displacement).collect();
+    let settings =
+        SimulatorSettings { seed: 1, precision: Precision::F32, threads: Some(2), memory_bytes: 1 << 30 };
+    let mut s = simulator::<f32>(&scene, &settings).expect("threads");
+    let alone = s.simulate(&controls, &mut |_, _| true).expect("runs");
+    let positions = s.final_positions(&controls, &mut |_, _| true).expect("runs");
+    for every in [1, 10, 25, 40] {
+        let take = Take { anchor: map.start_pose(), controls: &controls, every };
+        let (mut steps, mut last) = (Vec::new(), Vec::new());
+        let mut look = |shot: &Shot<'_>| {
+            steps.push(shot.step);
+            last = shot.positions_m.to_vec();
+            assert_eq!(shot.positions_m.len(), shot.velocities_m_s.len());
+            true
+        };
+        let (evaluation, destinations) = s.record(&take, &mut look, &mut |_, _| true).expect("runs");
+        assert_eq!(evaluation.loss.to_bits(), alone.loss.to_bits(), "{every}");
+        assert_eq!(steps, (0..=25).step_by(every).collect::<Vec<_>>());
+        assert_eq!(destinations.len(), positions.len());
+        if 25 % every == 0 {
+            assert!(last.iter().zip(&positions).all(|(shown, end)| *shown == end.map(|x| x as f32)));
+        }
+        let refused = s.record(&take, &mut |_| false, &mut |_, _| true);
+        assert_eq!(refused.err(), Some(RolloutError::Stopped));
+    }
 }

@@ -1,0 +1,139 @@
+//! Which motion a command is about: a skill, a plan, or what an arm made of a plan.
+
+use super::{
+    CliError, Resources,
+    executed::Executed,
+    inspect::read_plan,
+    options::{DEFAULT_PRECISION, PrecisionArg},
+};
+use crate::{
+    report::{folder, words::hex},
+    rollout::SimulatorSettings,
+    scene::{DEFAULT_SCENE, Scene},
+    skill::{SkillMap, Theta, check_theta, controls_of},
+};
+use clap::Args;
+use powderline_shared::{
+    displacement::Displacement,
+    plan::{PlanHeader, PlanReader, Precision},
+};
+use std::path::{Path, PathBuf};
+
+/// Arguments of commands that are about one motion.
+#[derive(Clone, Debug, Args)]
+#[group(id = "motion", required = true, multiple = false, args = ["theta", "plan"])]
+pub(super) struct MotionArgs {
+    /// Scene: an embedded name or a TOML file [default: the scene.toml beside the plan, otherwise bench]
+    #[arg(value_name = "SCENE")]
+    pub scene: Option<String>,
+    /// Skill: depth, scoop angle, lift, transport, pour angle, each in [-1, 1]
+    #[arg(long, value_name = "A,B,C,D,E", allow_hyphen_values = true)]
+    pub theta: Option<String>,
+    /// Plan to simulate again
+    #[arg(long, value_name = "FILE")]
+    pub plan: Option<PathBuf>,
+    /// Motion that the arm made of the plan, as recorded: simulate the powder under that, beside the plan's prediction
+    #[arg(long, value_name = "FILE", requires = "plan", conflicts_with = "theta")]
+    pub executed: Option<PathBuf>,
+    /// Seed of the packing [default: 1; a plan brings its own]
+    #[arg(long, value_name = "N", conflicts_with = "plan")]
+    pub seed: Option<u64>,
+    /// Precision of the simulation [default: f32; a plan brings its own]
+    #[arg(long, conflicts_with = "plan")]
+    pub precision: Option<PrecisionArg>,
+    /// Threads and memory.
+    #[command(flatten)]
+    pub resources: Resources,
+}
+
+/// What is to be simulated.
+pub(super) struct Task {
+    /// The bench.
+    pub scene: Scene,
+    /// How it is simulated.
+    pub settings: SimulatorSettings,
+    /// What the tool does.
+    pub motion: Motion,
+}
+
+/// What the tool does.
+pub(super) enum Motion {
+    Skill(Theta),
+    Plan { header: Box<PlanHeader>, content_hash: u64, controls: Vec<Displacement> },
+    Executed { header: Box<PlanHeader>, content_hash: u64, executed: Box<Executed> },
+}
+
+impl MotionArgs {
+    /// What the arguments ask for.
+    ///
+    /// # Errors
+    /// One sentence.
+    pub(super) fn task(&self) -> Result<Task, CliError> {
+        match (&self.plan, &self.theta) {
+            (Some(plan), _) => self.plan_task(plan),
+            (None, theta) => self.skill_task(theta.as_deref().unwrap_or_default()),
+        }
+    }
+
+    fn skill_task(&self, theta: &str) -> Result<Task, CliError> {
+        let theta = parse_theta(theta)?;
+        let scene = Scene::load(self.scene.as_deref().unwrap_or(DEFAULT_SCENE))?;
+        // Refused here, before anything is simulated.
+        SkillMap::new(&scene).controls(&theta)?;
+        let precision = self.precision.map_or(DEFAULT_PRECISION, Precision::from);
+        let settings = self.resources.settings(self.seed.unwrap_or(scene.powder.seed), precision);
+        Ok(Task { scene, settings, motion: Motion::Skill(theta) })
+    }
+
+    fn plan_task(&self, path: &Path) -> Result<Task, CliError> {
+        let bytes = read_plan(path)?;
+        let plan = PlanReader::new(&bytes)
+            .map_err(|error| CliError::Input(format!("{} is no usable plan: {error}", path.display())))?;
+        let (header, content_hash) = (*plan.header(), plan.content_hash());
+        let name = self.scene.clone().or_else(|| scene_beside(path)).unwrap_or_else(|| DEFAULT_SCENE.into());
+        let scene = Scene::load(&name)?;
+        if scene.digest() != header.scene_digest {
+            let [plan, scene] = [header.scene_digest, scene.digest()].map(|digest| hex(&digest[..4]));
+            let path = path.display();
+            return Err(CliError::Input(format!(
+                "{path} was made for another scene than {name} (digest {plan}, not {scene})"
+            )));
+        }
+        let settings = self.resources.settings(header.seed, header.precision);
+        let header = Box::new(header);
+        let motion = match &self.executed {
+            None => {
+                let controls = controls_of(&plan.setpoints().collect::<Vec<_>>(), header.lsb);
+                Motion::Plan { header, content_hash, controls }
+            }
+            Some(path) => {
+                let executed = Box::new(Executed::read(path, &plan, &scene)?);
+                Motion::Executed { header, content_hash, executed }
+            }
+        };
+        Ok(Task { scene, settings, motion })
+    }
+}
+
+fn scene_beside(plan: &Path) -> Option<String> {
+    let scene = plan.parent()?.join(folder::SCENE);
+    // A bare `scene.toml` is fine: no embedded scene has a dot in its name.
+    scene.exists().then(|| scene.to_string_lossy().into_owned())
+}
+
+/// Five numbers in [-1, 1], separated by commas.
+fn parse_theta(text: &str) -> Result<Theta, CliError> {
+    let wrong = |why: &str| {
+        CliError::Input(format!(
+            "--theta is `{text}`, but five numbers in [-1, 1], separated by commas, would be right: {why}"
+        ))
+    };
+    let numbers = text
+        .split(',')
+        .map(|part| part.trim().parse().map_err(|_| wrong(&format!("`{}` is no number", part.trim()))))
+        .collect::<Result<Vec<f64>, _>>()?;
+    let theta =
+        numbers.try_into().map_err(|numbers: Vec<f64>| wrong(&format!("there are {}", numbers.len())))?;
+    check_theta(&theta)?;
+    Ok(theta)
+}

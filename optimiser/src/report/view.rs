@@ -1,0 +1,70 @@
+//! A scene as pictures, pages and exports show it.
+
+use crate::scene::{Container, ContainerShape, Scene, Tool, ToolShape};
+use nalgebra::{Isometry3, Vector3};
+use powderline_view::{Bench, Role, mesh::Mesh};
+
+/// What stands and moves in a scene, for so many particles and frames.
+pub fn bench(scene: &Scene, particles: usize, frames: usize, period_s: f64) -> Bench {
+    Bench {
+        name: scene.name.clone(),
+        size_m: scene.domain.size_m,
+        cell_m: scene.domain.cell_m,
+        containers: scene.container.iter().map(|container| drawn(scene, container)).collect(),
+        tool: tool(&scene.tool),
+        target_m: scene.objective.p_target_m,
+        particles,
+        period_s,
+        frames,
+    }
+}
+
+fn drawn(scene: &Scene, container: &Container) -> powderline_view::Container {
+    let Container { name, position_m, yaw_deg, wall_thickness_m, .. } = container;
+    let mesh = match container.shape {
+        ContainerShape::Box { inner_size_m } => Mesh::open_box(inner_size_m, *wall_thickness_m),
+        ContainerShape::Cylinder { inner_radius_m, inner_height_m } => {
+            Mesh::open_cylinder(inner_radius_m, inner_height_m, *wall_thickness_m)
+        }
+    };
+    let place = Isometry3::new((*position_m).into(), Vector3::z() * yaw_deg.to_radians());
+    let role = match name {
+        name if *name == scene.objective.source => Role::Source,
+        name if *name == scene.objective.target => Role::Target,
+        _ => Role::Bystander,
+    };
+    powderline_view::Container { name: name.clone(), role, mesh: mesh.moved(&place) }
+}
+
+fn tool(tool: &Tool) -> Mesh {
+    let body = match tool.shape {
+        ToolShape::Bowl { inner_radius_m } => Mesh::bowl(inner_radius_m, tool.wall_thickness_m),
+        ToolShape::BoxScoop { inner_size_m } => Mesh::box_scoop(inner_size_m, tool.wall_thickness_m),
+    };
+    let [from, to] = tool.handle_axis_m();
+    body.and(Mesh::capsule(from, to, tool.handle.radius_m))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::EMBEDDED_SCENES;
+
+    #[test]
+    fn every_shipped_scene_is_drawn_within_its_volume() {
+        for (name, _) in EMBEDDED_SCENES {
+            let scene = Scene::load(name).unwrap();
+            let bench = bench(&scene, 1, 1, 0.01);
+            assert_eq!(bench.containers.iter().filter(|c| c.role == Role::Source).count(), 1);
+            assert_eq!(bench.containers.iter().filter(|c| c.role == Role::Target).count(), 1);
+            for container in &bench.containers {
+                let inside =
+                    |point: &[f64; 3]| (0..3).all(|i| (-1e-9..=scene.domain.size_m[i]).contains(&point[i]));
+                assert!(container.mesh.points_m.iter().all(inside), "{name}: {}", container.name);
+            }
+            // The body reaches down as far as the simulator says.
+            let lowest = bench.tool.points_m.iter().map(|point| point[2]).fold(f64::MAX, f64::min);
+            assert!((lowest + scene.tool.body_depth_m()).abs() < 1e-9, "{name}: {lowest}");
+        }
+    }
+}
