@@ -6,6 +6,7 @@
 
 mod bench;
 mod check;
+mod compare;
 mod error;
 mod executed;
 mod gradcheck;
@@ -62,6 +63,8 @@ enum Command {
     Simulate(simulate::SimulateArgs),
     /// Compare the gradient with finite differences
     Gradcheck(gradcheck::GradcheckArgs),
+    /// Compare ways to search for a skill, each with the same number of rollouts
+    Compare(compare::CompareArgs),
     /// Say what a plan holds
     Inspect(inspect::InspectArgs),
     /// Measure what each stage of the simulator takes
@@ -131,6 +134,7 @@ where
         Some(Command::Check(arguments)) => check::run(&arguments, context.out),
         Some(Command::Simulate(arguments)) => simulate::execute(&arguments, context),
         Some(Command::Gradcheck(arguments)) => gradcheck::execute(&arguments, context),
+        Some(Command::Compare(arguments)) => compare::execute(&arguments, context),
         Some(Command::Inspect(arguments)) => inspect::execute(&arguments, context),
         Some(Command::Bench(arguments)) => bench::execute(&arguments, context),
     }

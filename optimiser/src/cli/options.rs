@@ -23,6 +23,15 @@ impl From<PrecisionArg> for Precision {
     }
 }
 
+impl From<Precision> for PrecisionArg {
+    fn from(precision: Precision) -> Self {
+        match precision {
+            Precision::F32 => Self::F32,
+            Precision::F64 => Self::F64,
+        }
+    }
+}
+
 /// A precision as the person writes it.
 pub(super) fn precision_name(precision: Precision) -> &'static str {
     match precision {

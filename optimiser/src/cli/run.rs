@@ -103,6 +103,25 @@ pub(super) fn execute(arguments: &RunArgs, context: &mut Context<'_>) -> Result<
     run.conclude(&plan, context)
 }
 
+/// The epochs of a run that is begun, gone on with, or only looked at, as its folder (`out`) needs it.
+///
+/// # Errors
+/// One sentence; everything evaluated before is saved.
+pub(super) fn completed(
+    arguments: &RunArgs,
+    context: &mut Context<'_>,
+) -> Result<Vec<EpochRecord>, CliError> {
+    let begun = arguments.out.as_deref().filter(|folder| folder.join(STATE).exists());
+    let (mut run, mut simulator) = match begun {
+        Some(folder) => Run::resume(arguments, folder, context)?,
+        None => Run::start(arguments, context)?,
+    };
+    if !run.state.finished {
+        run.complete(simulator.as_mut(), context)?;
+    }
+    Ok(run.state.search.history().to_vec())
+}
+
 impl Run {
     /// Makes the simulator before the folder: what it refuses leaves nothing behind.
     fn start(arguments: &RunArgs, context: &Context<'_>) -> Result<Begun, CliError> {
@@ -118,7 +137,9 @@ impl Run {
         let simulator = simulator(arguments, &scene, &state, context)?;
         let folder = match &arguments.out {
             Some(path) => RunFolder::create(path)?,
-            None => RunFolder::create_numbered(&Path::new("runs").join(default_name(&scene.name, seed)))?,
+            None => RunFolder::create_numbered(
+                &Path::new("runs").join(format!("{}-seed{seed}", safe_name(&scene.name))),
+            )?,
         };
         folder.replace(SCENE, scene.to_toml().as_bytes())?;
         // A scene without a state would be in the way of a second attempt, and nothing to resume from either.
@@ -346,7 +367,8 @@ fn stop_if_requested(interrupt: &Interrupt) -> Result<(), CliError> {
     if interrupt.is_requested() { Err(RolloutError::Stopped.into()) } else { Ok(()) }
 }
 
-fn checked_epochs(epochs: u32) -> Result<u32, CliError> {
+/// Epochs as given, if there are not too many.
+pub(super) fn checked_epochs(epochs: u32) -> Result<u32, CliError> {
     if epochs <= MAX_EPOCHS {
         return Ok(epochs);
     }
@@ -354,17 +376,18 @@ fn checked_epochs(epochs: u32) -> Result<u32, CliError> {
 }
 
 /// A scene's name as a folder's name.
-fn default_name(scene: &str, seed: u64) -> String {
+pub(super) fn safe_name(scene: &str) -> String {
     let safe = |c: char| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '-' };
     let name: String = scene.chars().map(safe).collect();
-    format!("{}-seed{seed}", name.trim_start_matches('.'))
+    name.trim_start_matches('.').into()
 }
 
 fn resume_command(folder: &Path) -> String {
     format!("cargo run --release --bin optimise -- --resume {}", folder.display())
 }
 
-fn json_line(record: &impl serde::Serialize) -> String {
+/// A line of a file of JSON lines.
+pub(super) fn json_line(record: &impl serde::Serialize) -> String {
     let line = serde_json::to_string(record).expect("a record holds nothing that JSON cannot express");
     line + "\n"
 }

@@ -1,5 +1,6 @@
 //! `curves.svg`: loss, indicator and theta against the epoch, one above the other.
 
+use super::ink::{self, COLOURS, FAINT, FONT, INK, decimals, padded};
 use crate::optim::EpochRecord;
 use plotters::{
     coord::{Shift, types::RangedCoordf64},
@@ -12,20 +13,8 @@ use thiserror::Error;
 const SIZE: (u32, u32) = (960, 960);
 /// Width of the column beside the panels.
 const SIDE: u32 = 190;
-const FONT: &str = "Helvetica, Arial, sans-serif";
-const INK: RGBColor = RGBColor(40, 44, 52);
-const FAINT: RGBColor = RGBColor(225, 228, 232);
 const CURRICULUM: RGBColor = RGBColor(246, 243, 234);
 const BEST: RGBColor = RGBColor(190, 60, 50);
-/// Okabe and Ito's colours, told apart by all kinds of eyes.
-const COLOURS: [RGBColor; 5] = [
-    RGBColor(0, 114, 178),
-    RGBColor(213, 94, 0),
-    RGBColor(0, 158, 115),
-    RGBColor(204, 121, 167),
-    RGBColor(140, 110, 20),
-];
-
 /// The curves could not be drawn.
 #[derive(Debug, Error)]
 #[error("the curves cannot be drawn: {0}")]
@@ -76,6 +65,7 @@ impl Curves<'_> {
     }
 
     fn draw(&self, svg: &mut String) -> Drawn {
+        ink::prepare();
         let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();
         root.fill(&WHITE)?;
         let body = root.margin(12, 6, 0, 0).titled(self.title, (FONT, 20).into_font().color(&INK))?;
@@ -191,23 +181,6 @@ fn draw_line(chart: &mut Chart<'_, '_>, line: &Line) -> Drawn {
     Ok(())
 }
 
-/// Digits after the point that tell the marks of an axis apart.
-fn decimals(values: &Range<f64>) -> usize {
-    let mark = (values.end - values.start) / 10.0;
-    (-mark.log10()).ceil().clamp(0.0, 6.0) as usize
-}
-
-/// The range of the values with a margin, never empty.
-fn padded(values: impl Iterator<Item = f64>, least_margin: f64) -> Range<f64> {
-    let (low, high) =
-        values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
-    if low > high {
-        return 0.0..1.0;
-    }
-    let margin = (0.08 * (high - low) + 1e-5 * high.abs().max(1.0)).max(least_margin);
-    low - margin..high + margin
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -248,13 +221,5 @@ mod tests {
     #[test]
     fn same_history_gives_the_same_bytes() {
         assert_eq!(svg(31), svg(31));
-    }
-
-    #[test]
-    fn ranges_are_never_empty() {
-        for values in [vec![], vec![3.0], vec![0.0, 0.0], vec![-1e9, 1e9]] {
-            let Range { start, end } = padded(values.into_iter(), 0.0);
-            assert!(start < end);
-        }
     }
 }

@@ -15,6 +15,8 @@ pub const METRICS: &str = "metrics.jsonl";
 pub const CURVES: &str = "curves.svg";
 /// The resolved scene.
 pub const SCENE: &str = "scene.toml";
+/// What a comparison was begun with.
+pub const COMPARISON: &str = "comparison.json";
 /// The plan.
 pub const PLAN: &str = "skill.plan";
 /// A file longer than this is not from a run, bytes.
@@ -69,10 +71,12 @@ pub enum FolderError {
         file: &'static str,
     },
     /// Nothing to resume.
-    #[error("{path} holds no run to resume (there is no {STATE} file in it)")]
+    #[error("{path} holds nothing to resume (there is no {file} file in it)")]
     NoRun {
         /// The folder.
         path: PathBuf,
+        /// The file that is missing.
+        file: &'static str,
     },
 }
 
@@ -89,9 +93,11 @@ impl RunFolder {
     /// # Errors
     /// It cannot be created or written, is locked, or holds a run.
     pub fn create(path: &Path) -> Result<Self, FolderError> {
-        fs::create_dir_all(path).map_err(|source| FolderError::Create { path: path.into(), source })?;
-        let folder = Self::lock(path)?;
-        match [STATE, PLAN, METRICS, SCENE, CURVES].into_iter().find(|file| path.join(file).exists()) {
+        let folder = Self::take(path)?;
+        match [STATE, COMPARISON, PLAN, METRICS, SCENE, CURVES]
+            .into_iter()
+            .find(|file| path.join(file).exists())
+        {
             Some(file) => Err(FolderError::Taken { path: path.into(), file }),
             None => Ok(folder),
         }
@@ -123,9 +129,26 @@ impl RunFolder {
     /// # Errors
     /// There is no run, it is locked, or cannot be written.
     pub fn open(path: &Path) -> Result<Self, FolderError> {
-        if !path.join(STATE).exists() {
-            return Err(FolderError::NoRun { path: path.into() });
+        Self::open_with(path, STATE)
+    }
+
+    /// Takes a folder that holds this file.
+    ///
+    /// # Errors
+    /// It does not, it is locked, or cannot be written.
+    pub fn open_with(path: &Path, file: &'static str) -> Result<Self, FolderError> {
+        if !path.join(file).exists() {
+            return Err(FolderError::NoRun { path: path.into(), file });
         }
+        Self::lock(path)
+    }
+
+    /// Takes a folder, whatever it holds, creating it if need be.
+    ///
+    /// # Errors
+    /// It cannot be created or written, or is locked.
+    pub fn take(path: &Path) -> Result<Self, FolderError> {
+        fs::create_dir_all(path).map_err(|source| FolderError::Create { path: path.into(), source })?;
         Self::lock(path)
     }
 

@@ -2,6 +2,7 @@
 
 pub mod curves;
 pub mod folder;
+pub(crate) mod ink;
 pub mod plan;
 pub mod state;
 pub mod summary;

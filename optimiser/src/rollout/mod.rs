@@ -241,6 +241,11 @@ pub fn simulator<T: Real>(scene: &Scene, settings: &SimulatorSettings) -> Result
     Ok(Simulator::new(scene, scene.particle_positions_m(settings.seed), pool, settings.memory_bytes))
 }
 
+/// Loss of the powder as it is packed, that nobody has moved, metres.
+pub fn packed_loss(scene: &Scene, seed: u64) -> f64 {
+    outcome::loss(scene, &scene.particle_positions_m(seed)).0
+}
+
 pub(crate) fn thread_pool(threads: usize) -> Result<rayon::ThreadPool, RolloutError> {
     let builder = rayon::ThreadPoolBuilder::new().num_threads(threads);
     builder.build().map_err(|_| RolloutError::Threads { threads })

@@ -1,0 +1,472 @@
+//! `optimise compare`: the paper's experiment.
+
+use super::{
+    CliError, Context, Progress, Resources,
+    options::{DEFAULT_PRECISION, PrecisionArg},
+    run::{self, RunArgs},
+};
+use crate::{
+    compare::{Budget, Comparison, Method, Row, Track, Try, summarise},
+    report::folder::{COMPARISON, CURVES, RunFolder, SCENE},
+    report::words::{duration, hex},
+    rollout::{Evaluate, SimulatorSettings, packed_loss},
+    scene::{DEFAULT_SCENE, Digest, Scene},
+    skill::{SkillMap, Theta},
+};
+use clap::Args;
+use powderline_baseline::Search;
+use powderline_shared::plan::Precision;
+use serde::{Deserialize, Serialize};
+use std::{
+    fmt::Write as _,
+    path::{Path, PathBuf},
+};
+
+/// What was tried, one JSON line each.
+const TRIES: &str = "tries.jsonl";
+/// Every try of every track.
+const TABLE: &str = "comparison.csv";
+/// The figure for papers.
+const PICTURE: &str = "curves.png";
+/// The summary, as printed.
+const SUMMARY: &str = "summary.md";
+
+/// Most seeds, and most rollouts of a search.
+const MAX_SEEDS: usize = 100;
+const MAX_TRIES: u64 = 1_000_000;
+
+/// Arguments of `optimise compare`.
+#[derive(Clone, Debug, Args)]
+pub(super) struct CompareArgs {
+    /// Scene: an embedded name or a TOML file [default: bench]
+    #[arg(value_name = "SCENE", conflicts_with = "resume")]
+    pub scene: Option<String>,
+    /// Seeds, each of packing, first skill and search
+    #[arg(
+        long,
+        value_name = "N,..",
+        value_delimiter = ',',
+        default_value = "1,2,3",
+        conflicts_with = "resume"
+    )]
+    pub seeds: Vec<u64>,
+    /// Updates along the gradient [default: the scene's]
+    #[arg(long, value_name = "N", conflicts_with = "resume")]
+    pub epochs: Option<u32>,
+    /// Methods, in the order of the legend
+    #[arg(
+        long,
+        value_name = "METHOD,..",
+        value_delimiter = ',',
+        default_value = "gradient,sac,cma-es,random",
+        conflicts_with = "resume"
+    )]
+    pub methods: Vec<Method>,
+    /// Rollouts that searches without gradients have for each epoch; the default is what the gradient takes for a skill and
+    /// five central differences
+    #[arg(
+        long,
+        value_name = "N",
+        default_value = "11",
+        value_parser = clap::value_parser!(u32).range(1..=10_000),
+        conflicts_with = "resume"
+    )]
+    pub rollouts_per_epoch: u32,
+    /// Show besides what searches without gradients achieve with so many times the rollouts
+    #[arg(
+        long,
+        value_name = "N",
+        default_value = "1",
+        value_parser = clap::value_parser!(u32).range(1..=1_000),
+        conflicts_with = "resume"
+    )]
+    pub budget_factor: u32,
+    /// Precision of the simulation [default: f32]
+    #[arg(long, conflicts_with = "resume")]
+    pub precision: Option<PrecisionArg>,
+    /// Threads and memory.
+    #[command(flatten)]
+    pub resources: Resources,
+    /// Folder to write into, new or without a comparison [default: runs/<scene>-comparison, numbered if taken]
+    #[arg(long, value_name = "DIR", conflicts_with = "resume")]
+    pub out: Option<PathBuf>,
+    /// Go on with the comparison in this folder
+    #[arg(long, value_name = "DIR")]
+    pub resume: Option<PathBuf>,
+}
+
+/// What a comparison was begun with.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Plan {
+    scene: Digest,
+    precision: Precision,
+    seeds: Vec<u64>,
+    methods: Vec<Method>,
+    budget: Budget,
+}
+
+/// A comparison whose folder is open and locked.
+struct Experiment {
+    folder: RunFolder,
+    scene: Scene,
+    plan: Plan,
+    resources: Resources,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// One sentence; everything evaluated before is saved.
+pub(super) fn execute(arguments: &CompareArgs, context: &mut Context<'_>) -> Result<(), CliError> {
+    let experiment = match &arguments.resume {
+        Some(folder) => Experiment::open(folder, arguments.resources)?,
+        None => Experiment::start(arguments)?,
+    };
+    let folder = experiment.folder.path().display();
+    let remark = format!(
+        "what was evaluated is saved, go on with: cargo run --release --bin optimise -- compare --resume {folder}"
+    );
+    let comparison = experiment.complete(context).map_err(|error| error.with_remark(&remark))?;
+    write!(context.out, "\n{}", experiment.summary(&comparison))?;
+    writeln!(context.out, "\nThe figure is in {}.", experiment.folder.file(CURVES).display())?;
+    Ok(())
+}
+
+impl Experiment {
+    fn start(arguments: &CompareArgs) -> Result<Self, CliError> {
+        let name = arguments.scene.as_deref().unwrap_or(DEFAULT_SCENE);
+        let scene = Scene::load(name)?;
+        let plan = Plan {
+            scene: scene.digest(),
+            precision: arguments.precision.map_or(DEFAULT_PRECISION, Precision::from),
+            seeds: distinct("--seeds", &arguments.seeds)?,
+            methods: distinct("--methods", &arguments.methods)?,
+            budget: Budget {
+                epochs: run::checked_epochs(arguments.epochs.unwrap_or(scene.optimiser.epochs))?,
+                rollouts_per_epoch: arguments.rollouts_per_epoch,
+                factor: arguments.budget_factor,
+            },
+        };
+        plan.check()?;
+        for method in &plan.methods {
+            let map = SkillMap::new(&method.scene(&scene));
+            map.check_all_corners()
+                .map_err(|error| CliError::Input(format!("{name}, for {}: {error}", method.name())))?;
+        }
+        let folder = match &arguments.out {
+            Some(path) => RunFolder::create(path)?,
+            None => {
+                let name = format!("{}-comparison", run::safe_name(&scene.name));
+                RunFolder::create_numbered(&Path::new("runs").join(name))?
+            }
+        };
+        folder.replace(SCENE, scene.to_toml().as_bytes())?;
+        let text = serde_json::to_string_pretty(&plan).map_err(std::io::Error::from)?;
+        folder.replace(COMPARISON, text.as_bytes()).inspect_err(|_| folder.discard(SCENE))?;
+        Ok(Self { folder, scene, plan, resources: arguments.resources })
+    }
+
+    fn open(path: &Path, resources: Resources) -> Result<Self, CliError> {
+        let folder = RunFolder::open_with(path, COMPARISON)?;
+        let file = folder.file(COMPARISON).display().to_string();
+        let plan: Plan = serde_json::from_slice(&folder.read(COMPARISON)?).map_err(|error| {
+            CliError::Input(format!("{file} is not what a comparison leaves behind: {error}"))
+        })?;
+        plan.check().map_err(|error| CliError::Input(format!("{file}: {error}")))?;
+        let name = folder.file(SCENE).display().to_string();
+        let scene = Scene::load(&name)?;
+        if scene.digest() != plan.scene {
+            let [saved, found] = [plan.scene, scene.digest()].map(|digest| hex(&digest[..4]));
+            return Err(CliError::Input(format!(
+                "{name} is no longer the scene that the comparison was started with (digest {saved}, not {found})"
+            )));
+        }
+        Ok(Self { folder, scene, plan, resources })
+    }
+
+    /// Runs what is left, track after track, and draws what there is after each.
+    fn complete(&self, context: &mut Context<'_>) -> Result<Comparison, CliError> {
+        let mut comparison = Comparison {
+            scene: self.scene.name.clone(),
+            target: self.scene.target_count() as i64,
+            budget: self.plan.budget,
+            tracks: Vec::new(),
+        };
+        // Seed after seed, so that there is something to compare early.
+        for seed in &self.plan.seeds {
+            for method in &self.plan.methods {
+                let track = self.track(*method, *seed, context)?;
+                comparison.tracks.push(track);
+            }
+            self.write(&comparison)?;
+        }
+        Ok(comparison)
+    }
+
+    fn track(&self, method: Method, seed: u64, context: &mut Context<'_>) -> Result<Track, CliError> {
+        let path = self.folder.file(&format!("{}-seed{seed}", method.name()));
+        match method.search(seed) {
+            None => self.gradient(method, seed, &path, context),
+            Some(search) => self.search(method, seed, search, &path, context),
+        }
+    }
+
+    /// A run like any other, in a folder of its own.
+    fn gradient(
+        &self,
+        method: Method,
+        seed: u64,
+        path: &Path,
+        context: &mut Context<'_>,
+    ) -> Result<Track, CliError> {
+        let file = format!("{}.toml", method.name());
+        self.folder.replace(&file, method.scene(&self.scene).to_toml().as_bytes())?;
+        let arguments = RunArgs {
+            scene: Some(self.folder.file(&file).display().to_string()),
+            seed: Some(seed),
+            epochs: Some(self.plan.budget.epochs),
+            precision: Some(self.plan.precision.into()),
+            resources: self.resources,
+            out: Some(path.into()),
+            resume: None,
+        };
+        let history = run::completed(&arguments, context)?;
+        Ok(Track::of_epochs(method, seed, &history))
+    }
+
+    fn search(
+        &self,
+        method: Method,
+        seed: u64,
+        search: Box<dyn Search>,
+        path: &Path,
+        context: &mut Context<'_>,
+    ) -> Result<Track, CliError> {
+        let folder = RunFolder::take(path)?;
+        let settings = self.resources.settings(seed, self.plan.precision);
+        let mut tracing = Tracing {
+            known: read_tries(&folder)?,
+            track: Track { method, seed, tries: Vec::new() },
+            search,
+            folder,
+            most: self.plan.budget.tries(),
+        };
+        tracing.replay()?;
+        if !tracing.is_done() {
+            let simulator = (context.factory)(&self.scene, &settings)?;
+            tracing.go_on(&self.scene, &settings, simulator, context)?;
+        }
+        Ok(tracing.track)
+    }
+
+    fn write(&self, comparison: &Comparison) -> Result<(), CliError> {
+        let failed = |error: crate::compare::figure::FigureError| CliError::Failed(error.to_string());
+        self.folder.replace(CURVES, comparison.to_svg().map_err(failed)?.as_bytes())?;
+        self.folder.replace(PICTURE, &comparison.to_png().map_err(failed)?)?;
+        self.folder.replace(TABLE, table(comparison).as_bytes())?;
+        Ok(self.folder.replace(SUMMARY, self.summary(comparison).as_bytes())?)
+    }
+
+    /// The table, as Markdown and for people who read it as it is.
+    fn summary(&self, comparison: &Comparison) -> String {
+        let rows = summarise(comparison, &|seed| packed_loss(&self.scene, seed));
+        let mut lines = vec![Row::headings(self.plan.budget.epochs)];
+        lines.extend(rows.iter().map(Row::cells));
+        let width = |column: usize| lines.iter().map(|line| line[column].len()).max().unwrap_or_default();
+        let mut text = String::new();
+        for (index, line) in lines.iter().enumerate() {
+            for (column, cell) in line.iter().enumerate() {
+                // Writing to a string does not fail.
+                let _ = write!(text, "| {cell:<width$} ", width = width(column));
+            }
+            text += "|\n";
+            if index == 0 {
+                (0..line.len()).for_each(|column| text += &format!("|{}", "-".repeat(width(column) + 2)));
+                text += "|\n";
+            }
+        }
+        text
+    }
+}
+
+impl Plan {
+    fn check(&self) -> Result<(), CliError> {
+        let tries = u64::from(self.budget.epochs + 1)
+            * u64::from(self.budget.rollouts_per_epoch)
+            * u64::from(self.budget.factor);
+        if tries > MAX_TRIES {
+            return Err(CliError::Input(format!(
+                "epochs, rollouts per epoch and budget factor make {tries} rollouts of a search, but at most {MAX_TRIES} are \
+                 possible"
+            )));
+        }
+        match self.seeds.len() {
+            0 => Err(CliError::Input("there is no seed, and one at least is needed".into())),
+            count if count > MAX_SEEDS => {
+                Err(CliError::Input(format!("there are {count} seeds, but at most {MAX_SEEDS} are possible")))
+            }
+            _ if self.methods.is_empty() => {
+                Err(CliError::Input("there is no method, and one at least is needed".into()))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// The list, if nothing is in it twice.
+fn distinct<T: Clone + PartialEq + std::fmt::Debug>(name: &str, list: &[T]) -> Result<Vec<T>, CliError> {
+    match (1..list.len()).find(|index| list[..*index].contains(&list[*index])) {
+        None => Ok(list.to_vec()),
+        Some(index) => {
+            Err(CliError::Input(format!("{name} names {:?} twice, and once is enough", list[index])))
+        }
+    }
+}
+
+/// A search without gradients on its way.
+struct Tracing {
+    folder: RunFolder,
+    search: Box<dyn Search>,
+    track: Track,
+    /// What an earlier session has evaluated.
+    known: Vec<Try>,
+    /// Skills to evaluate.
+    most: u32,
+}
+
+impl Tracing {
+    fn is_done(&self) -> bool {
+        self.track.tries.len() >= self.most as usize
+    }
+
+    /// The next skills to evaluate.
+    fn ask(&mut self) -> Result<Vec<Theta>, CliError> {
+        let left = self.most as usize - self.track.tries.len();
+        let skill = |point: Vec<f64>| point.try_into().map_err(|_| ());
+        let skills: Result<Vec<Theta>, ()> = self.search.ask(left).into_iter().map(skill).collect();
+        skills.map_err(|()| CliError::Failed("a search asked for a skill without five parameters".into()))
+    }
+
+    fn tell(&mut self, tries: &[Try]) {
+        self.search.tell(&tries.iter().map(|one| one.loss).collect::<Vec<_>>());
+        self.track.tries.extend(tries);
+    }
+
+    /// Tells the search what it was told before, as far as that is known in whole batches.
+    fn replay(&mut self) -> Result<(), CliError> {
+        while !self.is_done() {
+            let done = self.track.tries.len();
+            let skills = self.ask()?;
+            let Some(known) = self.known.get(done..done + skills.len()).map(<[Try]>::to_vec) else { break };
+            let same = |(skill, one): (&Theta, &Try)| skill.map(f64::to_bits) == one.theta.map(f64::to_bits);
+            if !skills.iter().zip(&known).all(same) {
+                return Err(CliError::Input(format!(
+                    "{} holds skills that this version of the search does not ask for; start a new comparison",
+                    self.folder.file(TRIES).display()
+                )));
+            }
+            self.tell(&known);
+        }
+        // What is left of a batch that was not finished is evaluated again.
+        let lines: String = self.track.tries.iter().map(run::json_line).collect();
+        Ok(self.folder.replace(TRIES, lines.as_bytes())?)
+    }
+
+    fn go_on(
+        &mut self,
+        scene: &Scene,
+        settings: &SimulatorSettings,
+        mut simulator: Box<dyn Evaluate>,
+        context: &mut Context<'_>,
+    ) -> Result<(), CliError> {
+        let name = self.track.method.name();
+        let mut progress = Progress::new(context.err, context.live);
+        progress.line(&format!(
+            "{}: {name}, seed {}, {} rollouts, into {}",
+            scene.name,
+            settings.seed,
+            self.most,
+            self.folder.path().display()
+        ));
+        while !self.is_done() {
+            let done = self.track.tries.len();
+            progress.begin(&format!("{name} {done}/{}", self.most), 0, &[]);
+            let interrupt = context.interrupt.clone();
+            let mut tick = |done, total| {
+                progress.tick(done, total);
+                !interrupt.is_requested()
+            };
+            let skills = self.ask()?;
+            let found = simulator.evaluate_all(&skills, &mut tick);
+            progress.clear();
+            let found = found?;
+            let seconds = (progress.seconds() * 1e3).round() / 1e3 / skills.len() as f64;
+            let mut tries: Vec<Try> = Vec::with_capacity(skills.len());
+            for (theta, found) in skills.iter().zip(&found) {
+                let last = tries.last().or(self.track.tries.last());
+                tries.push(Try::after(last, *theta, found, 1, seconds));
+            }
+            let lines: String = tries.iter().map(run::json_line).collect();
+            self.folder.append(TRIES, lines.as_bytes())?;
+            self.tell(&tries);
+        }
+        progress.line(&self.outcome());
+        Ok(())
+    }
+
+    fn outcome(&self) -> String {
+        let tries = &self.track.tries;
+        let Some(best) = tries.iter().min_by(|a, b| a.loss.total_cmp(&b.loss)) else { return String::new() };
+        let seconds = tries.last().map_or(0.0, |last| last.seconds);
+        format!(
+            "{}, seed {}: lowest loss {:.3} m (indicator {}) after {} of {} rollouts, {}",
+            self.track.method.name(),
+            self.track.seed,
+            best.loss,
+            best.indicator,
+            best.rollouts,
+            tries.len(),
+            duration(seconds)
+        )
+    }
+}
+
+/// What an earlier session has evaluated; a last line that it did not finish is left out.
+fn read_tries(folder: &RunFolder) -> Result<Vec<Try>, CliError> {
+    if !folder.file(TRIES).exists() {
+        return Ok(Vec::new());
+    }
+    let bytes = folder.read(TRIES)?;
+    let whole = bytes.iter().rposition(|byte| *byte == b'\n').map_or(0, |end| end + 1);
+    let lines = bytes[..whole].split(|byte| *byte == b'\n').filter(|line| !line.is_empty());
+    let parsed = (1..).zip(lines).map(|(number, line)| {
+        let tried: Result<Try, _> = serde_json::from_slice(line);
+        tried.map_err(|error| {
+            let file = folder.file(TRIES).display().to_string();
+            CliError::Input(format!("{file}, line {number}, is not what a comparison leaves behind: {error}"))
+        })
+    });
+    parsed.collect()
+}
+
+/// Every try of every track.
+fn table(comparison: &Comparison) -> String {
+    let mut text = String::from(
+        "method,seed,try,rollouts,seconds,loss_m,indicator,transported,spilled,theta_0,theta_1,theta_2,theta_3,theta_4\n",
+    );
+    for track in &comparison.tracks {
+        for (index, one) in track.tries.iter().enumerate() {
+            let Try { loss, indicator, transported, spilled, rollouts, seconds, theta: [a, b, c, d, e] } =
+                one;
+            // Writing to a string does not fail.
+            let _ = writeln!(
+                text,
+                "{},{},{index},{rollouts},{seconds:.3},{loss},{indicator},{transported},{spilled},{a},{b},{c},{d},{e}",
+                track.method.name(),
+                track.seed
+            );
+        }
+    }
+    text
+}

@@ -1,0 +1,253 @@
+//! The figure of a comparison: indicator against epoch as in the paper, and loss against rollouts.
+
+use super::{Comparison, Curve, summary::spread};
+use crate::report::ink::{self, COLOURS, FAINT, FONT, INK, decimals, padded};
+use plotters::{
+    backend::DrawingBackend,
+    coord::{Shift, types::RangedCoordf64},
+    prelude::*,
+};
+use thiserror::Error;
+
+/// Width and height, pixels.
+const SIZE: (u32, u32) = (1120, 460);
+
+/// Height of the legend's lines.
+const LEGEND_LINE: i32 = 20;
+
+/// The figure could not be drawn.
+#[derive(Debug, Error)]
+#[error("the figure cannot be drawn: {0}")]
+pub struct FigureError(String);
+
+type Drawn<B> = Result<(), DrawingAreaErrorKind<<B as DrawingBackend>::ErrorType>>;
+type Chart<'a, B> = ChartContext<'a, B, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
+
+/// Mean and spread over the seeds along a curve.
+struct Band {
+    name: String,
+    colour: RGBColor,
+    /// A curve of more than the budget is drawn thin.
+    width: u32,
+    /// Place on the axis, mean, spread.
+    points: Vec<[f64; 3]>,
+}
+
+/// One of the two halves.
+struct Panel {
+    x_name: &'static str,
+    y_name: &'static str,
+    bands: Vec<Band>,
+}
+
+impl Comparison {
+    /// The figure as SVG text.
+    ///
+    /// # Errors
+    /// The drawing library refuses.
+    pub fn to_svg(&self) -> Result<String, FigureError> {
+        let mut svg = String::new();
+        self.draw(SVGBackend::with_string(&mut svg, self.size()).into_drawing_area())?;
+        Ok(svg)
+    }
+
+    /// The figure as a PNG file.
+    ///
+    /// # Errors
+    /// The drawing library refuses.
+    pub fn to_png(&self) -> Result<Vec<u8>, FigureError> {
+        let (width, height) = self.size();
+        let mut pixels = vec![255; 3 * (width * height) as usize];
+        self.draw(BitMapBackend::with_buffer(&mut pixels, (width, height)).into_drawing_area())?;
+        let mut file = Vec::new();
+        let failed = |error: png::EncodingError| FigureError(error.to_string());
+        let mut encoder = png::Encoder::new(&mut file, width, height);
+        encoder.set_color(png::ColorType::Rgb);
+        encoder.write_header().and_then(|mut png| png.write_image_data(&pixels)).map_err(failed)?;
+        Ok(file)
+    }
+
+    fn size(&self) -> (u32, u32) {
+        (SIZE.0, SIZE.1 + (LEGEND_LINE * self.legend_lines()) as u32)
+    }
+
+    fn legend_lines(&self) -> i32 {
+        (self.curves().len() as i32 + 2) / 3
+    }
+
+    fn draw<B: DrawingBackend>(&self, root: DrawingArea<B, Shift>) -> Result<(), FigureError> {
+        ink::prepare();
+        self.draw_panels(&root).map_err(|error| FigureError(error.to_string()))
+    }
+
+    fn draw_panels<B: DrawingBackend>(&self, root: &DrawingArea<B, Shift>) -> Drawn<B> {
+        root.fill(&WHITE)?;
+        let seeds = self.curves().first().map_or(0, |curve| self.tracks_of(*curve).count());
+        let title = format!(
+            "{}: best skill so far, mean and standard deviation over {seeds} seed{}",
+            self.scene,
+            if seeds == 1 { "" } else { "s" }
+        );
+        let body = root.margin(10, 6, 8, 14).titled(&title, (FONT, 18).into_font().color(&INK))?;
+        let (charts, legend) = body.split_vertically(SIZE.1 - 60);
+        let (left, right) = charts.split_horizontally(SIZE.0 / 2);
+        let by_epoch = self.by_epoch();
+        draw_panel(&left, &by_epoch)?;
+        draw_panel(&right, &self.by_rollouts())?;
+        draw_legend(&legend, &by_epoch.bands)?;
+        root.present()
+    }
+
+    /// Indicator against epoch.
+    fn by_epoch(&self) -> Panel {
+        let points = |curve: Curve| {
+            let last = self.last_epoch(curve).map_or(0, |last| last + 1);
+            (0..last).filter_map(move |epoch| {
+                let at = |track| self.best(curve, track, epoch).map(|best| best.indicator as f64);
+                point(f64::from(epoch), self.tracks_of(curve).map(at).collect())
+            })
+        };
+        Panel {
+            x_name: "epoch",
+            y_name: "indicator (wanted particles that are missing)",
+            bands: self.bands(&|curve| points(curve).collect()),
+        }
+    }
+
+    /// Loss against rollouts.
+    fn by_rollouts(&self) -> Panel {
+        let points = |curve: Curve| {
+            let last = self.last_epoch(curve).map_or(0, |last| last + 1);
+            (0..last).filter_map(move |epoch| {
+                let tracks: Vec<_> = self.tracks_of(curve).collect();
+                let at = |track: &&super::Track| self.best(curve, track, epoch).map(|best| best.loss);
+                let spent = |track: &&super::Track| {
+                    let tries = track.tries.get(self.tries_by(curve, epoch) - 1);
+                    tries.map_or(0.0, |one| f64::from(one.rollouts))
+                };
+                let rollouts = tracks.iter().map(spent).sum::<f64>() / tracks.len() as f64;
+                point(rollouts, tracks.iter().map(at).collect())
+            })
+        };
+        Panel {
+            x_name: "rollouts",
+            y_name: "lowest loss (m)",
+            bands: self.bands(&|curve| points(curve).collect()),
+        }
+    }
+
+    fn bands(&self, points: &dyn Fn(Curve) -> Vec<[f64; 3]>) -> Vec<Band> {
+        let mut methods = Vec::new();
+        let band = |curve: Curve| {
+            if !methods.contains(&curve.method) {
+                methods.push(curve.method);
+            }
+            let place = methods.iter().position(|method| *method == curve.method).unwrap_or_default();
+            Band {
+                name: curve.name(),
+                colour: COLOURS[place % COLOURS.len()],
+                width: if curve.factor == 1 { 3 } else { 1 },
+                points: points(curve),
+            }
+        };
+        self.curves().into_iter().map(band).collect()
+    }
+}
+
+/// A place with mean and spread of the values there; none if one is missing.
+fn point(x: f64, values: Option<Vec<f64>>) -> Option<[f64; 3]> {
+    let values = values.filter(|values| !values.is_empty())?;
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    Some([x, mean, spread(&values)])
+}
+
+fn draw_panel<B: DrawingBackend>(area: &DrawingArea<B, Shift>, panel: &Panel) -> Drawn<B> {
+    let points = || panel.bands.iter().flat_map(|band| &band.points);
+    let values = padded(points().flat_map(|[_, mean, spread]| [mean - spread, mean + spread]), 1.0);
+    let end = points().map(|point| point[0]).fold(1.0, f64::max);
+    let mut chart = ChartBuilder::on(area)
+        .margin_left(6)
+        .margin_right(16)
+        .x_label_area_size(40)
+        .y_label_area_size(70)
+        .build_cartesian_2d(0.0..end, values.clone())?;
+    let decimals = decimals(&values);
+    chart
+        .configure_mesh()
+        .disable_x_mesh()
+        .bold_line_style(FAINT)
+        .light_line_style(TRANSPARENT)
+        .axis_style(INK)
+        .x_desc(panel.x_name)
+        .y_desc(panel.y_name)
+        .x_labels(8)
+        .x_label_formatter(&|x| format!("{x:.0}"))
+        .y_labels(7)
+        .y_label_formatter(&|y| format!("{y:.decimals$}"))
+        .axis_desc_style((FONT, 14).into_font().color(&INK))
+        .label_style((FONT, 12).into_font().color(&INK))
+        .draw()?;
+    for band in &panel.bands {
+        draw_band(&mut chart, band)?;
+    }
+    Ok(())
+}
+
+fn draw_band<B: DrawingBackend>(chart: &mut Chart<'_, B>, band: &Band) -> Drawn<B> {
+    let above = band.points.iter().map(|[x, mean, spread]| (*x, mean + spread));
+    let below = band.points.iter().rev().map(|[x, mean, spread]| (*x, mean - spread));
+    chart.draw_series([Polygon::new(above.chain(below).collect::<Vec<_>>(), band.colour.mix(0.15))])?;
+    let line = band.points.iter().map(|[x, mean, _]| (*x, *mean));
+    chart.draw_series(LineSeries::new(line, band.colour.stroke_width(band.width)))?;
+    Ok(())
+}
+
+fn draw_legend<B: DrawingBackend>(area: &DrawingArea<B, Shift>, bands: &[Band]) -> Drawn<B> {
+    let column = SIZE.0 as i32 / 3;
+    for (index, band) in (0..).zip(bands) {
+        let (x, y) = (80 + column * (index % 3), LEGEND_LINE * (index / 3) + 4);
+        let style = band.colour.stroke_width(band.width);
+        area.draw(&PathElement::new([(x, y + 7), (x + 26, y + 7)], style))?;
+        area.draw(&Text::new(band.name.clone(), (x + 34, y), (FONT, 14).into_font().color(&INK)))?;
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::tests::comparison;
+    use super::*;
+
+    #[test]
+    fn the_figure_names_its_curves_and_axes() {
+        let svg = comparison().to_svg().unwrap();
+        for text in ["bench", "gradient", "random, 2 times", "epoch", "rollouts", "loss", "over 2 seeds"] {
+            assert!(svg.contains(text), "{text}");
+        }
+        assert!(svg.trim_end().ends_with("</svg>") && !svg.contains("NaN"));
+        assert_eq!(svg, comparison().to_svg().unwrap());
+    }
+
+    #[test]
+    fn the_picture_holds_the_colours_of_its_curves() {
+        let comparison = comparison();
+        let png = comparison.to_png().unwrap();
+        let mut reader = png::Decoder::new(std::io::Cursor::new(&png)).read_info().unwrap();
+        let mut pixels = vec![0; reader.output_buffer_size().unwrap()];
+        reader.next_frame(&mut pixels).unwrap();
+        assert_eq!((reader.info().width, reader.info().height), comparison.size());
+        for RGBColor(r, g, b) in &COLOURS[..2] {
+            assert!(pixels.chunks(3).filter(|pixel| *pixel == [*r, *g, *b]).count() > 500);
+        }
+    }
+
+    #[test]
+    fn a_comparison_that_has_just_begun_is_drawn() {
+        let mut comparison = comparison();
+        comparison.tracks.iter_mut().for_each(|track| track.tries.clear());
+        comparison.to_svg().unwrap();
+        comparison.tracks.clear();
+        comparison.to_svg().unwrap();
+        comparison.to_png().unwrap();
+    }
+}

@@ -1,0 +1,68 @@
+//! The methods that are compared.
+
+use crate::scene::{Gradient, Scene, Timing};
+use clap::ValueEnum;
+use powderline_baseline::{CmaEs, RandomSearch, Search};
+use serde::{Deserialize, Serialize};
+
+/// A way to search for a skill.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum Method {
+    /// RMSprop with curriculum, as the scene has it
+    Gradient,
+    /// The same, with all five parameters from the first epoch
+    GradientNoCurriculum,
+    /// The same, with every segment of the motion in whole control steps
+    GradientRounded,
+    /// The same, by the adjoint alone, without central differences
+    GradientAdjoint,
+    /// Soft actor-critic, one skill an episode
+    Sac,
+    /// Covariance matrix adaptation
+    CmaEs,
+    /// Skills drawn uniformly
+    Random,
+}
+
+impl Method {
+    /// As the figure names it; also the name of its folder.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Gradient => "gradient",
+            Self::GradientNoCurriculum => "gradient-no-curriculum",
+            Self::GradientRounded => "gradient-rounded",
+            Self::GradientAdjoint => "gradient-adjoint",
+            Self::Sac => "sac",
+            Self::CmaEs => "cma-es",
+            Self::Random => "random",
+        }
+    }
+
+    /// Whether it goes along a gradient, by the search that `optimise run` makes.
+    pub fn is_gradient(self) -> bool {
+        !matches!(self, Self::Sac | Self::CmaEs | Self::Random)
+    }
+
+    /// The scene as this method has it.
+    pub fn scene(self, scene: &Scene) -> Scene {
+        let mut scene = scene.clone();
+        match self {
+            Self::GradientNoCurriculum => scene.optimiser.curriculum_epochs = 0,
+            Self::GradientRounded => scene.skill.timing = Timing::Rounded,
+            Self::GradientAdjoint => scene.optimiser.gradient = Gradient::Adjoint,
+            Self::Gradient | Self::Sac | Self::CmaEs | Self::Random => {}
+        }
+        scene
+    }
+
+    /// The search over five parameters; none for a method that goes along a gradient.
+    pub fn search(self, seed: u64) -> Option<Box<dyn Search>> {
+        const PARAMETERS: usize = 5;
+        match self {
+            Self::CmaEs => Some(Box::new(CmaEs::new(PARAMETERS, seed))),
+            Self::Random => Some(Box::new(RandomSearch::new(PARAMETERS, seed))),
+            _ => None,
+        }
+    }
+}
