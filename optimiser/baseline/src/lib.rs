@@ -1,4 +1,14 @@
 //! What the gradient is compared with: searches that see losses and nothing else.
+//!
+//! [`RandomSearch`] is the least that any search must beat, [`CmaEs`] a strong search without gradients, [`Sac`] the
+//! reinforcement learning that the paper compares with.
+
+mod cmaes;
+mod noise;
+mod random;
+
+pub use cmaes::CmaEs;
+pub use random::RandomSearch;
 
 /// A search over [-1, 1]^n that asks for points in batches and is told their losses.
 ///
