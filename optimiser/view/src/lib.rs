@@ -6,6 +6,7 @@
 //! World frame: z up, floor at z = 0, the simulated volume is `[0, size_m]`. Lengths in metres, times in seconds.
 
 pub mod mesh;
+pub mod page;
 
 use powderline_shared::pose::Pose;
 

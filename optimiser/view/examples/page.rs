@@ -1,0 +1,236 @@
+//! Pages of made-up motions, for the browser's test: `cargo run -p powderline-view --example page -- FOLDER`.
+//!
+//! `replay.html` shows powder that a bowl carries from a box to a round container, `curves.html` has no replay. Where
+//! particle 0 is at which time is known in closed form: see [`carried`].
+
+use std::f64::consts::{PI, TAU};
+use std::path::{Path, PathBuf};
+
+use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use powderline_shared::pose::Pose;
+use powderline_view::mesh::Mesh;
+use powderline_view::page::{Chart, Page, Recorder, Series, Table};
+use powderline_view::{Bench, Container, Destination, Frame, Role, Sink, ViewError};
+
+const PARTICLES: usize = 12_500;
+const FRAMES: usize = 500;
+const PERIOD_S: f64 = 0.01;
+const SOURCE_M: [f64; 3] = [0.13, 0.12, 0.004];
+const TARGET_M: [f64; 3] = [0.36, 0.12, 0.004];
+
+fn main() -> Result<(), ViewError> {
+    let folder = PathBuf::from(std::env::args().nth(1).unwrap_or_else(|| ".".into()));
+    replay(&folder.join("replay.html"))?;
+    curves(&folder.join("curves.html"))
+}
+
+/// A page with everything.
+fn replay(path: &Path) -> Result<(), ViewError> {
+    let bench = bench();
+    let mut recorder = Recorder::new(&bench);
+    for index in 0..FRAMES {
+        let time_s = index as f64 * PERIOD_S;
+        let (positions_m, velocities_m_s) = powder(time_s);
+        recorder.frame(&Frame {
+            index,
+            time_s,
+            tool: tool(time_s, 1.0),
+            planned: Some(tool(time_s, 0.0)),
+            positions_m: &positions_m,
+            velocities_m_s: &velocities_m_s,
+        })?;
+    }
+    recorder.finish(&(0..PARTICLES).map(destination).collect::<Vec<_>>())?;
+    let page = Page {
+        title: "Scoop & pour, as the arm executed it".into(),
+        summary: entries(&[
+            ("Scene", "made up"),
+            ("Loss", "1218.9 m"),
+            ("In the target", "1,389 of 1,200"),
+            ("Spilled", "12"),
+            ("Wall time", "14 min 20 s"),
+        ]),
+        replay: recorder.into_replay(),
+        charts: charts(),
+        tables: vec![table()],
+        notes: vec![
+            "The powder of this page is no simulation: its particles follow formulas, so that a test can tell whether \
+             the page shows them where they are."
+                .into(),
+            "Names may hold anything: </script><b>\"bold\"</b> & 'more'.".into(),
+        ],
+    };
+    page.write(path)
+}
+
+/// A page that compares, without a replay.
+fn curves(path: &Path) -> Result<(), ViewError> {
+    let page = Page {
+        title: "Methods compared".into(),
+        summary: entries(&[("Scene", "made up"), ("Seeds", "5"), ("Simulations", "30 each")]),
+        charts: charts(),
+        tables: vec![table()],
+        ..Page::default()
+    };
+    page.write(path)
+}
+
+fn entries(texts: &[(&str, &str)]) -> Vec<(String, String)> {
+    texts.iter().map(|(name, value)| ((*name).into(), (*value).into())).collect()
+}
+
+fn bench() -> Bench {
+    let at = |[x, y, z]: [f64; 3]| Isometry3::translation(x, y, z);
+    let source = Mesh::open_box([0.15, 0.12, 0.06], 0.004).moved(&at(SOURCE_M));
+    let target = Mesh::open_cylinder(0.055, 0.06, 0.004).moved(&at(TARGET_M));
+    Bench {
+        name: "a made-up bench".into(),
+        size_m: [0.48, 0.24, 0.3],
+        cell_m: 0.005,
+        containers: vec![
+            Container { name: "box".into(), role: Role::Source, mesh: source },
+            Container { name: "beaker".into(), role: Role::Target, mesh: target },
+        ],
+        tool: Mesh::bowl(0.03, 0.002).and(Mesh::capsule([0.0, 0.032, 0.0], [0.0, 0.09, 0.06], 0.004)),
+        target_m: TARGET_M,
+        particles: PARTICLES,
+        period_s: PERIOD_S,
+        frames: FRAMES,
+    }
+}
+
+/// From 0 to 1 between two times, gently.
+fn eased(time_s: f64, from_s: f64, to_s: f64) -> f64 {
+    let share = ((time_s - from_s) / (to_s - from_s)).clamp(0.0, 1.0);
+    0.5 - 0.5 * (PI * share).cos()
+}
+
+/// Down into the powder, up, across, and over; an arm that is not perfect does it `off` its plan.
+fn tool(time_s: f64, off: f64) -> Pose {
+    let late_s = time_s - 0.06 * off;
+    let down = eased(late_s, 0.2, 1.0) - eased(late_s, 1.4, 2.2);
+    let across = eased(late_s, 2.0, 3.3);
+    let wobble_m = 0.004 * off * (TAU * time_s).sin();
+    let position_m = Vector3::new(
+        SOURCE_M[0] + across * (TARGET_M[0] - SOURCE_M[0] - 0.02),
+        SOURCE_M[1] + wobble_m,
+        0.14 - 0.09 * down + 0.5 * wobble_m,
+    );
+    let turn = 2.1 * eased(late_s, 3.4, 4.4) - 0.5 * down;
+    Pose { position_m, orientation: UnitQuaternion::from_axis_angle(&Vector3::y_axis(), turn) }
+}
+
+/// A number between 0 and 1 for each particle and purpose, always the same.
+fn chance(particle: usize, purpose: usize) -> f64 {
+    let mixed = (particle * 3 + purpose + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15_u64 as usize);
+    ((mixed ^ (mixed >> 31)).wrapping_mul(0xbf58_476d_1ce4_e5b9_u64 as usize) >> 40) as f64 / (1_u64 << 24) as f64
+}
+
+fn is_carried(particle: usize) -> bool {
+    particle.is_multiple_of(7)
+}
+
+fn destination(particle: usize) -> Destination {
+    match particle {
+        _ if !is_carried(particle) => Destination::Left,
+        _ if particle.is_multiple_of(91) => Destination::Spilled,
+        _ if particle.is_multiple_of(63) => Destination::Tool,
+        _ => Destination::Target,
+    }
+}
+
+fn powder(time_s: f64) -> (Vec<[f32; 3]>, Vec<[f32; 3]>) {
+    let step_s = 1e-4;
+    let each = (0..PARTICLES).map(|particle| {
+        let (now, next) = (place(particle, time_s), place(particle, time_s + step_s));
+        let velocity = (next - now) / step_s;
+        (<[f64; 3]>::from(now).map(|x| x as f32), <[f64; 3]>::from(velocity).map(|x| x as f32))
+    });
+    each.unzip()
+}
+
+fn place(particle: usize, time_s: f64) -> Vector3<f64> {
+    if is_carried(particle) { carried(particle, time_s) } else { resting(particle) }
+}
+
+/// A heap in the box.
+fn resting(particle: usize) -> Vector3<f64> {
+    let [x, y] = [0.146 * (chance(particle, 0) - 0.5), 0.116 * (chance(particle, 1) - 0.5)];
+    let top_m = 0.03 + 0.006 * (40.0 * x).cos() * (30.0 * y).cos();
+    Vector3::from(SOURCE_M) + Vector3::new(x, y, top_m * chance(particle, 2).powf(0.9))
+}
+
+/// In the box, then in the bowl, then falling, then in the beaker, on the floor or still in the bowl.
+fn carried(particle: usize, time_s: f64) -> Vector3<f64> {
+    let [a, b, c] = [0, 1, 2].map(|purpose| chance(particle, purpose));
+    // Particle 0 lies in the bowl's lowest point.
+    let (radius_m, depth_m) = if particle == 0 { (0.0, 0.03) } else { (0.026 * a.sqrt(), 0.005 + 0.02 * c) };
+    let radius_m = radius_m * (1.0 - (depth_m / 0.03).powi(2)).max(0.0).sqrt();
+    let in_tool = Vector3::new(radius_m * (TAU * b).cos(), radius_m * (TAU * b).sin(), -depth_m);
+    let scooped = tool(time_s, 1.0).world_from_tool(&in_tool);
+    let at_first = Vector3::from(SOURCE_M) + Vector3::new(0.05 * (a - 0.5), 0.05 * (b - 0.5), 0.028 * c);
+    let held = at_first.lerp(&scooped, eased(time_s, 0.9, 1.3));
+    let leaves_s = 3.9 + 0.4 * b;
+    if time_s < leaves_s || destination(particle) == Destination::Tool {
+        return held;
+    }
+    let from = tool(leaves_s, 1.0).world_from_tool(&in_tool);
+    fallen(particle, from, time_s - leaves_s)
+}
+
+fn fallen(particle: usize, from: Vector3<f64>, seconds: f64) -> Vector3<f64> {
+    let [a, b, c] = [0, 1, 2].map(|purpose| chance(particle, purpose));
+    let spilled = destination(particle) == Destination::Spilled;
+    let radius_m = if spilled { 0.075 + 0.02 * a } else { 0.05 * a.sqrt() };
+    let height_m = if spilled { 0.001 } else { TARGET_M[2] + 0.02 * c };
+    let to = Vector3::new(TARGET_M[0] + radius_m * (TAU * b).cos(), TARGET_M[1] + radius_m * (TAU * b).sin(), height_m);
+    let falls_s = (2.0 * (from.z - to.z).max(0.0) / 9.81).sqrt();
+    let share = (seconds / falls_s.max(1e-3)).min(1.0);
+    let across = from.lerp(&to, share);
+    Vector3::new(across.x, across.y, from.z - (from.z - to.z) * share * share)
+}
+
+fn charts() -> Vec<Chart> {
+    let curve = |from: f64, to: f64, rate: f64| -> Vec<[f64; 2]> {
+        (0..=30).map(|epoch| f64::from(epoch)).map(|x| [x, to + (from - to) * (-rate * x).exp()]).collect()
+    };
+    let banded = |name: &str, points: Vec<[f64; 2]>, half: f64| Series {
+        name: name.into(),
+        band: Some(points.iter().map(|[x, y]| [y - half * (1.0 + x / 30.0), y + half * (1.0 + x / 20.0)]).collect()),
+        points,
+    };
+    let transported: Vec<_> = curve(194.0, 1389.0, 0.15).into_iter().map(|[x, y]| [x, y.round()]).collect();
+    let mut gap = curve(0.3, -0.62, 0.1);
+    gap[12][1] = f64::NAN;
+    let theta = ["depth", "angle", "lift", "displacement", "pouring angle"].iter().zip([0.1, -0.7, 0.4, 0.9, -0.2]);
+    let mut skill: Vec<_> = theta.map(|(name, to)| Series::new(name, curve(0.0, to, 0.12))).collect();
+    skill.push(Series::new("with a gap", gap));
+    skill.push(Series::new("a seventh", curve(-0.8, -0.5, 0.2)));
+    vec![
+        Chart::new(
+            "Loss by method",
+            "epoch",
+            "loss, m",
+            vec![
+                banded("gradient", curve(1344.6, 1218.9, 0.2), 6.0),
+                banded("CMA-ES", curve(1344.6, 1236.0, 0.09), 14.0),
+                Series::new("random", curve(1344.6, 1290.0, 0.05)),
+            ],
+        ),
+        Chart::new("Particles in the target", "epoch", "particles", vec![Series::new("transported", transported)]),
+        Chart::new("Skill parameters", "epoch", "share of the range", skill),
+    ]
+}
+
+fn table() -> Table {
+    let row = |texts: &[&str]| texts.iter().map(|text| (*text).into()).collect();
+    Table {
+        title: "Methods, median of 5 seeds".into(),
+        columns: row(&["Method", "Loss, m", "In the target", "Spilled", "Seconds", "Remark"]),
+        rows: vec![
+            row(&["gradient", "1218.9", "1,389", "12", "860", "one adjoint an update"]),
+            row(&["CMA-ES", "1236.0", "1,102", "31", "1,410", "population of 8"]),
+            row(&["random", "1290.2", "512", "4", "1,395", "–"]),
+        ],
+    }
+}

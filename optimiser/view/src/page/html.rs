@@ -1,0 +1,219 @@
+//! The page's text. Scripts and styles are files of `assets/page`; the library of `assets/three` goes in deflated.
+
+use std::fmt::Write as _;
+use std::io::Write as _;
+
+use base64::Engine as _;
+use flate2::{Compression, write::ZlibEncoder};
+use serde::Serialize;
+
+use super::{Page, Replay, Table};
+
+const STYLE: &str = include_str!("../../assets/page/style.css");
+const CHARTS_SCRIPT: &str = include_str!("../../assets/page/charts.js");
+const REPLAY_SECTION: &str = include_str!("../../assets/page/replay.html");
+const POWDER_SCRIPT: &str = include_str!("../../assets/page/powder.js");
+const VIEWER_SCRIPT: &str = include_str!("../../assets/page/viewer.js");
+
+/// Files of the library, with the `id` by which the viewer finds them.
+const LIBRARY: [(&str, &str); 3] = [
+    ("three-core", include_str!("../../assets/three/three.core.min.js")),
+    ("three-module", include_str!("../../assets/three/three.module.min.js")),
+    ("three-orbit", include_str!("../../assets/three/OrbitControls.js")),
+];
+const LIBRARY_LICENCE: &str = include_str!("../../assets/three/LICENSE");
+
+/// The browser itself sees to it that the page asks for nothing.
+const POLICY: &str = "default-src 'none'; style-src 'unsafe-inline'; script-src 'unsafe-inline' blob:; \
+                      img-src data: blob:";
+
+pub(super) fn page(page: &Page) -> String {
+    let title = escaped(&page.title);
+    let mut html = format!(
+        "<!doctype html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n\
+         <meta http-equiv=\"Content-Security-Policy\" content=\"{POLICY}\">\n\
+         <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
+         <meta name=\"color-scheme\" content=\"light dark\">\n\
+         <title>{title}</title>\n<link rel=\"icon\" href=\"data:,\">\n<style>\n{STYLE}</style>\n</head>\n<body>\n\
+         <header>\n<h1>{title}</h1>\n{}</header>\n<main>\n",
+        summary(&page.summary),
+    );
+    if page.replay.is_some() {
+        html += REPLAY_SECTION;
+    }
+    if !page.charts.is_empty() {
+        html += "<section id=\"charts\" class=\"charts\" aria-label=\"Charts\">\
+                 <noscript>Curves and replay need JavaScript.</noscript></section>\n";
+    }
+    html.extend(page.tables.iter().map(table));
+    if !page.notes.is_empty() {
+        let paragraphs: String = page.notes.iter().map(|note| format!("<p>{}</p>\n", escaped(note))).collect();
+        let _ = write!(html, "<section class=\"notes\" aria-label=\"Notes\">\n{paragraphs}</section>\n");
+    }
+    html += "</main>\n";
+    html += &footer(page.replay.is_some());
+    if !page.charts.is_empty() {
+        html += &data("charts-data", &page.charts);
+        html += &script(CHARTS_SCRIPT);
+    }
+    if let Some(replay) = &page.replay {
+        html += &replay_parts(replay);
+    }
+    html + "</body>\n</html>\n"
+}
+
+/// What the replay is made of: data, library and scripts.
+fn replay_parts(replay: &Replay) -> String {
+    let library: String = LIBRARY.iter().map(|(id, text)| blob(id, &deflated(text))).collect();
+    data("replay-data", &replay.about)
+        + &blob("replay-powder", &replay.powder)
+        + &library
+        + &script(&format!("{POWDER_SCRIPT}\n{VIEWER_SCRIPT}"))
+}
+
+fn summary(entries: &[(String, String)]) -> String {
+    if entries.is_empty() {
+        return String::new();
+    }
+    let entry = |(name, value): &(String, String)| {
+        format!("<div><dt>{}</dt><dd>{}</dd></div>\n", escaped(name), escaped(value))
+    };
+    format!("<dl class=\"summary\">\n{}</dl>\n", entries.iter().map(entry).collect::<String>())
+}
+
+fn table(table: &Table) -> String {
+    let class = |column: usize| if is_numeric(table, column) { " class=\"number\"" } else { "" };
+    let head = |(column, name): (usize, &String)| {
+        format!("<th scope=\"col\"{}>{}</th>", class(column), escaped(name))
+    };
+    let cell = |(column, text): (usize, &String)| match column {
+        0 => format!("<th scope=\"row\">{}</th>", escaped(text)),
+        _ => format!("<td{}>{}</td>", class(column), escaped(text)),
+    };
+    let row = |row: &Vec<String>| format!("<tr>{}</tr>\n", row.iter().enumerate().map(cell).collect::<String>());
+    format!(
+        "<section class=\"table\" tabindex=\"0\" aria-label=\"{title}\">\n<h2>{title}</h2>\n<table>\n\
+         <thead><tr>{}</tr></thead>\n<tbody>\n{}</tbody>\n</table>\n</section>\n",
+        table.columns.iter().enumerate().map(head).collect::<String>(),
+        table.rows.iter().map(row).collect::<String>(),
+        title = escaped(&table.title),
+    )
+}
+
+/// Whether every cell begins like a number, or is empty or a dash.
+fn is_numeric(table: &Table, column: usize) -> bool {
+    let numeric = |cell: &String| {
+        let text = cell.trim_start_matches(['+', '-', '−', '–', '—', '±', '<', '>', '≈', ' ']);
+        text.is_empty() || text.starts_with(|first: char| first.is_ascii_digit())
+    };
+    column > 0 && table.rows.iter().filter_map(|row| row.get(column)).all(numeric)
+}
+
+fn footer(with_library: bool) -> String {
+    let version = env!("CARGO_PKG_VERSION");
+    let licence = match with_library {
+        true => format!(
+            "<details><summary>Licence of three.js, which draws the replay</summary>\n<pre>{}</pre></details>\n",
+            escaped(LIBRARY_LICENCE)
+        ),
+        false => String::new(),
+    };
+    format!("<footer>\n<p>Powderline {version}</p>\n{licence}</footer>\n")
+}
+
+/// Text as text, between tags or in quotes.
+fn escaped(text: &str) -> String {
+    let mut safe = String::with_capacity(text.len());
+    for letter in text.chars() {
+        match letter {
+            '&' => safe += "&amp;",
+            '<' => safe += "&lt;",
+            '>' => safe += "&gt;",
+            '"' => safe += "&quot;",
+            '\'' => safe += "&#39;",
+            _ => safe.push(letter),
+        }
+    }
+    safe
+}
+
+/// Data for a script. `<` only occurs within strings of JSON, where it may be written so: nothing ends the element.
+fn data(id: &str, value: &impl Serialize) -> String {
+    // Only maps with keys that are not strings fail, and there are none.
+    let json = serde_json::to_string(value).unwrap_or_default().replace('<', "\\u003c");
+    format!("<script type=\"application/json\" id=\"{id}\">{json}</script>\n")
+}
+
+/// Base64 for a script.
+fn blob(id: &str, base64: &str) -> String {
+    format!("<script type=\"application/octet-stream\" id=\"{id}\">{base64}</script>\n")
+}
+
+fn script(text: &str) -> String {
+    format!("<script type=\"module\">\n{text}</script>\n")
+}
+
+fn deflated(text: &str) -> String {
+    let mut encoder = ZlibEncoder::new(Vec::new(), Compression::best());
+    // Into memory: this cannot fail.
+    let _ = encoder.write_all(text.as_bytes());
+    base64::engine::general_purpose::STANDARD.encode(encoder.finish().unwrap_or_default())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::page::{Chart, Series};
+
+    const NASTY: &str = "</script><script>alert('\"&\")</script><!-- &amp;";
+
+    #[test]
+    fn texts_of_the_caller_stay_texts() {
+        let chart = Chart::new(NASTY, NASTY, NASTY, vec![Series::new(NASTY, vec![[0.0, f64::NAN]])]);
+        let nasty = Page {
+            title: NASTY.into(),
+            summary: vec![(NASTY.into(), NASTY.into())],
+            replay: None,
+            charts: vec![chart],
+            tables: vec![Table { title: NASTY.into(), columns: vec![NASTY.into()], rows: vec![vec![NASTY.into(); 2]] }],
+            notes: vec![NASTY.into()],
+        };
+        let html = page(&nasty);
+        assert!(!html.contains("alert('"), "an apostrophe came through");
+        // The chart's data and the charts' script; nothing else opens or closes one.
+        assert_eq!(html.matches("<script").count(), 2);
+        assert_eq!(html.matches("</script").count(), 2);
+        assert!(!html.contains("<!-- "));
+    }
+
+    #[test]
+    fn data_come_back_as_they_were() {
+        let element = data("x", &[NASTY]);
+        let json = element.split_once('>').and_then(|(_, rest)| rest.rsplit_once("</script>")).expect("an element").0;
+        let texts: Vec<String> = serde_json::from_str(json).expect("JSON");
+        assert_eq!(texts, [NASTY]);
+        assert!(data("x", &[[f64::NAN, f64::INFINITY]]).contains("[null,null]"));
+    }
+
+    #[test]
+    fn own_scripts_end_where_they_should() {
+        for text in [CHARTS_SCRIPT, POWDER_SCRIPT, VIEWER_SCRIPT] {
+            assert!(!text.contains("</script") && !text.contains("<!--"));
+        }
+        assert!(!STYLE.contains("</style"));
+    }
+
+    #[test]
+    fn numbers_stand_to_the_right() {
+        let rows = [["CMA-ES", "12.5 m", "fast"], ["random", "−3", "-"], ["grid", "", "2"]];
+        let rows = rows.map(|row| row.map(String::from).to_vec()).to_vec();
+        let table = Table { rows, ..Table::default() };
+        assert_eq!([0, 1, 2].map(|column| is_numeric(&table, column)), [false, true, false]);
+    }
+
+    #[test]
+    fn a_page_without_a_replay_is_small() {
+        let html = page(&Page { title: "Methods".into(), ..Page::default() });
+        assert!(html.len() < 32_000 && !html.contains("<canvas"), "{}", html.len());
+    }
+}
