@@ -2,12 +2,14 @@
 
 use super::{
     CliError, Context, Progress, Resources,
+    motion::{Motion, Task},
     options::{DEFAULT_PRECISION, PrecisionArg},
+    report::read_history,
     run::{self, RunArgs},
 };
 use crate::{
     compare::{Budget, Comparison, Method, Row, Track, Try, summarise},
-    report::folder::{COMPARISON, CURVES, RunFolder, SCENE},
+    report::folder::{COMPARISON, CURVES, METRICS, RunFolder, SCENE},
     report::words::{duration, hex},
     rollout::{Evaluate, SimulatorSettings, packed_loss},
     scene::{DEFAULT_SCENE, Digest, Scene},
@@ -50,8 +52,8 @@ pub(super) struct CompareArgs {
         conflicts_with = "resume"
     )]
     pub seeds: Vec<u64>,
-    /// Updates along the gradient [default: the scene's]
-    #[arg(long, value_name = "N", conflicts_with = "resume")]
+    /// Updates along the gradient; with --resume, more than before [default: the scene's]
+    #[arg(long, value_name = "N")]
     pub epochs: Option<u32>,
     /// Methods, in the order of the legend
     #[arg(
@@ -107,7 +109,7 @@ struct Plan {
 }
 
 /// A comparison whose folder is open and locked.
-struct Experiment {
+pub(super) struct Experiment {
     folder: RunFolder,
     scene: Scene,
     plan: Plan,
@@ -120,7 +122,7 @@ struct Experiment {
 /// One sentence; everything evaluated before is saved.
 pub(super) fn execute(arguments: &CompareArgs, context: &mut Context<'_>) -> Result<(), CliError> {
     let experiment = match &arguments.resume {
-        Some(folder) => Experiment::open(folder, arguments.resources)?,
+        Some(folder) => Experiment::open(folder, arguments.resources)?.prolonged(arguments)?,
         None => Experiment::start(arguments)?,
     };
     let folder = experiment.folder.path().display();
@@ -162,12 +164,16 @@ impl Experiment {
             }
         };
         folder.replace(SCENE, scene.to_toml().as_bytes())?;
-        let text = serde_json::to_string_pretty(&plan).map_err(std::io::Error::from)?;
-        folder.replace(COMPARISON, text.as_bytes()).inspect_err(|_| folder.discard(SCENE))?;
-        Ok(Self { folder, scene, plan, resources: arguments.resources })
+        let begun = Self { folder, scene, plan, resources: arguments.resources };
+        begun.save_plan().inspect_err(|_| begun.folder.discard(SCENE))?;
+        Ok(begun)
     }
 
-    fn open(path: &Path, resources: Resources) -> Result<Self, CliError> {
+    /// Takes a comparison that was begun.
+    ///
+    /// # Errors
+    /// One sentence.
+    pub(super) fn open(path: &Path, resources: Resources) -> Result<Self, CliError> {
         let folder = RunFolder::open_with(path, COMPARISON)?;
         let file = folder.file(COMPARISON).display().to_string();
         let plan: Plan = serde_json::from_slice(&folder.read(COMPARISON)?).map_err(|error| {
@@ -185,14 +191,80 @@ impl Experiment {
         Ok(Self { folder, scene, plan, resources })
     }
 
-    /// Runs what is left, track after track, and draws what there is after each.
-    fn complete(&self, context: &mut Context<'_>) -> Result<Comparison, CliError> {
-        let mut comparison = Comparison {
+    /// With more epochs, if more are asked for: nothing that was evaluated changes by that.
+    fn prolonged(mut self, arguments: &CompareArgs) -> Result<Self, CliError> {
+        let now = self.plan.budget.epochs;
+        let epochs = run::checked_epochs(arguments.epochs.unwrap_or(now))?;
+        if epochs < now {
+            return Err(CliError::Input(format!(
+                "--epochs is {epochs}, but the comparison has {now}; it can only be prolonged"
+            )));
+        }
+        self.plan.budget.epochs = epochs;
+        self.plan.check()?;
+        self.save_plan()?;
+        Ok(self)
+    }
+
+    fn save_plan(&self) -> Result<(), CliError> {
+        let text = serde_json::to_string_pretty(&self.plan).map_err(std::io::Error::from)?;
+        Ok(self.folder.replace(COMPARISON, text.as_bytes())?)
+    }
+
+    fn empty(&self) -> Comparison {
+        Comparison {
             scene: self.scene.name.clone(),
             target: self.scene.target_count() as i64,
             budget: self.plan.budget,
             tracks: Vec::new(),
-        };
+        }
+    }
+
+    fn folder_of(&self, method: Method, seed: u64) -> PathBuf {
+        self.folder.file(&format!("{}-seed{seed}", method.name()))
+    }
+
+    /// What was evaluated until now.
+    ///
+    /// # Errors
+    /// One sentence, about a file that cannot be read or understood.
+    pub(super) fn so_far(&self) -> Result<Comparison, CliError> {
+        let mut comparison = self.empty();
+        for seed in &self.plan.seeds {
+            for method in &self.plan.methods {
+                let folder = self.folder_of(*method, *seed);
+                let [metrics, tries] = [METRICS, TRIES].map(|file| folder.join(file));
+                if metrics.exists() {
+                    comparison.tracks.push(Track::of_epochs(*method, *seed, &read_history(&metrics)?));
+                } else if tries.exists() {
+                    let tries = read_tries(&RunFolder::take(&folder)?)?;
+                    comparison.tracks.push(Track { method: *method, seed: *seed, tries });
+                }
+            }
+        }
+        Ok(comparison)
+    }
+
+    /// The best skill of all, as a motion; none if nothing was evaluated.
+    pub(super) fn best_motion(&self, comparison: &Comparison) -> Option<Task> {
+        let tries =
+            comparison.tracks.iter().flat_map(|track| track.tries.iter().map(move |one| (track, one)));
+        let (track, best) = tries.min_by(|(_, a), (_, b)| a.loss.total_cmp(&b.loss))?;
+        Some(Task {
+            scene: track.method.scene(&self.scene),
+            settings: self.resources.settings(track.seed, self.plan.precision),
+            motion: Motion::Skill(best.theta),
+        })
+    }
+
+    /// The rows of the summary.
+    pub(super) fn rows(&self, comparison: &Comparison) -> Vec<Row> {
+        summarise(comparison, &|seed| packed_loss(&self.scene, seed))
+    }
+
+    /// Runs what is left, track after track, and draws what there is after each.
+    fn complete(&self, context: &mut Context<'_>) -> Result<Comparison, CliError> {
+        let mut comparison = self.empty();
         // Seed after seed, so that there is something to compare early.
         for seed in &self.plan.seeds {
             for method in &self.plan.methods {
@@ -205,7 +277,7 @@ impl Experiment {
     }
 
     fn track(&self, method: Method, seed: u64, context: &mut Context<'_>) -> Result<Track, CliError> {
-        let path = self.folder.file(&format!("{}-seed{seed}", method.name()));
+        let path = self.folder_of(method, seed);
         match method.search(seed) {
             None => self.gradient(method, seed, &path, context),
             Some(search) => self.search(method, seed, search, &path, context),
@@ -270,9 +342,8 @@ impl Experiment {
 
     /// The table, as Markdown and for people who read it as it is.
     fn summary(&self, comparison: &Comparison) -> String {
-        let rows = summarise(comparison, &|seed| packed_loss(&self.scene, seed));
         let mut lines = vec![Row::headings(self.plan.budget.epochs)];
-        lines.extend(rows.iter().map(Row::cells));
+        lines.extend(self.rows(comparison).iter().map(Row::cells));
         let width = |column: usize| lines.iter().map(|line| line[column].len()).max().unwrap_or_default();
         let mut text = String::new();
         for (index, line) in lines.iter().enumerate() {

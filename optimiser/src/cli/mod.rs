@@ -9,12 +9,16 @@ mod check;
 mod compare;
 mod error;
 mod executed;
+// mod export;
+mod film;
 mod gradcheck;
 mod inspect;
 mod interrupt;
 mod motion;
 mod options;
 mod progress;
+// mod render;
+mod report;
 mod run;
 mod simulate;
 mod size;
@@ -65,6 +69,12 @@ enum Command {
     Gradcheck(gradcheck::GradcheckArgs),
     /// Compare ways to search for a skill, each with the same number of rollouts
     Compare(compare::CompareArgs),
+    /// Make one page of a run, a comparison or a plan: curves, tables, a replay in 3-D
+    Report(report::ReportArgs),
+    /// Draw pictures and animations of a motion
+    // Render(render::RenderArgs),
+    /// Write a motion as files for ParaView, MeshLab or pandas
+    // Export(export::ExportArgs),
     /// Say what a plan holds
     Inspect(inspect::InspectArgs),
     /// Measure what each stage of the simulator takes
@@ -135,6 +145,9 @@ where
         Some(Command::Simulate(arguments)) => simulate::execute(&arguments, context),
         Some(Command::Gradcheck(arguments)) => gradcheck::execute(&arguments, context),
         Some(Command::Compare(arguments)) => compare::execute(&arguments, context),
+        Some(Command::Report(arguments)) => report::execute(&arguments, context),
+        // Some(Command::Render(arguments)) => render::execute(&arguments, context),
+        // Some(Command::Export(arguments)) => export::execute(&arguments, context),
         Some(Command::Inspect(arguments)) => inspect::execute(&arguments, context),
         Some(Command::Bench(arguments)) => bench::execute(&arguments, context),
     }

@@ -14,8 +14,9 @@ use crate::{
 };
 use clap::Args;
 use powderline_shared::{
-    displacement::Displacement,
+    displacement::{Displacement, pose_at},
     plan::{PlanHeader, PlanReader, Precision},
+    pose::Pose,
 };
 use std::path::{Path, PathBuf};
 
@@ -59,8 +60,18 @@ pub(super) struct Task {
 /// What the tool does.
 pub(super) enum Motion {
     Skill(Theta),
-    Plan { header: Box<PlanHeader>, content_hash: u64, controls: Vec<Displacement> },
-    Executed { header: Box<PlanHeader>, content_hash: u64, executed: Box<Executed> },
+    Plan {
+        header: Box<PlanHeader>,
+        content_hash: u64,
+        controls: Vec<Displacement>,
+    },
+    /// With the poses of the plan, at its beginning and after each of its steps.
+    Executed {
+        header: Box<PlanHeader>,
+        content_hash: u64,
+        executed: Box<Executed>,
+        planned: Vec<Pose>,
+    },
 }
 
 impl MotionArgs {
@@ -108,7 +119,10 @@ impl MotionArgs {
             }
             Some(path) => {
                 let executed = Box::new(Executed::read(path, &plan, &scene)?);
-                Motion::Executed { header, content_hash, executed }
+                let start = header.start_pose();
+                let poses = plan.setpoints().map(|setpoint| pose_at(&start, setpoint, header.lsb));
+                let planned = std::iter::once(start).chain(poses).collect();
+                Motion::Executed { header, content_hash, executed, planned }
             }
         };
         Ok(Task { scene, settings, motion })

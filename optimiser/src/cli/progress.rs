@@ -12,6 +12,11 @@ const REDRAW: Duration = Duration::from_millis(100);
 
 const BAR_CELLS: usize = 20;
 
+/// Epochs in the small chart, and its bars.
+const CHART_CELLS: usize = 20;
+const BARS: [char; 8] =
+    ['\u{2581}', '\u{2582}', '\u{2583}', '\u{2584}', '\u{2585}', '\u{2586}', '\u{2587}', '\u{2588}'];
+
 /// Shows how far a command is.
 pub struct Progress<'a> {
     out: &'a mut (dyn Write + Send),
@@ -23,6 +28,8 @@ pub struct Progress<'a> {
     drawn: Option<Instant>,
     /// Evaluations to come after the present one, and what one has taken on average, seconds.
     later: Option<(u32, f64)>,
+    /// The indicator of the epochs before, drawn small, where the terminal can show it.
+    chart: String,
     /// Shares of the task at the beginning and at the end of its present part.
     span: [f64; 2],
 }
@@ -37,6 +44,7 @@ impl<'a> Progress<'a> {
             started: Instant::now(),
             drawn: None,
             later: None,
+            chart: String::new(),
             span: [0.0, 1.0],
         }
     }
@@ -48,6 +56,7 @@ impl<'a> Progress<'a> {
         self.started = Instant::now();
         self.drawn = None;
         self.later = (!history.is_empty()).then_some((later, mean_s));
+        self.chart = if self.live && has_blocks() { chart(history) } else { String::new() };
         self.span = [0.0, 1.0];
         self.tick(0, 1);
     }
@@ -78,8 +87,9 @@ impl<'a> Progress<'a> {
         // A terminal that cannot be written to is no reason to stop a run.
         let _ = write!(
             self.out,
-            "\r\x1b[2K{} [{}{}] {:3.0} %{left}",
+            "\r\x1b[2K{}{} [{}{}] {:3.0} %{left}",
             self.task,
+            self.chart,
             "#".repeat(filled),
             ".".repeat(BAR_CELLS - filled),
             100.0 * share
@@ -131,6 +141,33 @@ impl<'a> Progress<'a> {
     }
 }
 
+/// The indicator of the latest epochs as a row of bars, none below the lowest of them, and its latest value.
+fn chart(history: &[EpochRecord]) -> String {
+    let latest = &history[history.len().saturating_sub(CHART_CELLS)..];
+    let Some(last) = latest.last() else { return String::new() };
+    let values = || latest.iter().map(|record| record.indicator);
+    let (low, high) = (values().min().unwrap_or_default(), values().max().unwrap_or_default());
+    let bar = |value: i64| {
+        let share = value.abs_diff(low) as f64 / high.abs_diff(low).max(1) as f64;
+        BARS[(share * (BARS.len() - 1) as f64).round() as usize]
+    };
+    format!("  indicator {} {}", values().map(bar).collect::<String>(), grouped(last.indicator))
+}
+
+/// Whether the terminal's character set has bars.
+fn has_blocks() -> bool {
+    // The first that is set decides, as for the C library.
+    let set = ["LC_ALL", "LC_CTYPE", "LANG"]
+        .iter()
+        .find_map(|name| std::env::var(name).ok().filter(|v| !v.is_empty()));
+    set.is_some_and(|set| is_unicode(&set))
+}
+
+fn is_unicode(locale: &str) -> bool {
+    let locale = locale.to_ascii_lowercase();
+    locale.contains("utf-8") || locale.contains("utf8")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -170,10 +207,8 @@ mod tests {
         progress.begin("epoch 1/30", 29, &[record(0)]);
         progress.clear();
         let text = String::from_utf8(out).unwrap();
-        assert!(
-            text.contains("\r\x1b[2Kepoch 1/30 [....................]   0 %, about 1 min left"),
-            "{text:?}"
-        );
+        assert!(text.starts_with("\r\x1b[2Kepoch 1/30"), "{text:?}");
+        assert!(text.contains(" [....................]   0 %, about 1 min left"), "{text:?}");
     }
 
     #[test]
@@ -186,5 +221,22 @@ mod tests {
         progress.tick(1, 2);
         let text = String::from_utf8(out).unwrap();
         assert!(text.contains("[############........]  60 %"), "{text:?}");
+    }
+
+    #[test]
+    fn the_chart_rises_and_falls_with_the_indicator() {
+        let history: Vec<_> =
+            [100, 50, 0, -100].map(|indicator| EpochRecord { indicator, ..EpochRecord::default() }).into();
+        assert_eq!(chart(&history), "  indicator \u{2588}\u{2586}\u{2585}\u{2581} -100");
+        assert_eq!(chart(&history[..1]), "  indicator \u{2581} 100");
+        assert_eq!(chart(&[]), "");
+        let many: Vec<_> = history.iter().cycle().take(70).copied().collect();
+        assert_eq!(chart(&many).chars().filter(|c| BARS.contains(c)).count(), CHART_CELLS);
+    }
+
+    #[test]
+    fn bars_are_for_terminals_that_have_them() {
+        assert!(["en_GB.UTF-8", "C.utf8"].into_iter().all(is_unicode));
+        assert!(!["C", "POSIX", "de_DE.ISO-8859-1"].into_iter().any(is_unicode));
     }
 }

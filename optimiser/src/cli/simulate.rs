@@ -105,7 +105,7 @@ impl Task {
                     && found.indicator == header.predicted_indicator;
                 (header.theta, Some(PlanReport::new(header, *content_hash, Some(reproduced))), None)
             }
-            Motion::Executed { header, content_hash, executed } => {
+            Motion::Executed { header, content_hash, executed, .. } => {
                 let plan = PlanReport::new(header, *content_hash, None);
                 (header.theta, Some(plan), Some(executed.report.clone()))
             }

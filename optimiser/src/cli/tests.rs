@@ -22,6 +22,9 @@ use std::{
     rc::Rc,
 };
 
+mod compare;
+mod pages;
+
 /// Ticks of one evaluation.
 const TICKS: u64 = 3;
 

@@ -24,20 +24,20 @@ type Drawn<B> = Result<(), DrawingAreaErrorKind<<B as DrawingBackend>::ErrorType
 type Chart<'a, B> = ChartContext<'a, B, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
 /// Mean and spread over the seeds along a curve.
-struct Band {
-    name: String,
+pub(crate) struct Band {
+    pub(crate) name: String,
     colour: RGBColor,
     /// A curve of more than the budget is drawn thin.
     width: u32,
     /// Place on the axis, mean, spread.
-    points: Vec<[f64; 3]>,
+    pub(crate) points: Vec<[f64; 3]>,
 }
 
 /// One of the two halves.
-struct Panel {
-    x_name: &'static str,
-    y_name: &'static str,
-    bands: Vec<Band>,
+pub(crate) struct Panel {
+    pub(crate) x_name: &'static str,
+    pub(crate) y_name: &'static str,
+    pub(crate) bands: Vec<Band>,
 }
 
 impl Comparison {
@@ -99,7 +99,7 @@ impl Comparison {
     }
 
     /// Indicator against epoch.
-    fn by_epoch(&self) -> Panel {
+    pub(crate) fn by_epoch(&self) -> Panel {
         let points = |curve: Curve| {
             let last = self.last_epoch(curve).map_or(0, |last| last + 1);
             (0..last).filter_map(move |epoch| {
@@ -115,7 +115,7 @@ impl Comparison {
     }
 
     /// Loss against rollouts.
-    fn by_rollouts(&self) -> Panel {
+    pub(crate) fn by_rollouts(&self) -> Panel {
         let points = |curve: Curve| {
             let last = self.last_epoch(curve).map_or(0, |last| last + 1);
             (0..last).filter_map(move |epoch| {

@@ -123,7 +123,8 @@ fn tool(time_s: f64, off: f64) -> Pose {
 /// A number between 0 and 1 for each particle and purpose, always the same.
 fn chance(particle: usize, purpose: usize) -> f64 {
     let mixed = (particle * 3 + purpose + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15_u64 as usize);
-    ((mixed ^ (mixed >> 31)).wrapping_mul(0xbf58_476d_1ce4_e5b9_u64 as usize) >> 40) as f64 / (1_u64 << 24) as f64
+    ((mixed ^ (mixed >> 31)).wrapping_mul(0xbf58_476d_1ce4_e5b9_u64 as usize) >> 40) as f64
+        / (1_u64 << 24) as f64
 }
 
 fn is_carried(particle: usize) -> bool {
@@ -183,7 +184,11 @@ fn fallen(particle: usize, from: Vector3<f64>, seconds: f64) -> Vector3<f64> {
     let spilled = destination(particle) == Destination::Spilled;
     let radius_m = if spilled { 0.075 + 0.02 * a } else { 0.05 * a.sqrt() };
     let height_m = if spilled { 0.001 } else { TARGET_M[2] + 0.02 * c };
-    let to = Vector3::new(TARGET_M[0] + radius_m * (TAU * b).cos(), TARGET_M[1] + radius_m * (TAU * b).sin(), height_m);
+    let to = Vector3::new(
+        TARGET_M[0] + radius_m * (TAU * b).cos(),
+        TARGET_M[1] + radius_m * (TAU * b).sin(),
+        height_m,
+    );
     let falls_s = (2.0 * (from.z - to.z).max(0.0) / 9.81).sqrt();
     let share = (seconds / falls_s.max(1e-3)).min(1.0);
     let across = from.lerp(&to, share);
@@ -196,13 +201,16 @@ fn charts() -> Vec<Chart> {
     };
     let banded = |name: &str, points: Vec<[f64; 2]>, half: f64| Series {
         name: name.into(),
-        band: Some(points.iter().map(|[x, y]| [y - half * (1.0 + x / 30.0), y + half * (1.0 + x / 20.0)]).collect()),
+        band: Some(
+            points.iter().map(|[x, y]| [y - half * (1.0 + x / 30.0), y + half * (1.0 + x / 20.0)]).collect(),
+        ),
         points,
     };
     let transported: Vec<_> = curve(194.0, 1389.0, 0.15).into_iter().map(|[x, y]| [x, y.round()]).collect();
     let mut gap = curve(0.3, -0.62, 0.1);
     gap[12][1] = f64::NAN;
-    let theta = ["depth", "angle", "lift", "displacement", "pouring angle"].iter().zip([0.1, -0.7, 0.4, 0.9, -0.2]);
+    let theta =
+        ["depth", "angle", "lift", "displacement", "pouring angle"].iter().zip([0.1, -0.7, 0.4, 0.9, -0.2]);
     let mut skill: Vec<_> = theta.map(|(name, to)| Series::new(name, curve(0.0, to, 0.12))).collect();
     skill.push(Series::new("with a gap", gap));
     skill.push(Series::new("a seventh", curve(-0.8, -0.5, 0.2)));
@@ -217,7 +225,12 @@ fn charts() -> Vec<Chart> {
                 Series::new("random", curve(1344.6, 1290.0, 0.05)),
             ],
         ),
-        Chart::new("Particles in the target", "epoch", "particles", vec![Series::new("transported", transported)]),
+        Chart::new(
+            "Particles in the target",
+            "epoch",
+            "particles",
+            vec![Series::new("transported", transported)],
+        ),
         Chart::new("Skill parameters", "epoch", "share of the range", skill),
     ]
 }

@@ -47,7 +47,8 @@ pub(super) fn page(page: &Page) -> String {
     }
     html.extend(page.tables.iter().map(table));
     if !page.notes.is_empty() {
-        let paragraphs: String = page.notes.iter().map(|note| format!("<p>{}</p>\n", escaped(note))).collect();
+        let paragraphs: String =
+            page.notes.iter().map(|note| format!("<p>{}</p>\n", escaped(note))).collect();
         let _ = write!(html, "<section class=\"notes\" aria-label=\"Notes\">\n{paragraphs}</section>\n");
     }
     html += "</main>\n";
@@ -90,7 +91,8 @@ fn table(table: &Table) -> String {
         0 => format!("<th scope=\"row\">{}</th>", escaped(text)),
         _ => format!("<td{}>{}</td>", class(column), escaped(text)),
     };
-    let row = |row: &Vec<String>| format!("<tr>{}</tr>\n", row.iter().enumerate().map(cell).collect::<String>());
+    let row =
+        |row: &Vec<String>| format!("<tr>{}</tr>\n", row.iter().enumerate().map(cell).collect::<String>());
     format!(
         "<section class=\"table\" tabindex=\"0\" aria-label=\"{title}\">\n<h2>{title}</h2>\n<table>\n\
          <thead><tr>{}</tr></thead>\n<tbody>\n{}</tbody>\n</table>\n</section>\n",
@@ -175,7 +177,11 @@ mod tests {
             summary: vec![(NASTY.into(), NASTY.into())],
             replay: None,
             charts: vec![chart],
-            tables: vec![Table { title: NASTY.into(), columns: vec![NASTY.into()], rows: vec![vec![NASTY.into(); 2]] }],
+            tables: vec![Table {
+                title: NASTY.into(),
+                columns: vec![NASTY.into()],
+                rows: vec![vec![NASTY.into(); 2]],
+            }],
             notes: vec![NASTY.into()],
         };
         let html = page(&nasty);
@@ -189,7 +195,11 @@ mod tests {
     #[test]
     fn data_come_back_as_they_were() {
         let element = data("x", &[NASTY]);
-        let json = element.split_once('>').and_then(|(_, rest)| rest.rsplit_once("</script>")).expect("an element").0;
+        let json = element
+            .split_once('>')
+            .and_then(|(_, rest)| rest.rsplit_once("</script>"))
+            .expect("an element")
+            .0;
         let texts: Vec<String> = serde_json::from_str(json).expect("JSON");
         assert_eq!(texts, [NASTY]);
         assert!(data("x", &[[f64::NAN, f64::INFINITY]]).contains("[null,null]"));

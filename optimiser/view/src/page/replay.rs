@@ -346,7 +346,8 @@ mod tests {
 
     /// Anywhere in the volume; each particle steps differently.
     fn cloud(particles: usize, frame: usize) -> Vec<[f32; 3]> {
-        let share = |at: usize, axis: usize| ((at * 7919 + frame * (at % 5) * 131 + axis * 31) % 1000) as f32 / 999.0;
+        let share =
+            |at: usize, axis: usize| ((at * 7919 + frame * (at % 5) * 131 + axis * 31) % 1000) as f32 / 999.0;
         (0..particles).map(|at| [0.4 * share(at, 0), 0.2 * share(at, 1), 0.3 * share(at, 2)]).collect()
     }
 
@@ -380,7 +381,10 @@ mod tests {
         let frames = bytes.chunks_exact(bytes_each * count).map(|frame| {
             for at in 0..count {
                 for axis in 0..3 {
-                    let step = u16::from_le_bytes([frame[2 * axis * count + at], frame[(2 * axis + 1) * count + at]]);
+                    let step = u16::from_le_bytes([
+                        frame[2 * axis * count + at],
+                        frame[(2 * axis + 1) * count + at],
+                    ]);
                     let difference = (step >> 1) ^ (step & 1).wrapping_neg();
                     positions[at][axis] = positions[at][axis].wrapping_add(difference);
                 }

@@ -1,0 +1,111 @@
+//! One motion, simulated frame by frame for pictures, pages and exports.
+
+use super::{
+    CliError, Context, Progress,
+    motion::{Motion, Task},
+};
+use crate::{
+    report::view,
+    rollout::{Evaluation, RolloutError, Shot, Take},
+    skill::{SkillMap, displacement},
+};
+use powderline_shared::{displacement::Displacement, pose::Pose};
+use powderline_view::{Bench, Frame, Sink, ViewError};
+
+/// A motion that is to be looked at.
+pub(super) struct Film<'a> {
+    task: &'a Task,
+    anchor: Pose,
+    controls: Vec<Displacement>,
+    /// Planned poses at the beginning and after each control step, where the motion is an executed one.
+    planned: Option<&'a [Pose]>,
+    /// Control steps from one frame to the next.
+    every: usize,
+}
+
+impl<'a> Film<'a> {
+    /// With frames about `period_s` apart: every so many control steps, every one at least.
+    ///
+    /// # Errors
+    /// The skill is no motion.
+    pub(super) fn new(task: &'a Task, period_s: f64) -> Result<Self, CliError> {
+        let map = SkillMap::new(&task.scene);
+        let start = *map.start_pose();
+        let (anchor, controls, planned) = match &task.motion {
+            Motion::Skill(theta) => (start, map.controls(theta)?.iter().map(displacement).collect(), None),
+            Motion::Plan { controls, .. } => (start, controls.clone(), None),
+            Motion::Executed { executed, planned, .. } => {
+                (executed.anchor, executed.controls.clone(), Some(planned.as_slice()))
+            }
+        };
+        let every = (period_s / task.scene.time.control_period_s()).round().max(1.0) as usize;
+        Ok(Self { task, anchor, controls, planned, every })
+    }
+
+    /// Length of the motion, seconds.
+    pub(super) fn duration_s(&self) -> f64 {
+        self.controls.len() as f64 * self.task.scene.time.control_period_s()
+    }
+
+    /// What will be seen.
+    pub(super) fn bench(&self) -> Bench {
+        let scene = &self.task.scene;
+        let period_s = self.every as f64 * scene.time.control_period_s();
+        view::bench(scene, scene.particle_count(), self.controls.len() / self.every + 1, period_s)
+    }
+
+    /// Simulates, and shows every frame to the sink.
+    ///
+    /// # Errors
+    /// The simulation's, or the sink's.
+    pub(super) fn shoot(
+        &self,
+        sink: &mut (dyn Sink + Send),
+        context: &mut Context<'_>,
+    ) -> Result<Evaluation, CliError> {
+        let Self { task, anchor, controls, planned, every } = self;
+        let mut simulator = (context.factory)(&task.scene, &task.settings)?;
+        let interrupt = context.interrupt.clone();
+        let mut progress = Progress::new(context.err, context.live);
+        progress.begin("simulating", 0, &[]);
+        let mut tick = |done, total| {
+            progress.tick(done, total);
+            !interrupt.is_requested()
+        };
+        let mut refusal = None;
+        let mut look = |shot: &Shot<'_>| {
+            let frame = Frame {
+                index: shot.step / every,
+                time_s: shot.step as f64 * task.scene.time.control_period_s(),
+                tool: shot.tool,
+                // A tool that has come to the plan's end is to stay there.
+                planned: planned.map(|poses| poses[shot.step.min(poses.len() - 1)]),
+                positions_m: shot.positions_m,
+                velocities_m_s: shot.velocities_m_s,
+            };
+            refusal = sink.frame(&frame).err();
+            refusal.is_none()
+        };
+        let take = Take { anchor, controls, every: *every };
+        let recorded = simulator.record(&take, &mut look, &mut tick);
+        progress.clear();
+        match (recorded, refusal) {
+            (_, Some(refusal)) => Err(refusal.into()),
+            (Err(error), None) => Err(RolloutError::into(error)),
+            (Ok((evaluation, destinations)), None) => {
+                sink.finish(&destinations)?;
+                Ok(evaluation)
+            }
+        }
+    }
+}
+
+impl From<ViewError> for CliError {
+    fn from(error: ViewError) -> Self {
+        match error {
+            ViewError::File { .. } => Self::Failed(error.to_string()),
+            // STOPPED
+            _ => Self::Input(error.to_string()),
+        }
+    }
+}

@@ -1,0 +1,157 @@
+//! `optimise render`: pictures and animations of a motion, without a graphics card or a browser.
+
+use super::{CliError, Context, film::Film, motion::MotionArgs};
+use clap::{Args, ValueEnum};
+use powderline_view::{
+    Bench, Destination, Frame, Sink, ViewError,
+    picture::{Animation, Camera, Colouring, Containers, Look, Stills},
+};
+use std::path::PathBuf;
+
+/// Pictures of a motion when none are asked for.
+const PICTURES: usize = 6;
+
+/// Arguments of `optimise render`.
+#[derive(Clone, Debug, Args)]
+pub(super) struct RenderArgs {
+    /// The motion.
+    #[command(flatten)]
+    pub motion: MotionArgs,
+    /// Moments to draw, seconds from the beginning [default: six over the whole motion, unless there is an --animation]
+    #[arg(long, value_name = "S,..", value_delimiter = ',')]
+    pub at: Vec<f64>,
+    /// Animation of the whole motion, a .gif, .png or .apng file; may be given more than once
+    #[arg(long, value_name = "FILE")]
+    pub animation: Vec<PathBuf>,
+    /// Pictures a second of the animation
+    #[arg(long, value_name = "N", default_value = "25")]
+    pub rate: f64,
+    /// What the powder's colour says
+    #[arg(long, value_enum, default_value = "plain")]
+    pub colour: Colour,
+    /// Walls are cut open instead of translucent
+    #[arg(long)]
+    pub cut: bool,
+    /// Width and height, pixels
+    #[arg(long, value_name = "WxH", default_value = "1280x960", value_parser = parse_size)]
+    pub size: [usize; 2],
+    /// Direction from which the bench is seen, degrees counter-clockwise from +x [default: from the front, a little aside]
+    #[arg(long, value_name = "DEG", allow_hyphen_values = true)]
+    pub azimuth: Option<f64>,
+    /// Height from which it is seen, degrees above the horizon
+    #[arg(long, value_name = "DEG", allow_hyphen_values = true)]
+    pub elevation: Option<f64>,
+    /// How many times nearer
+    #[arg(long, value_name = "TIMES")]
+    pub zoom: Option<f64>,
+    /// Folder for the pictures
+    #[arg(long, value_name = "DIR", default_value = "pictures")]
+    pub out: PathBuf,
+}
+
+/// What the powder's colour says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(super) enum Colour {
+    /// Nothing
+    Plain,
+    /// How fast it moves
+    Speed,
+    /// How high it is
+    Height,
+    /// Where it is in the end
+    Destination,
+}
+
+/// Faster powder has the colour of this speed, m/s.
+const FAST_M_S: f64 = 0.5;
+
+/// Both kinds of pictures, of one simulation.
+struct Both {
+    stills: Option<Stills>,
+    animation: Option<Animation>,
+}
+
+impl Sink for Both {
+    fn frame(&mut self, frame: &Frame<'_>) -> Result<(), ViewError> {
+        self.each(|sink| sink.frame(frame))
+    }
+
+    fn finish(&mut self, destinations: &[Destination]) -> Result<(), ViewError> {
+        self.each(|sink| sink.finish(destinations))
+    }
+}
+
+impl Both {
+    fn each(&mut self, job: impl Fn(&mut dyn Sink) -> Result<(), ViewError>) -> Result<(), ViewError> {
+        self.stills.as_mut().map_or(Ok(()), |stills| job(stills))?;
+        self.animation.as_mut().map_or(Ok(()), |animation| job(animation))
+    }
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// One sentence.
+pub(super) fn execute(arguments: &RenderArgs, context: &mut Context<'_>) -> Result<(), CliError> {
+    let task = arguments.motion.task()?;
+    // Every control step: what moment is nearest to the one that was asked for is seen then.
+    let film = Film::new(&task, 0.0)?;
+    let bench = film.bench();
+    let (camera, look) = (arguments.camera(), arguments.look(&bench));
+    let times = arguments.times(film.duration_s());
+    let stills = (!times.is_empty())
+        .then(|| Stills::new(&bench, &camera, &look, &arguments.out, &bench.name, &times))
+        .transpose()?;
+    let files = &arguments.animation;
+    let interrupt = context.interrupt.clone();
+    let watch = move |_, _| !interrupt.is_requested();
+    let animation = (!files.is_empty())
+        .then(|| Animation::new(&bench, &camera, &look, arguments.rate, files))
+        .transpose()?
+        .map(|animation| animation.with_progress(Box::new(watch)));
+    let mut both = Both { stills, animation };
+    film.shoot(&mut both, context)?;
+    let written = both.stills.iter().flat_map(|stills| stills.written()).chain(files);
+    for path in written {
+        writeln!(context.out, "{}", path.display())?;
+    }
+    Ok(())
+}
+
+impl RenderArgs {
+    fn times(&self, duration_s: f64) -> Vec<f64> {
+        if !self.at.is_empty() || !self.animation.is_empty() {
+            return self.at.clone();
+        }
+        (1..=PICTURES).map(|index| duration_s * index as f64 / PICTURES as f64).collect()
+    }
+
+    fn camera(&self) -> Camera {
+        let usual = Camera::default();
+        Camera {
+            azimuth_deg: self.azimuth.unwrap_or(usual.azimuth_deg),
+            elevation_deg: self.elevation.unwrap_or(usual.elevation_deg),
+            zoom: self.zoom.unwrap_or(usual.zoom),
+            ..usual
+        }
+    }
+
+    fn look(&self, bench: &Bench) -> Look {
+        let usual = Look::default();
+        let [width_px, height_px] = self.size;
+        let colouring = match self.colour {
+            Colour::Plain => usual.colouring,
+            Colour::Speed => Colouring::Speed { max_m_s: FAST_M_S },
+            Colour::Height => Colouring::Height { max_m: bench.size_m[2] },
+            Colour::Destination => Colouring::Destination,
+        };
+        let containers = if self.cut { Containers::CutOpen } else { usual.containers };
+        Look { width_px, height_px, colouring, containers, ..usual }
+    }
+}
+
+/// Two whole numbers with an x between them.
+fn parse_size(text: &str) -> Result<[usize; 2], String> {
+    let numbers = text.split_once('x').and_then(|(width, height)| Some([width.parse().ok()?, height.parse().ok()?]));
+    numbers.ok_or_else(|| "width and height in pixels, such as 1280x960, would be right".into())
+}

@@ -1,0 +1,175 @@
+//! `optimise compare` with the stand-in.
+
+use super::*;
+use crate::report::folder::COMPARISON;
+
+const METHODS: &str = "gradient,sac,cma-es,random";
+
+fn arguments<'a>(folder: &'a str, more: &[&'a str]) -> Vec<&'a str> {
+    let mut all = vec!["compare", "bench-small", "--methods", METHODS, "--seeds", "1,2", "--epochs", "3"];
+    all.extend(["--rollouts-per-epoch", "5", "--out", folder]);
+    all.extend(more);
+    all
+}
+
+/// What was tried, without the wall times.
+fn tries(folder: &str, track: &str) -> Vec<Value> {
+    let text = fs::read_to_string(Path::new(folder).join(track).join("tries.jsonl")).unwrap();
+    let parse = |line| {
+        let mut value: Value = serde_json::from_str(line).unwrap();
+        value.as_object_mut().unwrap().remove("seconds").unwrap();
+        value
+    };
+    text.lines().map(parse).collect()
+}
+
+fn assert_same(folder: &str, other: &str) {
+    for seed in [1, 2] {
+        for method in ["sac", "cma-es", "random"] {
+            let track = format!("{method}-seed{seed}");
+            assert_eq!(tries(folder, &track), tries(other, &track), "{track}");
+        }
+        let gradient = |folder: &str| format!("{folder}/gradient-seed{seed}");
+        assert_eq!(metrics(&gradient(folder)), metrics(&gradient(other)));
+    }
+    assert_eq!(bytes(folder, CURVES), bytes(other, CURVES));
+}
+
+#[test]
+fn a_comparison_leaves_figure_table_and_summary() {
+    let place = Place::new();
+    let folder = place.text("comparison");
+    let done = optimise(&arguments(&folder, &["--budget-factor", "2"]));
+    assert_eq!(done.code, 0, "{}", done.err);
+    for file in [SCENE, COMPARISON, CURVES, "curves.png", "comparison.csv", "summary.md"] {
+        assert!(Path::new(&folder).join(file).is_file(), "{file}");
+    }
+    let summary = String::from_utf8(bytes(&folder, "summary.md")).unwrap();
+    assert!(done.out.contains(&summary), "{}", done.out);
+    // A heading, a line below it, the gradient, and three methods with their budget and twice that.
+    assert_eq!(summary.lines().count(), 2 + 1 + 3 * 2, "{summary}");
+    let widths: Vec<usize> = summary.lines().map(str::len).collect();
+    assert!(widths.iter().all(|width| *width == widths[0]), "{summary}");
+    for seed in [1, 2] {
+        for method in ["sac", "cma-es", "random"] {
+            assert_eq!(tries(&folder, &format!("{method}-seed{seed}")).len(), 4 * 5 * 2);
+        }
+        assert_eq!(metrics(&format!("{folder}/gradient-seed{seed}")).len(), 4);
+        assert!(Path::new(&folder).join(format!("gradient-seed{seed}")).join(PLAN).is_file());
+    }
+    let table = String::from_utf8(bytes(&folder, "comparison.csv")).unwrap();
+    assert_eq!(table.lines().count(), 1 + 2 * (4 + 3 * 40));
+}
+
+#[test]
+fn a_comparison_interrupted_again_and_again_has_the_same_bits() {
+    let place = Place::new();
+    let [whole, folder] = ["whole", "parts"].map(|name| place.text(name));
+    assert_eq!(optimise(&arguments(&whole, &[])).code, 0);
+    let mut done = optimise_for(20, &arguments(&folder, &[]));
+    let mut resumptions = 0;
+    while done.code == 130 {
+        assert!(done.err.contains(&format!("compare --resume {folder}")), "{}", done.err);
+        // Enough for the longest epoch, or for a generation.
+        done = optimise_for(14 * TICKS, &["compare", "--resume", &folder]);
+        resumptions += 1;
+    }
+    assert!(done.code == 0 && resumptions > 3, "{} after {resumptions}", done.err);
+    assert_same(&folder, &whole);
+}
+
+#[test]
+fn a_prolonged_comparison_has_the_bits_of_a_longer_one() {
+    let place = Place::new();
+    let [long, short] = ["long", "short"].map(|name| place.text(name));
+    let mut longer = arguments(&long, &[]);
+    let at = longer.iter().position(|argument| *argument == "3").unwrap();
+    longer[at] = "5";
+    assert_eq!(optimise(&longer).code, 0);
+    assert_eq!(optimise(&arguments(&short, &[])).code, 0);
+    let done = optimise(&["compare", "--resume", &short, "--epochs", "5"]);
+    assert_eq!(done.code, 0, "{}", done.err);
+    assert_same(&short, &long);
+    let done = optimise(&["compare", "--resume", &short, "--epochs", "4"]);
+    assert_sentence(&done, 2, "it can only be prolonged");
+}
+
+#[test]
+fn variants_of_the_gradient_differ_in_what_they_are_called_by() {
+    let place = Place::new();
+    let folder = place.text("variants");
+    let methods = "gradient,gradient-no-curriculum,gradient-rounded,gradient-adjoint";
+    let done = optimise(&[
+        "compare",
+        "bench-small",
+        "--methods",
+        methods,
+        "--seeds",
+        "4",
+        "--epochs",
+        "4",
+        "--out",
+        &folder,
+    ]);
+    assert_eq!(done.code, 0, "{}", done.err);
+    let scene = |method: &str| Scene::load(&format!("{folder}/{method}-seed4/scene.toml")).unwrap();
+    let usual = scene("gradient");
+    assert_eq!(scene("gradient-no-curriculum").optimiser.curriculum_epochs, 0);
+    assert_ne!(scene("gradient-rounded").skill.timing, usual.skill.timing);
+    assert_ne!(scene("gradient-adjoint").optimiser.gradient, usual.optimiser.gradient);
+    let theta = |method: &str| metrics(&format!("{folder}/{method}-seed4"))[1]["theta"][4].clone();
+    assert_ne!(theta("gradient-no-curriculum"), theta("gradient"));
+}
+
+#[test]
+fn what_makes_no_comparison_is_refused() {
+    let place = Place::new();
+    let folder = place.text("comparison");
+    let compare = |more: &[&str]| {
+        let all: Vec<&str> =
+            ["compare", "bench-small", "--out", &folder].iter().chain(more).copied().collect();
+        optimise(&all)
+    };
+    assert_sentence(&compare(&["--seeds", "1,2,1"]), 2, "--seeds names 1 twice");
+    assert_sentence(&compare(&["--methods", "random,random"]), 2, "--methods names Random twice");
+    assert_sentence(&compare(&["--epochs", "200000"]), 2, "at most 100000");
+    let many = ["--epochs", "99999", "--rollouts-per-epoch", "9999"];
+    assert_sentence(&compare(&many), 2, "at most 1000000");
+    assert!(!Path::new(&folder).exists());
+    assert_sentence(&optimise(&["compare", "--resume", &folder]), 2, "holds nothing to resume");
+    fs::create_dir(&folder).unwrap();
+    assert_sentence(&optimise(&["compare", "--resume", &folder]), 2, COMPARISON);
+}
+
+#[test]
+fn a_comparison_that_was_changed_is_refused() {
+    let place = Place::new();
+    let folder = place.text("comparison");
+    let begin =
+        ["compare", "bench-small", "--methods", "random", "--seeds", "1", "--epochs", "2", "--out", &folder];
+    assert_eq!(optimise(&begin).code, 0);
+    assert_sentence(&optimise(&begin), 2, "already holds");
+    let change = |file: &str, from: &str, to: &str| {
+        let path = Path::new(&folder).join(file);
+        let text = fs::read_to_string(&path).unwrap();
+        assert!(text.contains(from), "{text}");
+        fs::write(&path, text.replacen(from, to, 1)).unwrap();
+        let done = optimise(&["compare", "--resume", &folder]);
+        fs::write(&path, text).unwrap();
+        done
+    };
+    assert_sentence(&change(SCENE, "friction = 0.4", "friction = 0.3"), 2, "no longer the scene");
+    assert_sentence(&change(COMPARISON, "\"random\"", "\"luck\""), 2, COMPARISON);
+    assert_sentence(&change("random-seed1/tries.jsonl", "\"loss\":", "\"los\":"), 2, "line 1");
+    assert_sentence(&change("random-seed1/tries.jsonl", "\"theta\":[", "\"theta\":[0.125,"), 2, "line 1");
+    let done = change("random-seed1/tries.jsonl", "\"theta\":[0", "\"theta\":[0.1");
+    // One of the skills begins with a positive number, or else with a negative one.
+    assert!(done.code == 0 || done.err.contains("does not ask for"), "{}", done.err);
+    // A line that was not finished is evaluated again.
+    let path = Path::new(&folder).join("random-seed1/tries.jsonl");
+    let whole = tries(&folder, "random-seed1");
+    let text = fs::read_to_string(&path).unwrap();
+    fs::write(&path, &text[..text.len() - 20]).unwrap();
+    assert_eq!(optimise(&["compare", "--resume", &folder]).code, 0);
+    assert_eq!(tries(&folder, "random-seed1"), whole);
+}
