@@ -216,11 +216,11 @@ mod tests {
         assert_eq!(cost(|| weights(x)), [3 + 2 + 2 + 2, 0]);
 
         let tile = [[x; 4]; TILE_LENGTH];
-        let stencil = Stencil { start: 0, w: [[x; 3]; 3] };
+        let stencil = Stencil { start: 0, rows: [x; 9], along: [x; 3] };
         let affine = Affine { p: [x; 4], steps: [[x; 4]; 3] };
-        // Sixteen numbers a row: the products and sums of the affine function, and its steps; nine rows: their weight, a product and
-        // a sum. One sum for 2. For each run of particles with the same nodes, nine rows are added to the tile.
-        let rows = 16 * (2 + 3 + 3 + 3 * 3 + 9 * 3) + 1;
+        // Sixteen numbers a row: the products and sums of the affine function, and its steps; nine rows: a product and a sum. One
+        // sum for 2. For each run of particles with the same nodes, nine rows are added to the tile.
+        let rows = 16 * (2 + 3 + 3 + 3 * 3 + 9 * 2) + 1;
         let scattered = |count: usize| cost(|| scatter(&mut tile.clone(), count, |_| stencil, |_| affine));
         assert_eq!([scattered(1), scattered(5)], [[rows + 16 * 9, 0], [5 * rows + 16 * 9, 0]]);
         // For each of sixteen lanes: the weights of moments along a row; nine rows of four and three nodes for three components;

@@ -5,7 +5,7 @@
 
 use crate::mpm::Model;
 use crate::mpm::contact::{Motion, MotionBar};
-use crate::mpm::gather::{Sent, gather, gather_gradient};
+use crate::mpm::gather::{Rows, Sent, gather, gather_gradient};
 use crate::mpm::grid_update::{contact_lanes, contact_lanes_adjoint, find_near, meet};
 use crate::mpm::layout::{Block, Grid, Nodes, empty_tile, load_tile};
 use crate::mpm::p2g::at_base;
@@ -102,6 +102,7 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
         let mut met = Vec::with_capacity(touching.len());
         // Were it known to be 0, the compiler would leave out a quarter of each row, and with it the vectors.
         let no_mass = std::hint::black_box(T::ZERO);
+        let mut rows = Rows::new();
         for g in 0..self.input.len() {
             let (input, bar) = (&self.input[g], &mut self.bar[g]);
             let places = Places::of(model.inverse_dx, shift, &input.x);
@@ -125,8 +126,9 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
                 set_mat(&mut sent.a_dx, l, scaled);
                 set_vec(&mut sent.base, l, at_base(vec_of(&bar.v, l), &scaled, places.f(l)));
             }
-            scatter(self.tile_bar, living, |l| places.stencil(&weights, l), |l| sent.affine(l, no_mass));
-            let gathered = gather_gradient(&tile, &places, &weights, &sent, living);
+            let stencils = places.stencils(&weights);
+            scatter(self.tile_bar, living, |l| stencils.of(l), |l| sent.affine(l, no_mass));
+            let gathered = gather_gradient(&tile, &places, &weights, &sent, living, &mut rows);
             for l in 0..LANES {
                 let through_f = tr_mul_vec(&mat_of(&sent.a_dx, l), vec_of(&gathered.sum, l));
                 let gradient = vec_of(&gathered.gradient, l);

@@ -300,10 +300,14 @@ pub(crate) fn load_tile<T: Real>(block: &Block, nodes: &[Nodes<T>], tile: &mut T
             let from = |k: usize| nodes[block.nodes[column + k] as usize].as_chunks::<BLOCK_EDGE>().0;
             let (below, here, above) = (from(0), from(1), from(2));
             let (ay, ty, count) = [(3, 0, 1), (0, 1, 4), (0, 5, 3)][ny];
-            for j in 0..count {
-                let row = ax * BLOCK_EDGE + ay + j;
-                let (a, b, c) = (&below[row], &here[row], &above[row]);
-                rows[i * TILE_EDGE + ty + j] = [a[3], b[0], b[1], b[2], b[3], c[0], c[1], c[2]];
+            let first = ax * BLOCK_EDGE + ay;
+            let rows = &mut rows[i * TILE_EDGE + ty..][..count];
+            let [below, here, above] = [below, here, above].map(|rows| &rows[first..][..count]);
+            for (to, ((a, b), c)) in rows.iter_mut().zip(below.iter().zip(here).zip(above)) {
+                // In pieces that are one move each.
+                to[0] = a[3];
+                to[1..5].copy_from_slice(b);
+                to[5..8].copy_from_slice(&c[..3]);
             }
         }
     }

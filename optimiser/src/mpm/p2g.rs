@@ -5,7 +5,7 @@
 //! viscosity takes.
 
 use crate::mpm::Model;
-use crate::mpm::gather::{Sent, gather_with_gradient};
+use crate::mpm::gather::{Rows, Sent, gather_with_gradient};
 use crate::mpm::layout::{Block, Grid, Nodes, empty_tile, load_tile};
 use crate::mpm::material::{self, is_mild, trial_strain, trial_strain_adjoint};
 use crate::mpm::particles::{Group, LANES, Lanes, mat_of, set_mat, set_vec, vec_of};
@@ -67,9 +67,9 @@ impl<T: Real> pulp::NullaryFnOnce for ParticlesToTile<'_, T> {
             if self.from.is_some() {
                 state.x = x;
             }
-            let weights = places.weights();
+            let stencils = places.stencils(&places.weights());
             let living = self.block.living(g);
-            scatter(self.tile, living, |l| places.stencil(&weights, l), |l| sent.affine(l, self.model.mass));
+            scatter(self.tile, living, |l| stencils.of(l), |l| sent.affine(l, self.model.mass));
         }
     }
 }
@@ -211,6 +211,7 @@ impl<T: Real> pulp::NullaryFnOnce for ParticlesToTileAdjoint<'_, T> {
         let shift = Grid::tile_shift(self.block.coord).map(T::of);
         let mut tile = empty_tile();
         load_tile(self.block, self.nodes_bar, &mut tile);
+        let mut rows = Rows::new();
         for g in 0..self.input.len() {
             let (input, bar) = (&self.input[g], &mut self.bar[g]);
             let places = Places::of(model.inverse_dx, shift, &input.x);
@@ -219,7 +220,8 @@ impl<T: Real> pulp::NullaryFnOnce for ParticlesToTileAdjoint<'_, T> {
             stress(model, input, &trial, &places, &mut returned);
             let sent = &returned.sent;
             let living = self.block.living(g);
-            let gathered = gather_with_gradient(&tile, &places, &weights, sent, model.mass, living);
+            let gathered =
+                gather_with_gradient(&tile, &places, &weights, sent, model.mass, living, &mut rows);
             let mut a_dx_bar = [Lanes::ZERO; 9];
             for l in 0..LANES {
                 let (f, a_dx) = (places.f(l), mat_of(&sent.a_dx, l));

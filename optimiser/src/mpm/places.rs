@@ -18,6 +18,22 @@ pub(crate) struct Places<T> {
 /// over nodes then only read them.
 pub(crate) type Weights<T> = [[Lanes<T>; 3]; 3];
 
+/// What [`super::stencil::scatter`] takes of the weights of a group.
+pub(crate) struct Stencils<T> {
+    start: [i32; LANES],
+    rows: [Lanes<T>; 9],
+    along: [Lanes<T>; 3],
+}
+
+impl<T: Real> Stencils<T> {
+    /// One particle's.
+    #[inline(always)]
+    pub(crate) fn of(&self, l: usize) -> Stencil<T> {
+        let along = three!(n => self.along[n][l]);
+        Stencil { start: self.start[l] as usize, rows: std::array::from_fn(|n| self.rows[n][l]), along }
+    }
+}
+
 impl<T: Real> Places<T> {
     /// Of the particles at `x` (m); `shift` is what `x/dx` lacks of the coordinate in the tile.
     #[inline(always)]
@@ -70,9 +86,17 @@ impl<T: Real> Places<T> {
         out
     }
 
-    /// One particle's.
+    /// Those of the group, with what can be multiplied for all its particles at once.
     #[inline(always)]
-    pub(crate) fn stencil(&self, w: &Weights<T>, l: usize) -> Stencil<T> {
-        Stencil { start: self.start[l] as usize, w: three!(axis => three!(node => w[axis][node][l])) }
+    pub(crate) fn stencils(&self, w: &Weights<T>) -> Stencils<T> {
+        let mut rows = [Lanes::ZERO; 9];
+        for l in 0..LANES {
+            for i in 0..3 {
+                for j in 0..3 {
+                    rows[3 * i + j][l] = w[0][i][l] * w[1][j][l];
+                }
+            }
+        }
+        Stencils { start: self.start, rows, along: w[2] }
     }
 }

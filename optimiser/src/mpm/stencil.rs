@@ -18,11 +18,14 @@ pub(crate) const TILE_LENGTH: usize = TILE_EDGE * TILE_EDGE * TILE_EDGE + 1;
 /// Four numbers at each node of a tile: momentum and mass, velocity, or their cotangents.
 pub(crate) type Tile<T> = [[T; 4]; TILE_LENGTH];
 
-/// Weights of one particle along the three axes, and where its 27 nodes start in the tile.
+/// Weights of one particle, and where its 27 nodes start in the tile.
 #[derive(Clone, Copy)]
 pub(crate) struct Stencil<T> {
     pub(crate) start: usize,
-    pub(crate) w: [[T; 3]; 3],
+    /// Of its nine rows: the weight along x times the one along y, those of one x together.
+    pub(crate) rows: [T; 9],
+    /// Along the rows.
+    pub(crate) along: [T; 3],
 }
 
 /// An affine function of the node index: value at node (0, 0, 0) and its increments.
@@ -89,16 +92,15 @@ impl<T: Real> Rows<T> {
     #[inline(always)]
     fn add(&mut self, s: &Stencil<T>, a: &Affine<T>) {
         let rows = &mut self.0;
-        let [wx, wy, wz] = s.w;
         let k = [T::ZERO, T::ONE, T::ONE + T::ONE];
         for n in 0..ROW {
-            let wz = of_node(n, wz);
+            let wz = of_node(n, s.along);
             let along_j = wz * of_part(n, a.steps[1]);
             let along_i = wz * of_part(n, a.steps[0]);
             let p = wz * of_node(n, k).mul_add(of_part(n, a.steps[2]), of_part(n, a.p));
             let mut add = |i: usize, j: usize, p: T| {
                 let at = &mut rows[3 * i + j][n];
-                *at = (wx[i] * wy[j]).mul_add(p, *at);
+                *at = s.rows[3 * i + j].mul_add(p, *at);
             };
             let mut layer = |i: usize, p: T| {
                 add(i, 0, p);

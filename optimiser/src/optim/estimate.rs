@@ -14,6 +14,7 @@
 //! | s1^2    | error of g1: mean of (g1 - g0)^2 over the measured epochs, this one included, - s0^2, >= 0   |
 //! | alpha   | weight of g1: s0^2 / (s0^2 + s1^2)                                                           |
 //! | g       | alpha g1 + (1 - alpha) g0                                                                    |
+//! | s       | standard deviation of g: sqrt(alpha) s1 where both are known, s0 of g0 alone, 0 of g1 alone  |
 //!
 //! An outlier of g1 enters s1 before it is weighed, so that it weighs itself down. Sigma comes from evaluations that
 //! are made anyway, those of the last epochs and of all components. Curvature counts as noise there, which the
@@ -125,6 +126,8 @@ pub struct Findings<'a> {
 pub struct Estimate {
     /// What the optimiser uses. In components that do not take part: the adjoint's value, 0 if there is none.
     pub gradient: Theta,
+    /// Its standard deviation, as far as it is known; 0 otherwise.
+    pub noise: Theta,
     /// The adjoint, where it was computed.
     pub adjoint: [Option<f64>; 5],
     /// The central differences, where they were computed.
@@ -210,15 +213,17 @@ impl Estimator {
         next.keep(differences.iter().flatten().filter_map(|difference| difference.residual));
         let mut estimate = Estimate {
             gradient: found.adjoint.unwrap_or_default(),
+            noise: [0.0; 5],
             adjoint: found.adjoint.map_or([None; 5], |adjoint| adjoint.map(Some)),
             differences: differences.map(|difference| difference.map(|difference| difference.slope)),
             first_order_weight: [None; 5],
         };
         for (k, difference) in differences.iter().enumerate().take(place.active) {
-            let (gradient, weight) = next.weigh(place.epoch, k, estimate.adjoint[k], difference.as_ref());
-            estimate.gradient[k] = gradient;
-            estimate.first_order_weight[k] = Some(weight);
-            next.components[k].gradient = gradient;
+            let weighed = next.weigh(place.epoch, k, estimate.adjoint[k], difference.as_ref());
+            estimate.gradient[k] = weighed.gradient;
+            estimate.noise[k] = weighed.noise;
+            estimate.first_order_weight[k] = Some(weighed.weight);
+            next.components[k].gradient = weighed.gradient;
         }
         (estimate, next)
     }
@@ -271,24 +276,37 @@ impl EstimatorState {
         deviation * deviation / 3.0
     }
 
-    /// The gradient in a component, and the adjoint's weight in it.
+    /// The gradient in a component.
     fn weigh(
         &mut self,
         epoch: u32,
         component: usize,
         adjoint: Option<f64>,
         difference: Option<&Difference>,
-    ) -> (f64, f64) {
+    ) -> Weighed {
+        let variance = difference.map_or(0.0, |difference| self.variance(difference.distance));
         match (adjoint, difference) {
             (Some(g1), Some(difference)) => {
-                let (g0, variance) = (difference.slope, self.variance(difference.distance));
+                let g0 = difference.slope;
                 let weight = self.components[component].measure(epoch, g1 - g0, variance);
-                (weight * g1 + (1.0 - weight) * g0, weight)
+                // alpha s1^2 = (1 - alpha) s0^2
+                let noise = libm::sqrt((1.0 - weight) * variance);
+                Weighed { gradient: weight * g1 + (1.0 - weight) * g0, noise, weight }
             }
-            (Some(g1), None) => (g1, 1.0),
-            (None, difference) => (difference.map_or(0.0, |difference| difference.slope), 0.0),
+            (Some(g1), None) => Weighed { gradient: g1, noise: 0.0, weight: 1.0 },
+            (None, Some(difference)) => {
+                Weighed { gradient: difference.slope, noise: libm::sqrt(variance), weight: 0.0 }
+            }
+            (None, None) => Weighed { gradient: 0.0, noise: 0.0, weight: 0.0 },
         }
     }
+}
+
+/// A component's gradient, its standard deviation, and the weight of the adjoint in it.
+struct Weighed {
+    gradient: f64,
+    noise: f64,
+    weight: f64,
 }
 
 impl Trust {
@@ -405,7 +423,7 @@ mod tests {
                 let (estimate, next) =
                     self.estimate(estimator, &state, &Place { epoch, theta: search.theta, active: 5 });
                 state = next;
-                search = rule.update(&search, &estimate.gradient).unwrap();
+                search = rule.update(&search, &estimate.gradient, &estimate.noise).unwrap();
             }
             search.theta.iter().zip(MINIMUM).map(|(x, m)| (x - m).abs()).fold(0.0, f64::max)
         }

@@ -1,13 +1,22 @@
-//! RMSprop with the paper's curriculum.
+//! RMSprop with the paper's curriculum, and two changes.
 //!
-//! | symbol | identifier      | equation                                        |
-//! |--------|-----------------|-------------------------------------------------|
-//! | v      | `mean_square`   | v' = beta v + (1 - beta) g^2                    |
-//! | Theta  | `theta`         | Theta' = clamp(Theta - lr g / (sqrt(v') + eps)) |
+//! | symbol | identifier      | equation                                              |
+//! |--------|-----------------|-------------------------------------------------------|
+//! | v      | `mean_square`   | v' = beta v + (1 - beta) g^2                          |
+//! | v^     | `corrected`     | v^ = v' / (1 - beta^n), n updates of the component    |
+//! | s      | `noise`         | standard deviation of g                               |
+//! | k      | `kept`          | k = g max(0, 1 - s^2 / g^2)                           |
+//! | Theta  | `theta`         | Theta' = clamp(Theta - lr k / (sqrt(v^) + eps))       |
 //!
 //! In the first `curriculum_epochs` updates only depth, angle and lift take part; the running mean of a component
 //! starts, from zero, with its first update. The gradient is neither clipped nor rescaled: a step is at most
 //! lr / sqrt(1 - beta) in any component whatever the gradient's size.
+//!
+//! The paper has v for v^ and g for k. Without the correction for the mean's start from zero (Kingma and Ba 2015, "Adam",
+//! section 3) the first step of each component is lr / sqrt(1 - beta), three times as long as those that follow, in a
+//! direction that a single gradient has given. And the division by the root of v makes a component whose gradient is all
+//! noise wander as fast as one that leads somewhere; k is the positive-part James-Stein estimate of the slope behind a
+//! measured g, and stands still there.
 
 use crate::{
     scene,
@@ -79,11 +88,16 @@ impl RmsPropState {
 }
 
 impl RmsProp {
-    /// One update.
+    /// One update; `noise` is the standard deviation of each component of the gradient, 0 where it is exact or not known.
     ///
     /// # Errors
     /// A component of the gradient that takes part, or its square, is not finite.
-    pub fn update(&self, state: &RmsPropState, gradient: &Theta) -> Result<RmsPropState, GradientError> {
+    pub fn update(
+        &self,
+        state: &RmsPropState,
+        gradient: &Theta,
+        noise: &Theta,
+    ) -> Result<RmsPropState, GradientError> {
         let mut next = RmsPropState { updates: state.updates + 1, ..*state };
         let active = self.active_components(state.updates);
         for (index, &g) in gradient.iter().enumerate().take(active) {
@@ -91,7 +105,9 @@ impl RmsProp {
             if !mean_square.is_finite() {
                 return Err(GradientError { index, value: g });
             }
-            let step = self.learning_rate * g / (libm::sqrt(mean_square) + self.epsilon);
+            let before = if index < CURRICULUM_COMPONENTS { 0 } else { self.curriculum_epochs };
+            let corrected = mean_square / (1.0 - libm::pow(self.beta, f64::from(next.updates - before)));
+            let step = self.learning_rate * kept(g, noise[index]) / (libm::sqrt(corrected) + self.epsilon);
             next.mean_square[index] = mean_square;
             next.theta[index] = (state.theta[index] - step).clamp(-1.0, 1.0);
         }
@@ -104,6 +120,12 @@ impl RmsProp {
     }
 }
 
+/// What of a measured slope is likely to be one.
+fn kept(g: f64, noise: f64) -> f64 {
+    // No slope has no sign either.
+    if g.abs() > noise { g * (1.0 - (noise / g) * (noise / g)) } else { 0.0 }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -111,32 +133,51 @@ mod tests {
 
     const RULE: RmsProp = RmsProp { beta: 0.9, learning_rate: 0.05, epsilon: 1e-8, curriculum_epochs: 2 };
 
+    const EXACT: Theta = [0.0; 5];
+
     #[test]
     fn follows_the_equations() {
-        let first = RULE.update(&RmsPropState::new([0.0; 5]), &[2.0; 5]).unwrap();
-        let step = 0.05 * 2.0 / (0.4f64.sqrt() + 1e-8);
+        let noise = [0.0, 1.0, 2.0, 0.0, 0.0];
+        let first = RULE.update(&RmsPropState::new([0.0; 5]), &[2.0; 5], &noise).unwrap();
+        // The mean of one gradient is its square.
+        let step = 0.05 * 2.0 / (2.0 + 1e-8);
         assert!((first.theta[0] + step).abs() < 1e-15 && (first.mean_square[0] - 0.4).abs() < 1e-15);
-        let second = RULE.update(&first, &[-1.0; 5]).unwrap();
-        let step = 0.05 / (0.46f64.sqrt() + 1e-8);
+        // Half the gradient is noise: a quarter less is kept. All of it: nothing.
+        assert!((first.theta[1] + 0.75 * step).abs() < 1e-15 && (first.mean_square[1] - 0.4).abs() < 1e-15);
+        assert_eq!(first.theta[2].to_bits(), 0.0f64.to_bits());
+        let second = RULE.update(&first, &[-1.0; 5], &noise).unwrap();
+        let step = 0.05 / ((0.46f64 / (1.0 - 0.81)).sqrt() + 1e-8);
         assert!((second.theta[0] - first.theta[0] - step).abs() < 1e-15);
+    }
+
+    #[test]
+    fn noise_stands_still_where_a_slope_goes_on() {
+        let rule = RmsProp { curriculum_epochs: 0, ..RULE };
+        let mut state = RmsPropState::new([0.0; 5]);
+        for n in 0..20 {
+            let dice = 3.0 * libm::sin(f64::from(n * n));
+            state = rule.update(&state, &[dice, 8.0 + dice, 0.0, 0.0, 0.0], &[3.0; 5]).unwrap();
+        }
+        assert!(state.theta[0].abs() < 1e-12 && state.theta[1] < -0.7, "{state:?}");
     }
 
     #[test]
     fn curriculum_leaves_transport_and_pour_alone_and_their_means_at_zero() {
         let mut state = RmsPropState::new([0.1; 5]);
         for _ in 0..2 {
-            state = RULE.update(&state, &[1.0, 1.0, 1.0, f64::NAN, 1.0]).unwrap();
+            state = RULE.update(&state, &[1.0, 1.0, 1.0, f64::NAN, 1.0], &EXACT).unwrap();
         }
         assert_eq!((state.theta[3].to_bits(), state.mean_square[3].to_bits()), (0.1f64.to_bits(), 0));
-        state = RULE.update(&state, &[1.0; 5]).unwrap();
+        state = RULE.update(&state, &[1.0; 5], &EXACT).unwrap();
         assert!((state.mean_square[3] - 0.1).abs() < 1e-15 && state.theta[3] < 0.1);
     }
 
     #[test]
     fn gradient_that_is_not_finite_is_named() {
-        let error = RULE.update(&RmsPropState::new([0.0; 5]), &[0.0, f64::NAN, 0.0, 0.0, 0.0]).unwrap_err();
+        let error =
+            RULE.update(&RmsPropState::new([0.0; 5]), &[0.0, f64::NAN, 0.0, 0.0, 0.0], &EXACT).unwrap_err();
         assert_eq!(error.to_string(), "the gradient with respect to the scooping angle is NaN");
-        assert!(RULE.update(&RmsPropState::new([0.0; 5]), &[1e200; 5]).is_err());
+        assert!(RULE.update(&RmsPropState::new([0.0; 5]), &[1e200; 5], &EXACT).is_err());
     }
 
     #[test]
@@ -146,7 +187,7 @@ mod tests {
         let mut state = RmsPropState::new([-0.9, 0.9, -0.5, 0.8, 1.0]);
         for _ in 0..400 {
             let gradient = std::array::from_fn(|k| 2.0 * (state.theta[k] - minimum[k]));
-            state = rule.update(&state, &gradient).unwrap();
+            state = rule.update(&state, &gradient, &EXACT).unwrap();
         }
         assert!(
             state.theta.iter().zip(minimum).all(|(found, wanted)| (found - wanted).abs() < 0.02),
@@ -162,7 +203,7 @@ mod tests {
         ) {
             let mut state = RmsPropState::new(theta);
             for gradient in gradients {
-                let next = RULE.update(&state, &gradient).unwrap();
+                let next = RULE.update(&state, &gradient, &EXACT).unwrap();
                 for (new, old) in next.theta.iter().zip(state.theta) {
                     prop_assert!((-1.0..=1.0).contains(new));
                     prop_assert!((new - old).abs() <= 0.05 / 0.1f64.sqrt() + 1e-12);

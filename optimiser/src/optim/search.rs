@@ -223,7 +223,7 @@ impl Search {
         let (estimate, estimates) = method.estimator.combine(&self.estimates, &place, &found);
         self.state = method
             .rule
-            .update(&self.state, &estimate.gradient)
+            .update(&self.state, &estimate.gradient, &estimate.noise)
             .map_err(|source| SearchError::Gradient { epoch, source })?;
         self.estimates = estimates;
         Ok(estimate)

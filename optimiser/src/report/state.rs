@@ -11,7 +11,7 @@ use sha2::{Digest as _, Sha256};
 use thiserror::Error;
 
 const MAGIC: &[u8; 8] = b"PLSTATE\0";
-const VERSION: u32 = 3;
+const VERSION: u32 = 4;
 const HEAD: usize = MAGIC.len() + size_of::<u32>();
 const CHECKSUM: usize = 32;
 
@@ -158,6 +158,6 @@ mod tests {
         let mut bytes = state().to_bytes();
         bytes[8] = 9;
         let error = RunState::from_bytes(&bytes).unwrap_err().to_string();
-        assert!(error.contains("version 9") && error.contains("version 3"), "{error}");
+        assert!(error.contains("version 9") && error.contains("version 4"), "{error}");
     }
 }

@@ -3,7 +3,7 @@
 use serde_json::Value;
 use toml::de::{DeTable, DeValue, Deserializer, Error};
 
-use super::{Scene, SceneError};
+use super::{DEFAULT_SCENE, Scene, SceneError, embedded_scene};
 
 /// Tables of a scene; `container` is the only list of tables.
 const TABLES: [&str; 8] = ["domain", "powder", "time", "tool", "skill", "limits", "objective", "optimiser"];
@@ -114,6 +114,12 @@ fn one_line(message: &str) -> String {
     if line.chars().count() > MAX_CHARS { shown + "..." } else { shown }
 }
 
+/// The line of a key in the scene that is the reference, with the key's unit, meaning and range.
+fn example_of(key: &str) -> Option<String> {
+    let is_it = |line: &&str| line.strip_prefix(key).is_some_and(|rest| rest.trim_start().starts_with('='));
+    embedded_scene(DEFAULT_SCENE)?.lines().find(is_it).map(one_line)
+}
+
 /// Serde speaks of Rust types; the reader of a scene file knows numbers, lists and tables.
 fn in_plain_words(message: &str) -> String {
     let words = [
@@ -131,6 +137,10 @@ fn in_plain_words(message: &str) -> String {
         ("wanted exactly 1 element, more than 1 element", "expected a table with exactly one key"),
     ];
     let plain = words.iter().fold(one_line(message), |text, (rust, plain)| text.replace(rust, plain));
+    let missing = plain.strip_prefix("missing field `").and_then(|rest| rest.strip_suffix('`'));
+    if let Some(example) = missing.and_then(example_of) {
+        return format!("{plain}; in the scene `{DEFAULT_SCENE}` it is: {example}");
+    }
     // What remains of `expected struct Domain` and the like.
     match plain.find("expected struct ") {
         Some(start) => plain[..start].to_owned() + "expected a table",

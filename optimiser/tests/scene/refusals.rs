@@ -35,7 +35,7 @@ const STRUCTURE: &[Case] = &[
     (
         "cohesion_pa = 0.0\n",
         "#",
-        ": powder at line 13: missing field `cohesion_pa`",
+        ": powder at line 13: missing field `cohesion_pa`; in the scene `bench` it is: cohesion_pa = 0.0 # Mohr-Coulomb cohesion; 0 (dry) to 1e5",
     ),
     (
         "youngs_modulus_pa = 1.0e4",
@@ -125,7 +125,7 @@ const STRUCTURE: &[Case] = &[
     (
         "difference_half_step = 0.1",
         "",
-        ": optimiser at line 92: missing field `difference_half_step`",
+        ": optimiser at line 92: missing field `difference_half_step`; in the scene `bench` it is: difference_half_step = 0.1 # of these differences, in units of theta; above 0, at most 0.5",
     ),
     (
         "amount = { particles = 850 }",

@@ -5,7 +5,7 @@
 use crate::mpm::Model;
 use crate::mpm::contact::{Motion, MotionBar};
 use crate::mpm::g2p::TileToParticlesAdjoint;
-use crate::mpm::gather::{Gathered, Sent, gather, gather_gradient, gather_with_gradient};
+use crate::mpm::gather::{Gathered, Rows, Sent, gather, gather_gradient, gather_with_gradient};
 use crate::mpm::grid_update::UpdateNodesAdjoint;
 use crate::mpm::layout::{BLOCK_NODES, Nodes, empty_tile, load_tile, sort, sum_tiles, unsort};
 use crate::mpm::material::Material;
@@ -154,12 +154,18 @@ fn scooping() -> (Model<f64>, State<f64>, Motion<f64>) {
     (model, state, tool)
 }
 
-/// A stencil somewhere in a tile, from the cell coordinate in it.
-fn stencil(x: Vec3<f64>) -> (Stencil<f64>, [[f64; 3]; 3], Vec3<f64>) {
+/// Of a particle somewhere in a tile, from its cell coordinate: where its nodes begin, its weights along each axis, their slopes,
+/// and its distance from the first node.
+fn place(x: Vec3<f64>) -> (usize, [[f64; 3]; 3], [[f64; 3]; 3], Vec3<f64>) {
     let base = x.map(|x| (x - 0.5).floor());
     let start = base.iter().fold(0, |start, b| start * TILE_EDGE + *b as usize);
     let f = sub(x, base);
-    (Stencil { start, w: f.map(weights) }, f.map(weight_slopes), f)
+    (start, f.map(weights), f.map(weight_slopes), f)
+}
+
+fn stencil(x: Vec3<f64>) -> Stencil<f64> {
+    let (start, [x, y, along], ..) = place(x);
+    Stencil { start, rows: std::array::from_fn(|n| x[n / 3] * y[n % 3]), along }
 }
 
 fn random_tile(dice: &mut Dice) -> Tile<f64> {
@@ -171,12 +177,12 @@ fn random_tile(dice: &mut Dice) -> Tile<f64> {
 /// What a particle takes from its 27 nodes, one after another: `sum w g` and `sum w g (i, j, k)` of all four numbers, and
 /// `sum (dw/dX) (g.P)`.
 fn taken(tile: &Tile<f64>, x: Vec3<f64>, sent: &Affine<f64>) -> ([f64; 4], [[f64; 4]; 3], [f64; 3]) {
-    let (s, slopes, _) = stencil(x);
+    let (start, weights, slopes, _) = place(x);
     let (mut sum, mut first, mut gradient) = ([0.0; 4], [[0.0; 4]; 3], [0.0; 3]);
     for n in 0..27 {
         let ijk = [n / 9, n / 3 % 3, n % 3];
-        let g = tile[s.start + (ijk[0] * TILE_EDGE + ijk[1]) * TILE_EDGE + ijk[2]];
-        let w = [0, 1, 2].map(|axis| s.w[axis][ijk[axis]]);
+        let g = tile[start + (ijk[0] * TILE_EDGE + ijk[1]) * TILE_EDGE + ijk[2]];
+        let w = [0, 1, 2].map(|axis| weights[axis][ijk[axis]]);
         let mut product = 0.0;
         for c in 0..4 {
             let steps: f64 = (0..3).map(|axis| ijk[axis] as f64 * sent.steps[axis][c]).sum();
@@ -238,9 +244,9 @@ fn gathered_as_taken<T: Real>(rounding: f64) {
         let narrow = tile.map(|node| node.map(T::of));
         let (places, sends) = group_at::<T>(&x, &sent);
         let (w, living) = (places.weights(), x.len());
-        let all = gather_with_gradient(&narrow, &places, &w, &sends, T::of(MASS), living);
+        let all = gather_with_gradient(&narrow, &places, &w, &sends, T::of(MASS), living, &mut Rows::new());
         let plain = gather(&narrow, &places, &w, living);
-        let massless = gather_gradient(&narrow, &places, &w, &sends, living);
+        let massless = gather_gradient(&narrow, &places, &w, &sends, living, &mut Rows::new());
         let same = |got: T, want: f64, what: &str| {
             assert!((got.to_f64() - want).abs() < rounding, "{which}, {what}: {got} for {want}");
         };
@@ -283,7 +289,7 @@ fn scatter_is_the_adjoint_of_taking() {
         let a = Affine { p: dice.many(1.0), steps: [dice.many(1.0), dice.many(1.0), dice.many(1.0)] };
         let g = random_tile(&mut dice);
         let mut sent = empty_tile();
-        scatter(&mut sent, 1, |_| stencil(x).0, |_| a);
+        scatter(&mut sent, 1, |_| stencil(x), |_| a);
         let (sum, first, _) = taken(&g, x, &a);
         let dot = |x: [f64; 4], y: [f64; 4]| -> f64 { x.iter().zip(y).map(|(x, y)| x * y).sum() };
         let received = dot(a.p, sum) + (0..3).map(|i| dot(a.steps[i], first[i])).sum::<f64>();
@@ -301,26 +307,26 @@ fn round_trip_of_a_particle_has_taylor_slope_two_in_its_position() {
     let (v, matrix): (Vec3<f64>, Mat3<f64>) =
         (dice.many(1.0), [dice.many(1.0), dice.many(1.0), dice.many(1.0)]);
     let weight = random_affine(&mut dice, MASS);
-    let sends = |x: Vec3<f64>| affine(at_base(v, &matrix, stencil(x).2), &matrix, MASS);
+    let sends = |x: Vec3<f64>| affine(at_base(v, &matrix, place(x).3), &matrix, MASS);
     let with = |tile: &Tile<f64>, x: Vec3<f64>, sent: &Affine<f64>| {
         let (places, sends) = group_at::<f64>(&[x], &[*sent]);
-        gather_with_gradient(tile, &places, &places.weights(), &sends, MASS, 1)
+        gather_with_gradient(tile, &places, &places.weights(), &sends, MASS, 1, &mut Rows::new())
     };
     for x in [[2.8, 3.3, 4.1], [3.6, 2.7, 5.2], [4.4, 4.0, 3.1]] {
         let f = |x: &[f64]| {
             let x = [x[0], x[1], x[2]];
             let mut tile = others;
-            scatter(&mut tile, 1, |_| stencil(x).0, |_| sends(x));
+            scatter(&mut tile, 1, |_| stencil(x), |_| sends(x));
             let (sum, first, _) = taken(&tile, x, &weight);
             let of = |w: [f64; 4], m: [f64; 4]| w.iter().zip(m).map(|(w, m)| w * m).sum::<f64>();
             of(weight.p, sum) + (0..3).map(|axis| of(weight.steps[axis], first[axis])).sum::<f64>()
         };
         let sent = sends(x);
         let mut tile = others;
-        scatter(&mut tile, 1, |_| stencil(x).0, |_| sent);
+        scatter(&mut tile, 1, |_| stencil(x), |_| sent);
         let reading = with(&tile, x, &weight);
         let mut tile_bar = empty_tile();
-        scatter(&mut tile_bar, 1, |_| stencil(x).0, |_| weight);
+        scatter(&mut tile_bar, 1, |_| stencil(x), |_| weight);
         let writing = with(&tile_bar, x, &sent);
         let through_f = tr_mul_vec(&matrix, [0, 1, 2].map(|c| writing.sum[c][0]));
         let gradient = [0, 1, 2].map(|i| reading.gradient[i][0] + writing.gradient[i][0] - through_f[i]);
