@@ -59,6 +59,8 @@ mod tests {
         let numbers: Vec<f64> = (0..100_000).map(|_| noise.normal()).collect();
         let moment = |order: i32| numbers.iter().map(|x| x.powi(order)).sum::<f64>() / 1e5;
         // Five standard deviations of each mean.
-        assert!(moment(1).abs() < 0.016 && (moment(2) - 1.0).abs() < 0.023 && (moment(4) - 3.0).abs() < 0.155);
+        assert!(
+            moment(1).abs() < 0.016 && (moment(2) - 1.0).abs() < 0.023 && (moment(4) - 3.0).abs() < 0.155
+        );
     }
 }

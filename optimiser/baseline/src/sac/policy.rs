@@ -62,12 +62,12 @@ fn softplus<B: Backend>(x: Tensor<B, 2>) -> Tensor<B, 2> {
 mod tests {
     use super::*;
     use burn_ndarray::{NdArray, NdArrayDevice};
-    use burn_tensor::TensorData;
+    use burn_tensor::{DType, TensorData};
 
     type Exact = NdArray<f64>;
 
     fn exact(numbers: Vec<f64>, shape: [usize; 2]) -> Tensor<Exact, 2> {
-        Tensor::from_data(TensorData::new(numbers, shape), &NdArrayDevice::Cpu)
+        Tensor::from_data(TensorData::new(numbers, shape), (&NdArrayDevice::Cpu, DType::F64))
     }
 
     /// Log density of the one action tanh(`unsquashed`) under a Gaussian.
@@ -104,7 +104,8 @@ mod tests {
     fn density_stays_finite_where_tanh_rounds_to_one() {
         // log N(u; 0, 10) + 2 u - 2 log 2, to within exp(-2 |u|).
         for u in [-400.0_f64, 400.0] {
-            let expected = -0.5 * (u / 10.0).powi(2) - 10_f64.ln() - 0.5 * TAU.ln() + 2.0 * u.abs() - 2.0 * LN_2;
+            let expected =
+                -0.5 * (u / 10.0).powi(2) - 10_f64.ln() - 0.5 * TAU.ln() + 2.0 * u.abs() - 2.0 * LN_2;
             assert!((log_density(u, 0.0, 10.0) - expected).abs() < 1e-9);
         }
     }
@@ -112,7 +113,8 @@ mod tests {
     #[test]
     fn samples_are_the_squashed_gaussians_and_actions_multiply() {
         let outputs = exact(vec![0.5, -0.2, 0.0, 99.0], [1, 4]);
-        let (actions, log_probability) = Gaussian::from_outputs(outputs).sample(exact(vec![1.0, -0.5], [1, 2]));
+        let (actions, log_probability) =
+            Gaussian::from_outputs(outputs).sample(exact(vec![1.0, -0.5], [1, 2]));
         let u = [0.5 + 1.0, -0.2 - 0.5 * 2_f64.exp()];
         let actions: Vec<f64> = actions.into_data().into_vec().unwrap();
         assert!(actions.iter().zip(u).all(|(a, u)| (a - u.tanh()).abs() < 1e-12), "{actions:?}");

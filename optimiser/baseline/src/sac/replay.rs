@@ -60,10 +60,19 @@ mod tests {
         for reward in 0..6 {
             let empty = Vec::new;
             let (observation, action, next_observation) = (empty(), empty(), empty());
-            replay.push(Transition { observation, action, reward: f64::from(reward), next_observation, done: false });
+            replay.push(Transition {
+                observation,
+                action,
+                reward: f64::from(reward),
+                next_observation,
+                done: false,
+            });
         }
-        let mut drawn: Vec<i64> =
-            replay.sample(100, &mut Noise::new(1, 0)).iter().map(|transition| transition.reward as i64).collect();
+        let mut drawn: Vec<i64> = replay
+            .sample(100, &mut Noise::new(1, 0))
+            .iter()
+            .map(|transition| transition.reward as i64)
+            .collect();
         drawn.sort_unstable();
         drawn.dedup();
         assert_eq!(drawn, [2, 3, 4, 5]);
