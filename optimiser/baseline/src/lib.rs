@@ -6,9 +6,11 @@
 mod cmaes;
 mod noise;
 mod random;
+pub mod sac;
 
 pub use cmaes::CmaEs;
 pub use random::RandomSearch;
+pub use sac::Sac;
 
 /// A search over [-1, 1]^n that asks for points in batches and is told their losses.
 ///
