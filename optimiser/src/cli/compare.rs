@@ -33,6 +33,9 @@ const PICTURE: &str = "curves.png";
 /// The summary, as printed.
 const SUMMARY: &str = "summary.md";
 
+/// Skills that are evaluated at a time, at most: what an interruption costs.
+const BATCH: usize = 8;
+
 /// Most seeds, and most rollouts of a search.
 const MAX_SEEDS: usize = 100;
 const MAX_TRIES: u64 = 1_000_000;
@@ -323,6 +326,7 @@ impl Experiment {
             search,
             folder,
             most: self.plan.budget.tries(),
+            asked: Vec::new(),
         };
         tracing.replay()?;
         if !tracing.is_done() {
@@ -404,6 +408,8 @@ struct Tracing {
     known: Vec<Try>,
     /// Skills to evaluate.
     most: u32,
+    /// What the search has asked for last and was not told yet.
+    asked: Vec<Theta>,
 }
 
 impl Tracing {
@@ -411,15 +417,21 @@ impl Tracing {
         self.track.tries.len() >= self.most as usize
     }
 
-    /// The next skills to evaluate.
+    /// The next skills to evaluate; the same until the search is told of them.
     fn ask(&mut self) -> Result<Vec<Theta>, CliError> {
-        let left = self.most as usize - self.track.tries.len();
-        let skill = |point: Vec<f64>| point.try_into().map_err(|_| ());
-        let skills: Result<Vec<Theta>, ()> = self.search.ask(left).into_iter().map(skill).collect();
-        skills.map_err(|()| CliError::Failed("a search asked for a skill without five parameters".into()))
+        if self.asked.is_empty() {
+            let left = self.most as usize - self.track.tries.len();
+            let skill = |point: Vec<f64>| point.try_into().map_err(|_| ());
+            let skills: Result<Vec<Theta>, ()> =
+                self.search.ask(left.min(BATCH)).into_iter().map(skill).collect();
+            let wrong = |()| CliError::Failed("a search asked for a skill without five parameters".into());
+            self.asked = skills.map_err(wrong)?;
+        }
+        Ok(self.asked.clone())
     }
 
     fn tell(&mut self, tries: &[Try]) {
+        self.asked.clear();
         self.search.tell(&tries.iter().map(|one| one.loss).collect::<Vec<_>>());
         self.track.tries.extend(tries);
     }

@@ -2,7 +2,7 @@
 
 use crate::scene::{Gradient, Scene, Timing};
 use clap::ValueEnum;
-use powderline_baseline::{CmaEs, RandomSearch, Search};
+use powderline_baseline::{CmaEs, RandomSearch, Sac, Search};
 use serde::{Deserialize, Serialize};
 
 /// A way to search for a skill.
@@ -60,6 +60,7 @@ impl Method {
     pub fn search(self, seed: u64) -> Option<Box<dyn Search>> {
         const PARAMETERS: usize = 5;
         match self {
+            Self::Sac => Some(Box::new(Sac::new(PARAMETERS, seed))),
             Self::CmaEs => Some(Box::new(CmaEs::new(PARAMETERS, seed))),
             Self::Random => Some(Box::new(RandomSearch::new(PARAMETERS, seed))),
             _ => None,

@@ -155,7 +155,7 @@ mod tests {
         // Nine tenths of the way from 100 to 30 are at 37.
         assert_eq!((gradient.arrived, gradient.rollouts, gradient.seconds), (1, Some(3.0), Some(6.0)));
         assert_eq!((random.arrived, random.rollouts), (0, None));
-        assert_eq!(random.indicator, [Some(79.5), Some(77.5), Some(77.5)]);
+        assert_eq!(random.indicator, [Some(79.5), Some(78.5), Some(77.5)]);
         assert_eq!(more.name, "random, 2 times the rollouts");
         assert!((more.all_rollouts - 12.0).abs() < 1e-12 && (random.all_rollouts - 6.0).abs() < 1e-12);
         let cells = gradient.cells();

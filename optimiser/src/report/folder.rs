@@ -310,7 +310,7 @@ mod tests {
     fn resuming_where_nothing_is_says_so() {
         let place = tempfile::tempdir().unwrap();
         let error = RunFolder::open(place.path()).unwrap_err();
-        assert!(error.to_string().contains("no run to resume"), "{error}");
+        assert!(error.to_string().contains("nothing to resume"), "{error}");
     }
 
     #[cfg(target_os = "linux")]
