@@ -1,0 +1,390 @@
+"""Opens reports in headless Chromium and checks what a reader would see: pages.py [--made-up] SCREENSHOTS REPORT...
+
+For each report: it asks for nothing but itself, says nothing in the console, fits 400 pixels, draws every chart and
+reads values out; a replay is not blank, plays, stops, is at the right frame after scrubbing and stepping, changes with
+colours, layers and points of view; without WebGL there is a sentence in its place. With --made-up, the first report is
+the package's example, whose particle 0 is where a formula says.
+"""
+
+import base64
+import contextlib
+import json
+import math
+import pathlib
+import sys
+import tempfile
+import time
+
+from selenium import webdriver
+from selenium.webdriver.common.action_chains import ActionChains
+from selenium.webdriver.common.by import By
+from selenium.webdriver.common.keys import Keys
+
+FLAGS = [
+    "--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+    "--disable-background-networking", "--disable-component-update", "--disable-sync", "--hide-scrollbars",
+]
+WITH_WEBGL = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+WITHOUT_WEBGL = ["--disable-3d-apis"]
+PATIENCE_S = 120
+
+# In one task with the drawing, for the picture is gone afterwards.
+PIXELS = """
+const { stage } = globalThis.powderline;
+stage.draw();
+const gl = stage.canvas.getContext('webgl2');
+const [width, height] = [gl.drawingBufferWidth, gl.drawingBufferHeight];
+const pixels = new Uint8Array(4 * width * height);
+gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, pixels);
+const tints = new Set();
+let [sum, squares, hash] = [0, 0, 0];
+for (let i = 0; i < pixels.length; i += 4) {
+  const light = pixels[i] + pixels[i + 1] + pixels[i + 2];
+  sum += light;
+  squares += light * light;
+  hash = (Math.imul(hash, 31) + (pixels[i] << 16) + (pixels[i + 1] << 8) + pixels[i + 2]) | 0;
+  tints.add((pixels[i] >> 3 << 10) + (pixels[i + 1] >> 3 << 5) + (pixels[i + 2] >> 3));
+}
+const count = pixels.length / 4;
+return { deviation: Math.sqrt(Math.max(squares / count - (sum / count) ** 2, 0)), tints: tints.size, hash };
+"""
+
+
+@contextlib.contextmanager
+def chromium(flags):
+    options = webdriver.ChromeOptions()
+    options.binary_location = "/usr/bin/chromium"
+    options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as profile:
+        for flag in [*FLAGS, *flags, f"--user-data-dir={profile}", "--window-size=1280,1400"]:
+            options.add_argument(flag)
+        service = webdriver.ChromeService("/usr/bin/chromedriver")
+        driver = webdriver.Chrome(options, service)
+        driver.set_script_timeout(PATIENCE_S)
+        try:
+            yield driver
+        finally:
+            driver.quit()
+
+
+def check(holds, what):
+    if not holds:
+        raise AssertionError(what)
+
+
+def until(condition, what):
+    """Waits, as long as it takes a slow machine, for something that will be so."""
+    ends = time.monotonic() + PATIENCE_S
+    while not (value := condition()):
+        check(time.monotonic() < ends, f"never happened: {what}")
+        time.sleep(0.05)
+    return value
+
+
+class Report:
+    """A report in a browser."""
+
+    def __init__(self, driver, path, shots):
+        self.driver, self.path, self.shots = driver, path.resolve(), shots
+        self.name = path.stem
+        driver.get(self.path.as_uri())
+        self.has_replay = bool(driver.find_elements(By.ID, "replay"))
+
+    def script(self, text, *arguments):
+        return self.driver.execute_script(text, *arguments)
+
+    def find(self, selector):
+        return self.driver.find_element(By.CSS_SELECTOR, selector)
+
+    def find_all(self, selector):
+        return self.driver.find_elements(By.CSS_SELECTOR, selector)
+
+    def emulate(self, width, height, theme):
+        feature = {"name": "prefers-color-scheme", "value": theme}
+        self.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": [feature]})
+        size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+        self.driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+        self.settle()
+
+    def settle(self):
+        """Lets the browser lay out and draw."""
+        self.driver.execute_async_script(
+            "const done = arguments[0];"
+            "requestAnimationFrame(() => requestAnimationFrame(() => setTimeout(done, 0)));")
+
+    def screenshot(self, name):
+        """All of the page, however long."""
+        height = self.script("return document.documentElement.scrollHeight")
+        width = self.script("return innerWidth")
+        clip = {"x": 0, "y": 0, "width": width, "height": height, "scale": 1}
+        options = {"format": "png", "captureBeyondViewport": True, "clip": clip}
+        data = self.driver.execute_cdp_cmd("Page.captureScreenshot", options)["data"]
+        (self.shots / f"{self.name}-{name}.png").write_bytes(base64.b64decode(data))
+
+    def check_quiet(self):
+        """No request but for the file, nothing in the console."""
+        for entry in self.driver.get_log("performance"):
+            message = json.loads(entry["message"])["message"]
+            if message["method"] == "Network.requestWillBeSent":
+                url = message["params"]["request"]["url"]
+                own = url == self.path.as_uri() or url.startswith(("blob:", "data:"))
+                check(own, f"the page asked for {url}")
+        loud = [entry["message"] for entry in self.driver.get_log("browser") if entry["level"] != "INFO"]
+        check(not loud, f"the console says {loud}")
+
+    def check_narrow(self):
+        self.emulate(400, 900, "light")
+        width = self.script("return document.documentElement.scrollWidth")
+        check(width <= 400, f"at 400 pixels the page is {width} wide")
+
+    def check_charts(self):
+        data = self.script("return JSON.parse(document.getElementById('charts-data')?.textContent ?? '[]')")
+        figures = self.find_all(".chart")
+        check(len(figures) == len(data), f"{len(figures)} charts drawn, {len(data)} given")
+        for figure, chart in zip(figures, data):
+            check(figure.find_element(By.TAG_NAME, "h2").text.strip() == chart["title"].strip(), "a chart's title")
+            marks = figure.find_elements(By.CSS_SELECTOR, ".curve, .dot")
+            drawn = {mark.get_attribute("class").split()[1] for mark in marks}
+            known = {f"c{i % 6}" for i, series in enumerate(chart["series"])
+                     if any(None not in point for point in series["points"])}
+            check(drawn == known, f"curves {drawn} of {known} in {chart['title']}")
+            if known:
+                self.check_readout(figure, chart)
+
+    def check_readout(self, figure, chart):
+        picture = figure.find_element(By.TAG_NAME, "svg")
+        self.script("arguments[0].scrollIntoView({block: 'center'})", picture)
+        ActionChains(self.driver).move_to_element(picture).perform()
+        tip = figure.find_element(By.CSS_SELECTOR, ".tip")
+        check(tip.is_displayed() and chart["x_label"].strip() in tip.text, f"nothing read out in {chart['title']}")
+        at_mouse = tip.text
+        picture.send_keys(Keys.ARROW_RIGHT)
+        points = max(len(series["points"]) for series in chart["series"])
+        check(points < 4 or tip.text != at_mouse, f"arrows read nothing out in {chart['title']}")
+
+    # ---- Replay ----
+
+    def open_replay(self):
+        def ready():
+            trouble = self.find("#replay-trouble")
+            check(not trouble.is_displayed(), f"no replay: {trouble.text}")
+            return self.script("return Boolean(globalThis.powderline)")
+        until(ready, "the replay is unpacked")
+        self.settle()
+
+    def pixels(self):
+        return self.script(PIXELS)
+
+    def time_s(self):
+        return self.script("return powderline.clock.time")
+
+    def frame(self):
+        return int(self.find("#stage canvas").get_attribute("data-frame"))
+
+    def scrub(self, time_s):
+        self.script("const s = document.getElementById('scrub'); s.value = arguments[0];"
+                    "s.dispatchEvent(new Event('input', { bubbles: true }));", time_s)
+        self.settle()
+
+    def click(self, selector):
+        self.script("arguments[0].scrollIntoView({block: 'center'})", self.find(selector))
+        self.find(selector).click()
+        self.settle()
+
+    def check_replay(self):
+        self.open_replay()
+        first = self.pixels()
+        check(first["deviation"] > 5 and first["tints"] > 50, f"the picture is blank: {first}")
+        self.check_frames()
+        self.check_playing()
+        self.check_keys()
+        self.check_settings()
+        self.check_views()
+
+    def check_frames(self):
+        """After scrubbing, the frame is the nearest, the clock says so, and picture and tool are elsewhere."""
+        times = self.script("return powderline.replay.about.times_s")
+        pictures = {}
+        for share in [0, 0.31, 0.5, 0.77, 1]:
+            time_s = round(times[0] + share * (times[-1] - times[0]), 3)
+            self.scrub(time_s)
+            nearest = min(abs(t - self.time_s()) for t in times)
+            shown = abs(times[self.frame()] - self.time_s())
+            check(abs(self.time_s() - time_s) < 2e-3, f"scrubbed to {time_s} s, is at {self.time_s()} s")
+            check(abs(shown - nearest) < 1e-9, f"at {time_s} s the frame {self.frame()} is shown")
+            check(self.find("#clock").text.startswith(f"{self.time_s():.2f} s"), self.find("#clock").text)
+            pictures[self.frame()] = self.pixels()["hash"]
+        check(len(set(pictures.values())) >= min(len(times), 3), "pictures of different times are alike")
+        self.check_tool(times)
+
+    def check_tool(self, times):
+        """The tool is where its pose says, and between two frames between them."""
+        poses = self.script("return powderline.replay.about.poses")
+        middle = len(times) // 2
+        self.script("powderline.clock.set(arguments[0])", times[middle])
+        self.settle()
+        drawn = self.script("return powderline.stage.layers.tool.position.toArray()")
+        check(math.dist(drawn, poses[middle][:3]) < 1e-6, f"the tool is at {drawn}")
+
+    def check_playing(self):
+        self.scrub(0)
+        before = self.pixels()
+        # Slowly, for a slow machine is not to be at the end before it is stopped.
+        self.choose_rate("0.1")
+        drawn = self.drawn()
+        self.click("#play")
+        began = time.monotonic()
+        check(self.find("#play").get_attribute("aria-label") == "Pause", "the button does not offer to pause")
+        until(lambda: self.time_s() > 0.05 * self.end_s() or self.drawn() > drawn + 50, "time goes on")
+        self.rate = (self.drawn() - drawn) / (time.monotonic() - began)
+        self.click("#play")
+        stopped = self.time_s()
+        check(stopped > 0, "time did not go on")
+        check(self.pixels()["hash"] != before["hash"], "nothing moved")
+        self.settle()
+        check(abs(self.time_s() - stopped) < 1e-12, "time goes on though paused")
+        self.choose_rate("4")
+        self.scrub(0.9 * self.end_s())
+        self.click("#play")
+        until(lambda: not self.script("return powderline.clock.playing"), "it ends")
+        check(abs(self.time_s() - self.end_s()) < 1e-9, "it ended before the end")
+
+    def choose_rate(self, rate):
+        self.script("const r = document.getElementById('rate'); r.value = arguments[0];"
+                    "r.dispatchEvent(new Event('change'));", rate)
+
+    def drawn(self):
+        return int(self.find("#stage canvas").get_attribute("data-drawn"))
+
+    def end_s(self):
+        return self.script("return powderline.replay.about.times_s.at(-1)")
+
+    def check_keys(self):
+        stage = self.find("#stage")
+        self.scrub(0)
+        last = self.script("return powderline.replay.frames.length - 1")
+        for keys, frame in [([Keys.ARROW_RIGHT], 1), ([Keys.ARROW_RIGHT], 2), ([Keys.ARROW_LEFT], 1),
+                            ([Keys.END], last), ([Keys.HOME], 0)]:
+            stage.send_keys(*keys)
+            self.settle()
+            check(self.frame() == min(frame, last), f"{keys} led to frame {self.frame()} instead of {frame}")
+        stage.send_keys(Keys.SPACE)
+        check(self.script("return powderline.clock.playing"), "space does not play")
+        stage.send_keys(Keys.SPACE)
+        check(not self.script("return powderline.clock.playing"), "space does not pause")
+
+    def check_settings(self):
+        self.scrub(0.6 * self.end_s())
+        seen = set()
+        modes = self.find_all("#colours input")
+        for mode in modes:
+            self.click(f"#colours input[value={mode.get_attribute('value')}]")
+            check(self.find("#legend").text.strip(), "a colour without a legend")
+            seen.add(self.pixels()["hash"])
+        check(len(seen) == len(modes), "colours do not change the picture")
+        self.click("#colours input[value=speed]")
+        for box in self.find_all("#layers input"):
+            layer = box.get_attribute("data-layer")
+            shown = self.pixels()["hash"]
+            self.click(f"[data-layer={layer}]")
+            check(self.pixels()["hash"] != shown, f"without {layer} the picture is the same")
+            self.click(f"[data-layer={layer}]")
+            check(self.pixels()["hash"] == shown, f"with {layer} again the picture is another")
+
+    def check_views(self):
+        seen = set()
+        for button in self.find_all("[data-view]"):
+            self.click(f"[data-view={button.get_attribute('data-view')}]")
+            seen.add(self.pixels()["hash"])
+        check(len(seen) == 4, "points of view are alike")
+        self.click("[data-view=oblique]")
+        still = self.pixels()["hash"]
+        canvas = self.find("#stage canvas")
+        ActionChains(self.driver).drag_and_drop_by_offset(canvas, 60, 20).perform()
+        self.settle()
+        check(self.pixels()["hash"] != still, "dragging does not orbit")
+        self.click("[data-view=oblique]")
+
+    def check_particle(self):
+        """Particle 0 of the made-up page lies in the bowl while it is carried: there the page must show it."""
+        times = self.script("return powderline.replay.about.times_s")
+        poses = self.script("return powderline.replay.about.poses")
+        size_m = self.script("return powderline.replay.about.size_m")
+        for frame in [k for k, t in enumerate(times) if 1.3 < t < 3.9]:
+            place = self.script("return powderline.replay.position(arguments[0], 0)", frame)
+            x, y, z, i, j, k, w = poses[frame]
+            # 30 mm along the tool's -z.
+            down = [2 * (i * k + w * j), 2 * (j * k - w * i), 1 - 2 * (i * i + j * j)]
+            truth = [p - 0.03 * d for p, d in zip([x, y, z], down)]
+            for axis in range(3):
+                off_m = abs(place[axis] - truth[axis])
+                check(off_m < 0.5 * size_m[axis] / 65535 + 3e-6, f"particle 0 is {off_m} m off in frame {frame}")
+
+    def take_screenshots(self):
+        for theme in ["light", "dark"]:
+            self.emulate(1280, 900, theme)
+            if self.has_replay:
+                self.scrub(0.63 * self.end_s())
+            self.screenshot(theme)
+        if self.has_replay:
+            self.emulate(1280, 900, "light")
+            for view, mode, share in [("front", "height", 0.5), ("top", "destination", 0.85), ("side", "speed", 1)]:
+                self.click(f"[data-view={view}]")
+                for button in self.find_all(f"#colours input[value={mode}]"):
+                    button.click()
+                self.scrub(share * self.end_s())
+                self.find("#stage").screenshot(str(self.shots / f"{self.name}-{view}.png"))
+            self.click("[data-view=oblique]")
+        self.emulate(400, 900, "light")
+        self.screenshot("narrow")
+        self.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+        pdf = self.driver.execute_cdp_cmd("Page.printToPDF", {"printBackground": False})["data"]
+        (self.shots / f"{self.name}-print.pdf").write_bytes(base64.b64decode(pdf))
+        self.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+
+
+def check_report(driver, path, shots, made_up):
+    report = Report(driver, path, shots)
+    report.emulate(1280, 900, "light")
+    report.check_charts()
+    told = "curves"
+    if report.has_replay:
+        report.check_replay()
+        frames = report.script("return powderline.replay.frames.length")
+        particles = report.script("return powderline.replay.about.particles")
+        told += f", replay of {particles} particles and {frames} frames, drawn {report.rate:.0f} times a second"
+        if made_up:
+            report.check_particle()
+    report.check_narrow()
+    report.take_screenshots()
+    report.check_quiet()
+    print(f"{path.name}: {told}; {path.stat().st_size / 1e6:.2f} MB, no request, nothing in the console")
+
+
+def check_without_webgl(driver, path, shots):
+    report = Report(driver, path, shots)
+    if not report.has_replay:
+        return
+    report.emulate(1280, 900, "light")
+    report.check_charts()
+    until(lambda: report.find("#replay-trouble").is_displayed(), "a sentence in place of the replay")
+    check("WebGL" in report.find("#replay-trouble").text, report.find("#replay-trouble").text)
+    check(not report.find("#player").is_displayed(), "controls without a replay")
+    report.screenshot("without-webgl")
+    print(f"{path.name}, without WebGL: curves, and \"{report.find('#replay-trouble').text}\"")
+
+
+def main():
+    arguments = sys.argv[1:]
+    made_up = arguments[:1] == ["--made-up"]
+    shots, *paths = map(pathlib.Path, arguments[made_up:])
+    with chromium(WITH_WEBGL) as driver:
+        for index, path in enumerate(paths):
+            check_report(driver, path, shots, made_up and index == 0)
+    with chromium(WITHOUT_WEBGL) as driver:
+        for path in paths:
+            check_without_webgl(driver, path, shots)
+
+
+if __name__ == "__main__":
+    main()
