@@ -5,8 +5,10 @@
 //!
 //! World frame: z up, floor at z = 0, the simulated volume is `[0, size_m]`. Lengths in metres, times in seconds.
 
+pub mod export;
 pub mod mesh;
 pub mod page;
+pub mod picture;
 
 use powderline_shared::pose::Pose;
 
@@ -113,4 +115,21 @@ pub enum ViewError {
         /// What the system says.
         source: std::io::Error,
     },
+    /// A file is there already that would have been overwritten.
+    #[error("{}: exists already; name a directory that holds no series yet, or remove this one", path.display())]
+    Exists {
+        /// The file.
+        path: std::path::PathBuf,
+    },
+    /// What was asked for cannot be drawn or written.
+    #[error("{what}: {wanted}")]
+    Setting {
+        /// What was asked for.
+        what: String,
+        /// What would be right.
+        wanted: &'static str,
+    },
+    /// The one who was told of the progress wanted no more. No file is left.
+    #[error("stopped; no file was written")]
+    Stopped,
 }

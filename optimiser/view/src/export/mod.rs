@@ -1,0 +1,178 @@
+//! Series of files for other programs: ParaView (`Vtk`), MeshLab (`Ply`), pandas and the like (`Csv`).
+//!
+//! Files are written as frames come, so memory holds one frame. Binary numbers are little-endian 32-bit floats, as the
+//! frames hold them; numbers in text are the shortest that read back as the same. No file is ever overwritten.
+//!
+//! ```no_run
+//! # use powderline_view::{Bench, Sink, ViewError, export::{Format, Series}};
+//! # fn example(bench: &Bench) -> Result<(), ViewError> {
+//! let mut series = Series::new(bench, Format::Vtk, "run/vtk", 4)?; // Every fourth frame.
+//! // series.frame(&frame)? for every frame, then series.finish(&destinations)?
+//! # Ok(())
+//! # }
+//! ```
+
+mod csv;
+mod ply;
+mod vtk;
+
+use std::fs::{self, OpenOptions};
+use std::io::{self, BufWriter, Write};
+use std::path::{Path, PathBuf};
+
+use nalgebra::Isometry3;
+use powderline_shared::pose::Pose;
+
+use crate::mesh::Mesh;
+use crate::{Bench, Destination, Frame, Sink, ViewError};
+
+/// What a series is written for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// XML PolyData, to be opened as `series.pvd` by ParaView: `powder-NNNNN.vtp` with velocity (m/s), speed (m/s) and
+    /// particle number at each point, `tool-NNNNN.vtp`, `containers.vtp`.
+    Vtk,
+    /// Binary PLY: `powder-NNNNN.ply` with x, y, z (m), vx, vy, vz and speed (m/s), `tool-NNNNN.ply`, `containers.ply`.
+    Ply,
+    /// `particles.csv`, a row for each particle and time, and `tool.csv`, a row for each time.
+    Csv,
+}
+
+/// Writes every k-th frame into a folder, and at the end `destinations.csv`: for each particle `left`, `target`, `tool`
+/// or `spilled`.
+pub struct Series {
+    folder: PathBuf,
+    every: usize,
+    tool: Mesh,
+    /// Digits of a frame's number.
+    digits: usize,
+    writer: Writer,
+}
+
+enum Writer {
+    Vtk(vtk::Collection),
+    Ply,
+    Csv(csv::Tables),
+}
+
+impl Series {
+    /// For a folder, which is made, that holds no series of this format yet. Frames 0, `every`, 2 `every` and so on are
+    /// written.
+    ///
+    /// # Errors
+    /// If there is a file already that would be overwritten, if the system refuses, or if `every` is 0.
+    pub fn new(
+        bench: &Bench,
+        format: Format,
+        folder: impl Into<PathBuf>,
+        every: usize,
+    ) -> Result<Self, ViewError> {
+        let folder = folder.into();
+        if every == 0 {
+            return Err(ViewError::Setting {
+                what: "every 0th frame".to_owned(),
+                wanted: "1 writes all frames, 2 every other one",
+            });
+        }
+        fs::create_dir_all(&folder).map_err(|source| ViewError::File { path: folder.clone(), source })?;
+        let destinations = folder.join(DESTINATIONS);
+        if destinations.exists() {
+            return Err(ViewError::Exists { path: destinations });
+        }
+        let containers = bench.containers.iter().fold(Mesh::default(), |all, one| all.and(one.mesh.clone()));
+        let writer = match format {
+            Format::Vtk => Writer::Vtk(vtk::Collection::new(&folder, &containers)?),
+            Format::Ply => {
+                write(&folder.join("containers.ply"), |file| ply::mesh(file, &containers, None))?;
+                Writer::Ply
+            }
+            Format::Csv => Writer::Csv(csv::Tables::new(&folder)?),
+        };
+        let digits = bench.frames.saturating_sub(1).max(1).ilog10() as usize + 1;
+        Ok(Self { folder, every, tool: bench.tool.clone(), digits: digits.max(4), writer })
+    }
+
+    /// The tool where it is.
+    fn tool(&self, pose: &Pose) -> Mesh {
+        self.tool.clone().moved(&Isometry3::from_parts(pose.position_m.into(), pose.orientation))
+    }
+}
+
+impl Sink for Series {
+    fn frame(&mut self, frame: &Frame<'_>) -> Result<(), ViewError> {
+        if !frame.index.is_multiple_of(self.every) {
+            return Ok(());
+        }
+        let tool = self.tool(&frame.tool);
+        let name = |part: &str, ending: &str| {
+            format!("{part}-{:0digits$}.{ending}", frame.index, digits = self.digits)
+        };
+        match &mut self.writer {
+            Writer::Vtk(collection) => {
+                let names = ["powder", "tool"].map(|part| name(part, "vtp"));
+                write(&self.folder.join(&names[0]), |file| vtk::powder(file, frame))?;
+                write(&self.folder.join(&names[1]), |file| vtk::mesh(file, &tool))?;
+                collection.add(frame.time_s, names);
+                Ok(())
+            }
+            Writer::Ply => {
+                write(&self.folder.join(name("powder", "ply")), |file| ply::powder(file, frame))?;
+                write(&self.folder.join(name("tool", "ply")), |file| {
+                    ply::mesh(file, &tool, Some(frame.time_s))
+                })
+            }
+            Writer::Csv(tables) => tables.add(frame),
+        }
+    }
+
+    fn finish(&mut self, destinations: &[Destination]) -> Result<(), ViewError> {
+        write(&self.folder.join(DESTINATIONS), |file| csv::destinations(file, destinations))?;
+        match &mut self.writer {
+            Writer::Vtk(collection) => collection.finish(&self.folder),
+            Writer::Ply => Ok(()),
+            Writer::Csv(tables) => tables.finish(),
+        }
+    }
+}
+
+const DESTINATIONS: &str = "destinations.csv";
+
+/// A file that is being written.
+struct Open {
+    path: PathBuf,
+    file: BufWriter<fs::File>,
+}
+
+impl Open {
+    /// A file that was not there.
+    fn new(path: PathBuf) -> Result<Self, ViewError> {
+        match OpenOptions::new().write(true).create_new(true).open(&path) {
+            Ok(file) => Ok(Self { path, file: BufWriter::with_capacity(1 << 16, file) }),
+            Err(source) if source.kind() == io::ErrorKind::AlreadyExists => Err(ViewError::Exists { path }),
+            Err(source) => Err(ViewError::File { path, source }),
+        }
+    }
+
+    fn write(&mut self, contents: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> Result<(), ViewError> {
+        contents(&mut self.file).map_err(|source| ViewError::File { path: self.path.clone(), source })
+    }
+
+    fn finish(&mut self) -> Result<(), ViewError> {
+        self.write(|file| file.flush())
+    }
+}
+
+/// Writes a whole file that was not there.
+fn write(path: &Path, contents: impl FnOnce(&mut dyn Write) -> io::Result<()>) -> Result<(), ViewError> {
+    let mut file = Open::new(path.to_path_buf())?;
+    file.write(contents)?;
+    file.finish()
+}
+
+/// Position, velocity and speed of each particle, metres and m/s. A particle without a velocity is at rest.
+fn particles<'a>(frame: &'a Frame<'_>) -> impl Iterator<Item = ([f32; 3], [f32; 3], f32)> + use<'a> {
+    frame.positions_m.iter().enumerate().map(|(index, position)| {
+        let velocity = frame.velocities_m_s.get(index).copied().unwrap_or_default();
+        (*position, velocity, velocity.iter().map(|part| part * part).sum::<f32>().sqrt())
+    })
+}

@@ -1,0 +1,174 @@
+//! How much light reaches a point: a sky and a large lamp, as a number of directions with a depth map each.
+//!
+//! Each map holds how high the topmost powder or tool lies, seen from the direction that the light comes from. The
+//! maps of all directions together give ambient occlusion and soft shadows, the same whichever way the camera looks and
+//! without noise. A pixel has four samples, and each of them asks a quarter of the directions.
+
+use rayon::prelude::*;
+
+use super::facet::{Facet, unit};
+use super::raster::covered;
+use super::{SAMPLES, V};
+
+/// Directions to the sky and to points of the lamp. Multiples of [`SAMPLES`].
+const SKY: usize = 36;
+const LAMP: usize = 20;
+
+/// Share of the light on a level surface that comes from the lamp.
+const LAMP_SHARE: f32 = 0.55;
+
+/// Tangent of the angle that the lamp's radius is seen at: how soft shadows are.
+const LAMP_TANGENT: f32 = 0.16;
+
+/// Share of the light that comes through a translucent wall.
+const THROUGH: f32 = 0.72;
+
+/// Light that comes from below, scattered by the floor, as a share of that on a level surface.
+const BOUNCE: f32 = 0.22;
+
+/// Directions, and the region of space that their maps cover.
+pub(super) struct Lights {
+    lights: Vec<Light>,
+    middle_m: V,
+    /// Texels along an edge of a map.
+    size: usize,
+    texel_m: f32,
+    /// For each light, how high the topmost translucent wall lies.
+    walls: Vec<Map>,
+}
+
+struct Light {
+    /// Two axes across the light and one towards it.
+    axes: [V; 3],
+    weight: f32,
+}
+
+/// Height over the middle along the light's direction, metres; minus infinity where nothing is.
+type Map = Vec<f32>;
+
+impl Lights {
+    /// Lights over a sphere of a radius about `middle_m`; the lamp stands to the left of a camera that looks at azimuth
+    /// `azimuth_rad`.
+    pub(super) fn new(middle_m: V, radius_m: f32, texel_m: f32, azimuth_rad: f32, walls: &[Facet]) -> Self {
+        let texel_m = texel_m.clamp(radius_m / 320.0, radius_m / 32.0);
+        let size = (2.0 * radius_m / texel_m).ceil() as usize;
+        let mut lights = Self { lights: directions(azimuth_rad), middle_m, size, texel_m, walls: Vec::new() };
+        lights.walls = (0..lights.lights.len()).map(|light| lights.map(light, &[], 0.0, walls)).collect();
+        lights
+    }
+
+    /// The maps for powder of a radius and for solids.
+    pub(super) fn maps(&self, powder_m: &[V], radius_m: f32, solids: &[Facet]) -> Vec<Map> {
+        (0..self.lights.len())
+            .into_par_iter()
+            .map(|light| self.map(light, powder_m, radius_m, solids))
+            .collect()
+    }
+
+    fn map(&self, light: usize, powder_m: &[V], radius_m: f32, solids: &[Facet]) -> Map {
+        let mut map = vec![f32::NEG_INFINITY; self.size * self.size];
+        let reach = radius_m / self.texel_m;
+        for centre in powder_m {
+            let [x, y, height] = self.place(light, centre);
+            let rows =
+                (y - reach).max(0.0).round() as usize..((y + reach).round().max(0.0) as usize).min(self.size);
+            for row in rows {
+                let aside = row as f32 + 0.5 - y;
+                let half = (reach * reach - aside * aside).max(0.0).sqrt();
+                let first = (x - half).max(0.0).round() as usize;
+                let end = ((x + half).round().max(0.0) as usize).min(self.size);
+                for texel in &mut map[row * self.size + first.min(end)..row * self.size + end] {
+                    *texel = texel.max(height);
+                }
+            }
+        }
+        for facet in solids {
+            let corners = facet.corners.map(|corner| self.place(light, &corner));
+            covered(corners, [self.size; 2], |column, row, share, _| {
+                let height = (0..3).map(|corner| share[corner] * corners[corner][2]).sum::<f32>();
+                let texel = &mut map[row * self.size + column];
+                *texel = texel.max(height);
+            });
+        }
+        map
+    }
+
+    /// Column and row in a light's map, and height towards it in metres.
+    fn place(&self, light: usize, point_m: &V) -> [f32; 3] {
+        let [across, along, towards] = &self.lights[light].axes;
+        let from = point_m - self.middle_m;
+        let half = 0.5 * self.size as f32;
+        [half + from.dot(across) / self.texel_m, half + from.dot(along) / self.texel_m, from.dot(towards)]
+    }
+
+    /// Light on a surface in one of a pixel's samples; 1 on a level surface that nothing shades.
+    pub(super) fn at(&self, maps: &[Map], sample: usize, point_m: &V, normal: &V) -> f32 {
+        // A surface must not shade itself by the coarseness of the map.
+        let point_m = point_m + normal * (1.5 * self.texel_m);
+        let mut sum = BOUNCE * (0.5 - 0.5 * normal.z);
+        for (index, light) in self.lights.iter().enumerate().skip(sample).step_by(SAMPLES) {
+            let incidence = normal.dot(&light.axes[2]);
+            if incidence > 0.0 {
+                sum += light.weight * incidence * self.passes(maps, index, &point_m);
+            }
+        }
+        sum
+    }
+
+    /// Share of a light that reaches a point.
+    fn passes(&self, maps: &[Map], light: usize, point_m: &V) -> f32 {
+        let [x, y, height] = self.place(light, point_m);
+        let inside = |value: f32| value >= 0.0 && value < self.size as f32;
+        if !inside(x) || !inside(y) {
+            return 1.0;
+        }
+        let texel = y as usize * self.size + x as usize;
+        match (maps[light][texel] > height, self.walls[light][texel] > height) {
+            (true, _) => 0.0,
+            (false, true) => THROUGH,
+            (false, false) => 1.0,
+        }
+    }
+}
+
+fn directions(azimuth_rad: f32) -> Vec<Light> {
+    let (sine, cosine) = azimuth_rad.sin_cos();
+    let (right, away) = (V::new(cosine, sine, 0.0), V::new(-sine, cosine, 0.0));
+    let lamp = unit(&(right * -0.62 - away * 0.30 + V::z() * 0.95));
+    let (across, along) = basis(&lamp);
+    // Sunflower spirals, which cover a disc evenly; of every four neighbours each sample gets one.
+    let turn = |index: usize| (2.399_963 * index as f32).sin_cos();
+    let sky = (0..SKY).map(|index| {
+        // The projection of a sky of even brightness is a disc of even density.
+        let share = (index as f32 + 0.5) / SKY as f32;
+        let (radius, (y, x)) = (0.97 * share.sqrt(), turn(index));
+        let up = (1.0 - radius * radius).sqrt();
+        (V::new(radius * x, radius * y, up), (1.0 - LAMP_SHARE) / up)
+    });
+    let points = (0..LAMP).map(|index| {
+        let radius = LAMP_TANGENT * ((index as f32 + 0.5) / LAMP as f32).sqrt();
+        let (y, x) = turn(index);
+        let direction = unit(&(lamp + across * (radius * x) + along * (radius * y)));
+        (direction, LAMP_SHARE / direction.z * SKY as f32 / LAMP as f32)
+    });
+    let mut lights: Vec<_> = sky
+        .chain(points)
+        .map(|(direction, weight)| {
+            let (across, along) = basis(&direction);
+            Light { axes: [across, along, direction], weight }
+        })
+        .collect();
+    for sample in 0..SAMPLES {
+        let level: f32 =
+            lights.iter().skip(sample).step_by(SAMPLES).map(|light| light.weight * light.axes[2].z).sum();
+        lights.iter_mut().skip(sample).step_by(SAMPLES).for_each(|light| light.weight /= level);
+    }
+    lights
+}
+
+/// Two directions across a third.
+fn basis(direction: &V) -> (V, V) {
+    let helper = if direction.z.abs() < 0.9 { V::z() } else { V::x() };
+    let across = unit(&helper.cross(direction));
+    (across, direction.cross(&across))
+}

@@ -1,0 +1,560 @@
+//! Still pictures and animations, drawn without a GPU.
+//!
+//! A depth buffer holds the nearest surface of each sample, two by two samples to a pixel. Light comes from a sky and a
+//! large lamp (see `light`), containers are laid over the powder as translucent layers, or cut open. The same input
+//! gives the same bytes, whatever the number of threads; those of the current rayon pool are used.
+//!
+//! ```no_run
+//! # use powderline_view::{Bench, Frame, ViewError, picture::{Camera, Look, Painter}};
+//! # fn example(bench: &Bench, frame: &Frame<'_>) -> Result<(), ViewError> {
+//! let painter = Painter::new(bench, &Camera::default(), &Look::default())?;
+//! painter.draw(frame, &[]).write(std::path::Path::new("bench.png"))
+//! # }
+//! ```
+
+mod animation;
+mod camera;
+mod encode;
+mod facet;
+mod glass;
+mod label;
+mod light;
+mod raster;
+mod stills;
+
+use nalgebra::UnitQuaternion;
+use powderline_shared::pose::Pose;
+use rayon::prelude::*;
+
+use crate::mesh::Mesh;
+use crate::{Bench, Container, Destination, Frame, Role, ViewError};
+
+pub use animation::{Animation, Progress};
+pub use camera::Camera;
+pub use stills::Stills;
+
+use camera::View;
+use facet::{Facet, facets};
+use glass::Glass;
+use label::Pen;
+use light::Lights;
+use raster::{Canvas, Finish, Texel};
+
+type V = nalgebra::Vector3<f32>;
+
+/// Red, green, blue as shown on a screen (sRGB).
+pub type Rgb = [u8; 3];
+
+/// Samples along an edge of a pixel, and in a pixel.
+const FINE: usize = 2;
+const SAMPLES: usize = FINE * FINE;
+
+/// Radius of the sphere that has a particle's volume, where eight particles fill a cell; in cells.
+const RADIUS_CELLS: f32 = 0.31;
+
+/// Pixels along an edge of a picture.
+const SIZE_PX: std::ops::RangeInclusive<usize> = 16..=8192;
+
+/// Grains drawn for a particle.
+const GRAINS: std::ops::RangeInclusive<usize> = 1..=64;
+
+/// What a picture looks like.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Look {
+    /// Pixels across, 16 to 8192.
+    pub width_px: usize,
+    /// Pixels down, 16 to 8192.
+    pub height_px: usize,
+    /// What the powder's colour says.
+    pub colouring: Colouring,
+    /// Colour of what is behind everything, and of the floor.
+    pub background: Rgb,
+    /// How the powder in a container is made visible.
+    pub containers: Containers,
+    /// A particle stands for many grains of powder; so many of them are drawn at fixed random places about it, with
+    /// its volume together. 1 draws each particle as one sphere, at its place. 1 to 64.
+    pub grains: usize,
+    /// Whether time, ruler and the meaning of colours are drawn.
+    pub labels: bool,
+}
+
+impl Default for Look {
+    fn default() -> Self {
+        Self {
+            width_px: 1280,
+            height_px: 960,
+            colouring: Colouring::Plain([226, 176, 96]),
+            background: [250, 250, 251],
+            containers: Containers::Translucent,
+            grains: 12,
+            labels: true,
+        }
+    }
+}
+
+/// What the powder's colour says.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Colouring {
+    /// Nothing: all of it has this one.
+    Plain(Rgb),
+    /// How fast a particle moves.
+    Speed {
+        /// Faster than this looks the same, m/s.
+        max_m_s: f64,
+    },
+    /// How high a particle is above the floor.
+    Height {
+        /// Higher than this looks the same, metres.
+        max_m: f64,
+    },
+    /// Where a particle is when all is over. Without destinations all is drawn as left.
+    Destination,
+}
+
+/// How the powder in a container is made visible.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Containers {
+    /// Walls are translucent.
+    Translucent,
+    /// Walls are solid, and cut open through the middle where they stand before the powder.
+    CutOpen,
+}
+
+/// A finished picture.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Image {
+    /// Pixels across.
+    pub width_px: usize,
+    /// Pixels down.
+    pub height_px: usize,
+    /// Row by row from the top, three bytes a pixel.
+    pub rgb: Vec<u8>,
+}
+
+impl Image {
+    /// Lays a colour over a pixel, 255 covering it; pixels outside are left out.
+    fn blend(&mut self, [column, row]: [usize; 2], colour: Rgb, cover: u8) {
+        if column >= self.width_px || row >= self.height_px {
+            return;
+        }
+        let at = 3 * (row * self.width_px + column);
+        let cover = i32::from(cover);
+        for (below, above) in self.rgb[at..at + 3].iter_mut().zip(colour) {
+            *below = ((i32::from(*below) * (255 - cover) + i32::from(above) * cover + 127) / 255) as u8;
+        }
+    }
+}
+
+/// Draws moments of one bench with one camera.
+pub struct Painter {
+    camera: Camera,
+    look: Look,
+    view: View,
+    lights: Lights,
+    glass: Glass,
+    /// Containers that are cut open: surface, middle, colour.
+    cut: Vec<(Vec<Facet>, V, [f32; 3])>,
+    tool: Vec<Facet>,
+    ruler: Ruler,
+    radius_m: f32,
+}
+
+impl Painter {
+    /// Gets ready.
+    ///
+    /// # Errors
+    /// If a number of the camera or the look is out of its range.
+    pub fn new(bench: &Bench, camera: &Camera, look: &Look) -> Result<Self, ViewError> {
+        check(bench, camera, look)?;
+        let ruler = Ruler::new(bench, camera);
+        let mut points = camera::corners(bench);
+        points.extend(ruler.ends_m);
+        let size_px = [look.width_px * FINE, look.height_px * FINE];
+        let view = View::framing(camera, size_px, &points);
+        let containers: Vec<_> =
+            bench.containers.iter().map(|it| (facets(&it.mesh), linear(tint(it)))).collect();
+        let walls: Vec<Facet> = containers.iter().flat_map(|(facets, _)| facets.iter().cloned()).collect();
+        let size = V::from(bench.size_m.map(|size| size as f32));
+        let texel_m = bench.cell_m as f32 / 6.0;
+        let azimuth_rad = camera.azimuth_deg.to_radians() as f32;
+        let lights = Lights::new(0.5 * size, 0.62 * facet::length(&size), texel_m, azimuth_rad, &walls);
+        let is_glass = look.containers == Containers::Translucent;
+        let glass = Glass::new(&view, if is_glass { &containers } else { &[] });
+        let middles = bench.containers.iter().map(|container| middle(&container.mesh));
+        let cut = containers.iter().zip(middles).map(|((facets, colour), at)| (facets.clone(), at, *colour));
+        let cut = if is_glass { Vec::new() } else { cut.collect() };
+        let radius_m = RADIUS_CELLS * bench.cell_m as f32;
+        let (tool, camera, look) = (facets(&bench.tool), *camera, look.clone());
+        Ok(Self { camera, look, view, lights, glass, cut, tool, ruler, radius_m })
+    }
+
+    /// Draws a frame. `destinations` may be empty, unless they are what is to be seen.
+    #[must_use]
+    pub fn draw(&self, frame: &Frame<'_>, destinations: &[Destination]) -> Image {
+        self.paint(&Moment::from(frame), destinations)
+    }
+
+    fn paint(&self, moment: &Moment, destinations: &[Destination]) -> Image {
+        let tool = self.tool_at(&moment.tool);
+        let canvas = self.surfaces(moment, &tool, destinations);
+        let places: Vec<V> = moment.powder.iter().map(place).filter(|at| is_finite(at)).collect();
+        let maps = self.lights.maps(&places, self.radius_m, &tool);
+        let background = linear(self.look.background);
+        let shades = Shades::new();
+        let mut rgb = vec![0; 3 * self.look.width_px * self.look.height_px];
+        rgb.par_chunks_mut(3 * self.look.width_px).enumerate().for_each(|(row, line)| {
+            for (column, pixel) in line.as_chunks_mut::<3>().0.iter_mut().enumerate() {
+                let mut sum = [0.0; 3];
+                for sample in 0..SAMPLES {
+                    let at = (FINE * column + sample % FINE, FINE * row + sample / FINE);
+                    let seen = self.sample(&canvas, &maps, sample, at, &background);
+                    sum = [0, 1, 2].map(|part| sum[part] + seen[part].min(1.0) / SAMPLES as f32);
+                }
+                *pixel = sum.map(|part| shades.of(part));
+            }
+        });
+        let mut image = Image { width_px: self.look.width_px, height_px: self.look.height_px, rgb };
+        if self.look.labels {
+            self.label(&mut image, moment.time_s, destinations);
+        }
+        image
+    }
+
+    /// The tool's surface where the tool is; nowhere if that cannot be said.
+    fn tool_at(&self, pose: &Pose) -> Vec<Facet> {
+        let by = V::from([pose.position_m.x, pose.position_m.y, pose.position_m.z].map(|x| x as f32));
+        let turn: UnitQuaternion<f32> = pose.orientation.cast();
+        if !is_finite(&by) || !turn.coords.iter().all(|part| part.is_finite()) {
+            return Vec::new();
+        }
+        self.tool.iter().map(|facet| facet.moved(&turn, &by)).collect()
+    }
+
+    /// What is seen where, behind translucent walls.
+    fn surfaces(&self, moment: &Moment, tool: &[Facet], destinations: &[Destination]) -> Canvas<'_> {
+        let mut canvas = Canvas::floor(&self.view);
+        let facing = self.camera.facing();
+        for (facets, middle, colour) in &self.cut {
+            canvas.cut(facets, middle, &facing, [*colour, colour.map(|part| 0.55 * part)]);
+        }
+        if self.look.labels {
+            self.ruler.draw(&mut canvas);
+        }
+        canvas.solid(tool, linear([150, 158, 170]), Finish::Metal);
+        for (index, grain) in moment.powder.iter().enumerate() {
+            let at = place(grain);
+            if is_finite(&at) {
+                let colour = linear(self.look.colouring.of(grain, destinations.get(index).copied()));
+                self.grains(&mut canvas, index as u32, &at, colour);
+            }
+        }
+        canvas
+    }
+
+    fn grains(&self, canvas: &mut Canvas<'_>, particle: u32, at: &V, colour: [f32; 3]) {
+        let count = self.look.grains;
+        if count == 1 {
+            let shade = 0.92 + 0.16 * random(particle, 0);
+            return canvas.sphere(at, self.radius_m, colour.map(|part| part * shade));
+        }
+        // Spheres do not fill space: a little larger than their share.
+        let radius_m = 1.12 * self.radius_m / (count as f32).cbrt();
+        for grain in 0..count as u32 {
+            let number = |which| random(particle, 5 * grain + which);
+            let aside =
+                V::new(number(1), number(2), number(3)).map(|part| (2.0 * part - 1.0) * 0.9 * self.radius_m);
+            let shade = 0.86 + 0.28 * number(4);
+            canvas.sphere(&(at + aside), radius_m * (0.8 + 0.4 * number(5)), colour.map(|part| part * shade));
+        }
+    }
+
+    /// The colour in one of a pixel's samples, linear.
+    fn sample(
+        &self,
+        canvas: &Canvas<'_>,
+        maps: &[Vec<f32>],
+        sample: usize,
+        (column, row): (usize, usize),
+        background: &[f32; 3],
+    ) -> [f32; 3] {
+        let index = row * self.view.size_px[0] + column;
+        let texel = &canvas.texels[index];
+        if texel.finish == Finish::Empty {
+            return self.glass.over(index, texel.depth_m, *background);
+        }
+        let point = self.view.eye + self.view.world(&self.view.ray(column, row)) * texel.depth_m;
+        let light = self.lights.at(maps, sample, &point, &texel.normal);
+        let colour = match texel.finish {
+            Finish::Metal => self.metal(texel, &point, light),
+            Finish::Floor => background.map(|part| part * light.min(1.0)),
+            Finish::Matt | Finish::Empty => texel.albedo.map(|part| part * light),
+        };
+        self.glass.over(index, texel.depth_m, colour)
+    }
+
+    /// Polished metal: it reflects a sky that is bright above and a floor that is darker.
+    fn metal(&self, texel: &Texel, point: &V, light: f32) -> [f32; 3] {
+        let sight = facet::unit(&(point - self.view.eye));
+        let slant = -sight.dot(&texel.normal);
+        let mirrored = sight + texel.normal * (2.0 * slant);
+        let share = (0.5 + 0.9 * mirrored.z).clamp(0.0, 1.0);
+        let sky = 0.12 + 0.75 * share * share * (3.0 - 2.0 * share);
+        let edge = 0.25 + 0.75 * (1.0 - slant.clamp(0.0, 1.0)).powi(4);
+        // Where little light comes to, little is reflected.
+        let reflected = edge * sky * (0.25 + 0.75 * light.min(1.0));
+        texel.albedo.map(|part| part * light * 0.75 + reflected * 0.8)
+    }
+
+    fn label(&self, image: &mut Image, time_s: f64, destinations: &[Destination]) {
+        let pen = Pen::on(image, self.look.background);
+        let margin = pen.line_px();
+        pen.write(image, [margin, margin / 2], &format!("{time_s:.2} s"));
+        if let Some([x, y]) = self.ruler.label_px(&self.view) {
+            let left = (x as usize).saturating_sub(pen.width_px(&self.ruler.name) / 2);
+            pen.write(image, [left, y as usize + pen.line_px() / 6], &self.ruler.name);
+        }
+        let corner = [image.width_px - margin, image.height_px - margin / 2];
+        match self.look.colouring {
+            Colouring::Plain(_) => {}
+            Colouring::Speed { max_m_s } => {
+                pen.scale(image, corner, ["0", &format!("{max_m_s} m/s")], speed_colour)
+            }
+            Colouring::Height { max_m } => {
+                pen.scale(image, corner, ["0", &format!("{} mm", rounded(1e3 * max_m))], height_colour);
+            }
+            Colouring::Destination => pen.key(image, corner, &key(destinations)),
+        }
+    }
+}
+
+/// One frame, kept.
+struct Moment {
+    time_s: f64,
+    tool: Pose,
+    /// x, y, z in metres and speed in m/s.
+    powder: Vec<[f32; 4]>,
+}
+
+impl From<&Frame<'_>> for Moment {
+    fn from(frame: &Frame<'_>) -> Self {
+        let still = [0.0; 3];
+        let speed = |index: usize| {
+            let velocity = frame.velocities_m_s.get(index).unwrap_or(&still);
+            facet::length(&V::from(*velocity))
+        };
+        let powder =
+            frame.positions_m.iter().enumerate().map(|(index, [x, y, z])| [*x, *y, *z, speed(index)]);
+        Self { time_s: frame.time_s, tool: frame.tool, powder: powder.collect() }
+    }
+}
+
+impl Colouring {
+    fn of(&self, [_, _, z, speed]: &[f32; 4], destination: Option<Destination>) -> Rgb {
+        match self {
+            Self::Plain(colour) => *colour,
+            Self::Speed { max_m_s } => speed_colour(f64::from(*speed) / max_m_s),
+            Self::Height { max_m } => height_colour(f64::from(*z) / max_m),
+            Self::Destination => destination_colour(destination.unwrap_or(Destination::Left)),
+        }
+    }
+
+    fn is_valid(&self) -> bool {
+        match self {
+            Self::Plain(_) | Self::Destination => true,
+            Self::Speed { max_m_s: max } | Self::Height { max_m: max } => (1e-9..=1e9).contains(max),
+        }
+    }
+}
+
+/// Slow is dark blue, fast is yellow; both colour-blind readers and printers without colour can tell them apart.
+fn speed_colour(share: f64) -> Rgb {
+    colorous::PLASMA.eval_continuous(clamped(share)).as_array()
+}
+
+fn height_colour(share: f64) -> Rgb {
+    colorous::VIRIDIS.eval_continuous(clamped(share)).as_array()
+}
+
+/// From 0 to 1; not-a-number is 0.
+fn clamped(share: f64) -> f64 {
+    if share > 0.0 { share.min(1.0) } else { 0.0 }
+}
+
+/// Colours that colour-blind readers can tell apart, after M. Okabe and K. Ito.
+fn destination_colour(destination: Destination) -> Rgb {
+    match destination {
+        Destination::Left => [205, 190, 165],
+        Destination::Target => [0, 158, 115],
+        Destination::Tool => [0, 114, 178],
+        Destination::Spilled => [213, 74, 20],
+    }
+}
+
+fn key(destinations: &[Destination]) -> Vec<(Rgb, String)> {
+    let names = [
+        (Destination::Left, "left"),
+        (Destination::Target, "target"),
+        (Destination::Tool, "tool"),
+        (Destination::Spilled, "spilled"),
+    ];
+    let count = |which| destinations.iter().filter(|destination| **destination == which).count();
+    names
+        .iter()
+        .map(|(which, name)| (destination_colour(*which), format!("{name:<7}{:>6}", count(*which))))
+        .collect()
+}
+
+fn tint(container: &Container) -> Rgb {
+    match container.role {
+        Role::Source => [118, 132, 158],
+        Role::Target => [70, 150, 150],
+        Role::Bystander => [150, 150, 150],
+    }
+}
+
+/// Middle of the box about a mesh.
+fn middle(mesh: &Mesh) -> V {
+    let end = |axis: usize, pick: fn(f64, f64) -> f64| {
+        mesh.points_m.iter().map(|point| point[axis]).reduce(pick).unwrap_or(0.0)
+    };
+    V::from([0, 1, 2].map(|axis| 0.5 * (end(axis, f64::min) + end(axis, f64::max)) as f32))
+}
+
+/// A ruler on the floor before the bench, in five parts.
+struct Ruler {
+    /// Where the parts begin, and where the last one ends.
+    ends_m: [V; 6],
+    /// Across the ruler, away from the bench; its width.
+    across_m: V,
+    name: String,
+}
+
+impl Ruler {
+    fn new(bench: &Bench, camera: &Camera) -> Self {
+        let facing = camera.facing();
+        let size = V::from(bench.size_m.map(|size| size as f32));
+        let along = V::z().cross(&facing);
+        let extent = along.dot(&size).abs();
+        let length_m = round_length(0.22 * f64::from(extent)) as f32;
+        // From the lower left corner of the bench as it is seen, to the right.
+        let outwards = facing - along;
+        let corner = [0, 1].map(|axis| if outwards[axis] > 0.0 { size[axis] } else { 0.0 });
+        let start = V::new(corner[0], corner[1], 0.0) + facing * (0.06 * extent);
+        let ends_m = [0, 1, 2, 3, 4, 5].map(|part| start + along * (length_m * part as f32 / 5.0));
+        Self {
+            ends_m,
+            across_m: facing * (0.05 * length_m),
+            name: format!("{} mm", rounded(1e3 * f64::from(length_m))),
+        }
+    }
+
+    fn draw(&self, canvas: &mut Canvas<'_>) {
+        for part in 0..5 {
+            let [a, b] = [self.ends_m[part], self.ends_m[part + 1]];
+            let corners = [a, a + self.across_m, b + self.across_m, b];
+            // Just above the floor, to be seen.
+            let lift = V::z() * 1e-4;
+            let facet = |[i, j, k]: [usize; 3]| Facet {
+                corners: [i, j, k].map(|corner| corners[corner] + lift),
+                normals: [V::z(); 3],
+                creases: [false; 3],
+            };
+            let colour = linear(if part % 2 == 0 { [60, 66, 78] } else { [228, 230, 234] });
+            canvas.solid(&[facet([0, 1, 2]), facet([0, 2, 3])], colour, Finish::Matt);
+        }
+    }
+
+    /// Where the upper middle of its name belongs.
+    fn label_px(&self, view: &View) -> Option<[f32; 2]> {
+        let middle = 0.5 * (self.ends_m[0] + self.ends_m[5]) + self.across_m;
+        let [x, y, _] = view.pixel(&view.local(&middle))?;
+        (x >= 0.0 && y >= 0.0).then_some([x / FINE as f32, y / FINE as f32])
+    }
+}
+
+/// The largest 1, 2 or 5 times a power of ten that is no longer, metres.
+fn round_length(at_most_m: f64) -> f64 {
+    let decade = 10f64.powi(at_most_m.max(1e-6).log10().floor() as i32);
+    [5.0, 2.0, 1.0]
+        .map(|digit| digit * decade)
+        .into_iter()
+        .find(|length| *length <= at_most_m)
+        .unwrap_or(decade)
+}
+
+/// Without digits that only come from arithmetic.
+fn rounded(value: f64) -> f64 {
+    (value * 1e3).round() / 1e3
+}
+
+fn place([x, y, z, _]: &[f32; 4]) -> V {
+    V::new(*x, *y, *z)
+}
+
+fn is_finite(point: &V) -> bool {
+    point.iter().all(|part| part.is_finite())
+}
+
+/// From 0 to 1, always the same for a particle and a number (the finaliser of MurmurHash3).
+fn random(particle: u32, number: u32) -> f32 {
+    let mut bits =
+        particle.wrapping_mul(0x9e37_79b9) ^ number.wrapping_mul(0x85eb_ca77).wrapping_add(0x1656_67b1);
+    bits = (bits ^ bits >> 16).wrapping_mul(0x85eb_ca6b);
+    bits = (bits ^ bits >> 13).wrapping_mul(0xc2b2_ae35);
+    ((bits ^ bits >> 16) >> 8) as f32 / (1 << 24) as f32
+}
+
+/// Linear light of a colour on a screen.
+fn linear(colour: Rgb) -> [f32; 3] {
+    colour.map(|part| {
+        let part = f32::from(part) / 255.0;
+        if part <= 0.040_45 { part / 12.92 } else { ((part + 0.055) / 1.055).powf(2.4) }
+    })
+}
+
+/// Numbers on a screen of linear light, as a table.
+struct Shades(Vec<u8>);
+
+impl Shades {
+    const STEPS: usize = 8192;
+
+    fn new() -> Self {
+        let shade = |step: usize| {
+            let light = step as f32 / Self::STEPS as f32;
+            let part =
+                if light <= 0.003_130_8 { light * 12.92 } else { 1.055 * light.powf(1.0 / 2.4) - 0.055 };
+            (part * 255.0).round() as u8
+        };
+        Self((0..=Self::STEPS).map(shade).collect())
+    }
+
+    fn of(&self, light: f32) -> u8 {
+        self.0[((light * Self::STEPS as f32).round() as usize).min(Self::STEPS)]
+    }
+}
+
+fn check(bench: &Bench, camera: &Camera, look: &Look) -> Result<(), ViewError> {
+    let setting = |what: String, wanted: &'static str| Err(ViewError::Setting { what, wanted });
+    if !bench.size_m.iter().chain([&bench.cell_m]).all(|size| (1e-6..=1e6).contains(size)) {
+        return setting(
+            format!("volume of {:?} m", bench.size_m),
+            "volume and cells must be larger than zero",
+        );
+    }
+    if !camera.is_valid() {
+        return setting(
+            format!("{camera:?}"),
+            "elevation must be -90 to 90 degrees, zoom 0.01 to 1000, field of view 5 to 120 degrees",
+        );
+    }
+    if !SIZE_PX.contains(&look.width_px) || !SIZE_PX.contains(&look.height_px) {
+        return setting(format!("{} x {} pixels", look.width_px, look.height_px), "each must be 16 to 8192");
+    }
+    if !GRAINS.contains(&look.grains) {
+        return setting(format!("{} grains for a particle", look.grains), "it must be 1 to 64");
+    }
+    if !look.colouring.is_valid() {
+        return setting(format!("{:?}", look.colouring), "the maximum must be larger than zero");
+    }
+    Ok(())
+}
