@@ -61,7 +61,8 @@ pub(super) fn execute(arguments: &ExportArgs, context: &mut Context<'_>) -> Resu
     let task = arguments.motion.task()?;
     let film = Film::new(&task, f64::from(arguments.every) * task.scene.time.control_period_s())?;
     let bench = film.bench();
-    let usual = || Path::new("export").join(format!("{}-{}", safe_name(&bench.name), arguments.format.name()));
+    let usual =
+        || Path::new("export").join(format!("{}-{}", safe_name(&bench.name), arguments.format.name()));
     let folder = arguments.out.clone().unwrap_or_else(usual);
     let mut series = Series::new(&bench, arguments.format.into(), &folder, 1)?;
     film.shoot(&mut series, context)?;

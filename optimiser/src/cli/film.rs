@@ -104,7 +104,7 @@ impl From<ViewError> for CliError {
     fn from(error: ViewError) -> Self {
         match error {
             ViewError::File { .. } => Self::Failed(error.to_string()),
-            // STOPPED
+            ViewError::Stopped => Self::Interrupted(error.to_string()),
             _ => Self::Input(error.to_string()),
         }
     }

@@ -9,7 +9,7 @@ mod check;
 mod compare;
 mod error;
 mod executed;
-// mod export;
+mod export;
 mod film;
 mod gradcheck;
 mod inspect;
@@ -17,7 +17,7 @@ mod interrupt;
 mod motion;
 mod options;
 mod progress;
-// mod render;
+mod render;
 mod report;
 mod run;
 mod simulate;
@@ -72,9 +72,9 @@ enum Command {
     /// Make one page of a run, a comparison or a plan: curves, tables, a replay in 3-D
     Report(report::ReportArgs),
     /// Draw pictures and animations of a motion
-    // Render(render::RenderArgs),
+    Render(render::RenderArgs),
     /// Write a motion as files for ParaView, MeshLab or pandas
-    // Export(export::ExportArgs),
+    Export(export::ExportArgs),
     /// Say what a plan holds
     Inspect(inspect::InspectArgs),
     /// Measure what each stage of the simulator takes
@@ -146,8 +146,8 @@ where
         Some(Command::Gradcheck(arguments)) => gradcheck::execute(&arguments, context),
         Some(Command::Compare(arguments)) => compare::execute(&arguments, context),
         Some(Command::Report(arguments)) => report::execute(&arguments, context),
-        // Some(Command::Render(arguments)) => render::execute(&arguments, context),
-        // Some(Command::Export(arguments)) => export::execute(&arguments, context),
+        Some(Command::Render(arguments)) => render::execute(&arguments, context),
+        Some(Command::Export(arguments)) => export::execute(&arguments, context),
         Some(Command::Inspect(arguments)) => inspect::execute(&arguments, context),
         Some(Command::Bench(arguments)) => bench::execute(&arguments, context),
     }

@@ -152,6 +152,7 @@ impl RenderArgs {
 
 /// Two whole numbers with an x between them.
 fn parse_size(text: &str) -> Result<[usize; 2], String> {
-    let numbers = text.split_once('x').and_then(|(width, height)| Some([width.parse().ok()?, height.parse().ok()?]));
+    let numbers =
+        text.split_once('x').and_then(|(width, height)| Some([width.parse().ok()?, height.parse().ok()?]));
     numbers.ok_or_else(|| "width and height in pixels, such as 1280x960, would be right".into())
 }

@@ -197,7 +197,7 @@ fn fallen(particle: usize, from: Vector3<f64>, seconds: f64) -> Vector3<f64> {
 
 fn charts() -> Vec<Chart> {
     let curve = |from: f64, to: f64, rate: f64| -> Vec<[f64; 2]> {
-        (0..=30).map(|epoch| f64::from(epoch)).map(|x| [x, to + (from - to) * (-rate * x).exp()]).collect()
+        (0..=30).map(f64::from).map(|x| [x, to + (from - to) * (-rate * x).exp()]).collect()
     };
     let banded = |name: &str, points: Vec<[f64; 2]>, half: f64| Series {
         name: name.into(),

@@ -154,9 +154,12 @@ fn scooping() -> (Model<f64>, State<f64>, Motion<f64>) {
     (model, state, tool)
 }
 
+/// Three numbers along each axis.
+type Along = [[f64; 3]; 3];
+
 /// Of a particle somewhere in a tile, from its cell coordinate: where its nodes begin, its weights along each axis, their slopes,
 /// and its distance from the first node.
-fn place(x: Vec3<f64>) -> (usize, [[f64; 3]; 3], [[f64; 3]; 3], Vec3<f64>) {
+fn place(x: Vec3<f64>) -> (usize, Along, Along, Vec3<f64>) {
     let base = x.map(|x| (x - 0.5).floor());
     let start = base.iter().fold(0, |start, b| start * TILE_EDGE + *b as usize);
     let f = sub(x, base);

@@ -82,7 +82,7 @@ impl Animation {
 
 impl Sink for Animation {
     fn frame(&mut self, frame: &Frame<'_>) -> Result<(), ViewError> {
-        if frame.index % self.every == 0 {
+        if frame.index.is_multiple_of(self.every) {
             self.kept.push(Moment::from(frame));
         }
         Ok(())

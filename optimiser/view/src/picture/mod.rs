@@ -197,7 +197,7 @@ impl Painter {
     fn paint(&self, moment: &Moment, destinations: &[Destination]) -> Image {
         let tool = self.tool_at(&moment.tool);
         let canvas = self.surfaces(moment, &tool, destinations);
-        let places: Vec<V> = moment.powder.iter().map(place).filter(|at| is_finite(at)).collect();
+        let places: Vec<V> = moment.powder.iter().map(place).filter(is_finite).collect();
         let maps = self.lights.maps(&places, self.radius_m, &tool);
         let background = linear(self.look.background);
         let shades = Shades::new();

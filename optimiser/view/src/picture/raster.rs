@@ -174,7 +174,7 @@ pub(super) fn covered(
     let area = side(a, b, c[0], c[1]);
     let Some([columns, rows]) = span(bounds, size_px) else { return };
     // Not-a-number is no area.
-    if !(area.abs() > 0.0) {
+    if area.is_nan() || area.abs() <= 0.0 {
         return;
     }
     let length = |from: [f32; 3], to: [f32; 3]| {
