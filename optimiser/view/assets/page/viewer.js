@@ -198,7 +198,7 @@ function powder(THREE, replay) {
     ramp: { value: null },
   };
   const material = new THREE.ShaderMaterial({
-    uniforms, vertexShader: POWDER_VERTEX, fragmentShader: POWDER_FRAGMENT, glslVersion: THREE.GLSL3,
+    uniforms, vertexShader: POWDER_VERTEX, fragmentShader: POWDER_FRAGMENT,
   });
   const points = new THREE.Points(geometry, material);
   points.frustumCulled = false;

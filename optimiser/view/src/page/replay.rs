@@ -443,7 +443,7 @@ mod tests {
         let recorder = recorded(&bench(300, 0.02), 101, usize::MAX);
         let all = recorder.clone().into_replay().expect("frames came").powder_bytes();
         let mut counts = Vec::new();
-        for part in [1, 2, 5, 20] {
+        for part in [1, 2, 4, 8] {
             let budgeted = Recorder { budget_bytes: all / part, ..recorder.clone() };
             let replay = budgeted.into_replay().expect("frames came");
             assert!(replay.powder_bytes() <= all / part);
