@@ -64,3 +64,82 @@ fn what_cannot_be_reported_is_refused() {
     let done = optimise(&["report", &folder, "--out", &place.text("no/folder/report.html")]);
     assert_sentence(&done, 1, "report.html");
 }
+
+#[test]
+fn a_skill_is_drawn_at_chosen_moments_and_as_a_whole() {
+    let place = Place::new();
+    let (folder, movie) = (place.text("pictures"), place.text("skill.gif"));
+    let skill = ["render", "bench-small", "--theta", "0,0,0,0,0", "--size", "64x48"];
+    let moments =
+        ["--at", "0.5,1.004", "--out", &folder, "--animation", &movie, "--rate", "5", "--colour", "speed"];
+    let done = optimise(&[&skill[..], &moments].concat());
+    assert_eq!(done.code, 0, "{}", done.err);
+    let names: Vec<&str> = done.out.lines().collect();
+    assert_eq!(names.len(), 3, "{}", done.out);
+    assert!(names[1].ends_with("bench-small-0001.000s.png"), "{}", names[1]);
+    assert!(names.iter().all(|name| Path::new(name).is_file()));
+    // Without moments there are six.
+    let folder = place.text("more");
+    let done = optimise(&[&skill[..], &["--out", &folder, "--cut"]].concat());
+    assert_eq!((done.code, done.out.lines().count()), (0, 6), "{}", done.err);
+}
+
+#[test]
+fn what_cannot_be_drawn_is_refused() {
+    let place = Place::new();
+    let folder = place.text("pictures");
+    let render = |more: &[&str]| {
+        optimise(&[&["render", "bench-small", "--theta", "0,0,0,0,0", "--out", &folder], more].concat())
+    };
+    assert_sentence(&render(&["--size", "9x9"]), 2, "9");
+    assert_sentence(&render(&["--animation", "skill.avi"]), 2, "skill.avi");
+    assert_sentence(&render(&["--animation", "skill.gif", "--rate", "1000"]), 2, "1000");
+    assert_sentence(&render(&["--at", "NaN"]), 2, "NaN");
+    fs::write(&folder, "a file").unwrap();
+    assert_sentence(&render(&["--at", "1", "--size", "32x32"]), 1, "pictures");
+    let interrupted = optimise_for(1, &["render", "bench-small", "--theta", "0,0,0,0,0", "--out", &folder]);
+    assert_sentence(&interrupted, 130, "stopped");
+}
+
+#[test]
+fn a_skill_is_exported_in_every_format_and_never_over_another() {
+    let place = Place::new();
+    for (format, files) in [
+        ("csv", ["particles.csv", "tool.csv", "destinations.csv"]),
+        ("ply", ["powder-0000.ply", "tool-0000.ply", "containers.ply"]),
+        ("vtk", ["series.pvd", "powder-0000.vtp", "containers.vtp"]),
+    ] {
+        let folder = place.text(format);
+        let export = [
+            "export",
+            "bench-small",
+            "--theta",
+            "0,0,0,0,0",
+            "--format",
+            format,
+            "--every",
+            "33",
+            "--out",
+            &folder,
+        ];
+        let done = optimise(&export);
+        assert_eq!(done.code, 0, "{}", done.err);
+        assert!(done.out.contains("11 frames of"), "{}", done.out);
+        for file in files {
+            assert!(Path::new(&folder).join(file).is_file(), "{format}: {file}");
+        }
+        assert_sentence(&optimise(&export), 2, &folder);
+    }
+    let done = optimise(&[
+        "export",
+        "bench-small",
+        "--theta",
+        "2,0,0,0,0",
+        "--format",
+        "csv",
+        "--out",
+        &place.text("no"),
+    ]);
+    assert_sentence(&done, 2, "theta");
+    assert!(!place.path("no").exists());
+}
