@@ -198,14 +198,17 @@ fn sums(values: impl Iterator<Item = [f64; 3]>) -> [[f64; 3]; 2] {
 
 /// Counts, sums of the corners, and the volume, which tells if a triangle has other corners or is turned inside out.
 fn solid(mesh: &Mesh) -> Value {
+    // Files hold single precision.
+    let points_m: Vec<_> =
+        mesh.points_m.iter().map(|point| point.map(|part| f64::from(part as f32))).collect();
     let volume_m3 = |triangle: &[u32; 3]| {
-        let [a, b, c] = triangle.map(|corner| Vector3::from(mesh.points_m[corner as usize]));
+        let [a, b, c] = triangle.map(|corner| Vector3::from(points_m[corner as usize]));
         a.dot(&b.cross(&c)) / 6.0
     };
     json!({
-        "points": mesh.points_m.len(),
+        "points": points_m.len(),
         "triangles": mesh.triangles.len(),
-        "corners_m": sums(mesh.points_m.iter().copied()),
+        "corners_m": sums(points_m.iter().copied()),
         "volume_m3": mesh.triangles.iter().map(volume_m3).sum::<f64>(),
     })
 }
@@ -288,7 +291,7 @@ impl Motion {
         let destination = |(index, carried): (usize, &Option<_>)| match carried {
             None => Destination::Left,
             Some(_) if index % 97 == 0 => Destination::Spilled,
-            Some(_) if index % 31 == 0 => Destination::Tool,
+            Some(_) if index % 29 == 0 => Destination::Tool,
             Some(_) => Destination::Target,
         };
         let destinations = carried.iter().enumerate().map(destination).collect();
