@@ -1,13 +1,14 @@
 //! A made-up motion, not simulated, in every format: powder in a box, a bowl that carries some of it into another.
 //!
 //! ```text
-//! cargo run --release -p powderline-view --example synthetic -- DIR
+//! cargo run --release -p powderline-view --example synthetic -- DIR [pictures]
 //! ```
 //!
-//! Writes `DIR/vtk`, `DIR/ply`, `DIR/csv` (`tests/exports/check.py DIR` opens them), stills and animations.
+//! Writes `DIR/vtk`, `DIR/ply`, `DIR/csv` and `DIR/expected.json`, which says what must be in them (`tests/exports/run`
+//! holds other programs to it); with `pictures` also stills and animations.
 
 use std::f64::consts::PI;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
@@ -15,10 +16,15 @@ use powderline_shared::pose::Pose;
 use powderline_view::export::{Format, Series};
 use powderline_view::mesh::Mesh;
 use powderline_view::picture::{Animation, Camera, Colouring, Containers, Look, Stills};
-use powderline_view::{Bench, Container, Destination, Frame, Role, Sink};
+use powderline_view::{Bench, Container, Destination, Frame, Role, Sink, ViewError};
+use serde_json::{Value, json};
 
 const PERIOD_S: f64 = 0.01;
 const FRAMES: usize = 501;
+
+/// Every so many frames are exported.
+const EVERY: usize = 100;
+
 const SPACING_M: f64 = 0.002;
 const BOWL_M: f64 = 0.016;
 
@@ -44,21 +50,47 @@ const PATH: [(f64, [f64; 4]); 7] = [
 const SCOOPED_S: f64 = 1.7;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let folder = PathBuf::from(std::env::args().nth(1).ok_or("name a directory to write into")?);
+    let mut words = std::env::args().skip(1);
+    let folder = PathBuf::from(words.next().ok_or("name a directory to write into")?);
+    let with_pictures = match words.next().as_deref() {
+        None => false,
+        Some("pictures") => true,
+        Some(_) => return Err("the second word can only be: pictures".into()),
+    };
     let (bench, motion) = (bench(), Motion::new());
     println!("{} particles, {FRAMES} frames", bench.particles);
+    exports(&bench, &motion, &folder)?;
+    if with_pictures {
+        stills(&bench, &motion, &folder)?;
+        animations(&bench, &motion, &folder)?;
+    }
+    Ok(())
+}
+
+fn exports(bench: &Bench, motion: &Motion, folder: &Path) -> Result<(), Box<dyn std::error::Error>> {
     for (format, name) in [(Format::Vtk, "vtk"), (Format::Ply, "ply"), (Format::Csv, "csv")] {
         let began = Instant::now();
-        play(&motion, &mut Series::new(&bench, format, folder.join(name), 100)?)?;
+        play(motion, EVERY, &mut Series::new(bench, format, folder.join(name), EVERY)?)?;
         println!("{name}: {:.2} s", began.elapsed().as_secs_f64());
     }
-    let camera = Camera::default();
+    let mut expected = Expected::new(bench);
+    play(motion, EVERY, &mut expected)?;
+    std::fs::write(folder.join("expected.json"), serde_json::to_string_pretty(&expected.contents)?)?;
+    Ok(())
+}
+
+fn stills(bench: &Bench, motion: &Motion, folder: &Path) -> Result<(), ViewError> {
     for (name, look) in looks() {
         let began = Instant::now();
         let times = [0.0, 1.5, 2.4, 4.05, 5.0];
-        play(&motion, &mut Stills::new(&bench, &camera, &look, folder.join("stills"), name, &times)?)?;
+        let folder = folder.join("stills");
+        play(motion, 1, &mut Stills::new(bench, &Camera::default(), &look, folder, name, &times)?)?;
         println!("{} stills {name}: {:.2} s", times.len(), began.elapsed().as_secs_f64());
     }
+    Ok(())
+}
+
+fn animations(bench: &Bench, motion: &Motion, folder: &Path) -> Result<(), ViewError> {
     let look = Look { width_px: 640, height_px: 480, ..Look::default() };
     let began = Instant::now();
     let files = ["motion.gif", "motion.png"].map(|name| folder.join(name));
@@ -66,10 +98,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         println!("{done} of {all} pictures");
         true
     };
-    play(
-        &motion,
-        &mut Animation::new(&bench, &camera, &look, 25.0, &files)?.with_progress(Box::new(progress)),
-    )?;
+    let animation = Animation::new(bench, &Camera::default(), &look, 25.0, &files)?;
+    play(motion, 1, &mut animation.with_progress(Box::new(progress)))?;
     println!("animations: {:.2} s", began.elapsed().as_secs_f64());
     Ok(())
 }
@@ -85,8 +115,9 @@ fn looks() -> [(&'static str, Look); 5] {
     ]
 }
 
-fn play(motion: &Motion, sink: &mut dyn Sink) -> Result<(), powderline_view::ViewError> {
-    for index in 0..FRAMES {
+/// Hands over every k-th frame: those between would be left out by the exports anyway.
+fn play(motion: &Motion, every: usize, sink: &mut dyn Sink) -> Result<(), ViewError> {
+    for index in (0..FRAMES).step_by(every) {
         let time_s = index as f64 * PERIOD_S;
         let (positions_m, velocities_m_s): (Vec<_>, Vec<_>) =
             motion.bed_m.iter().enumerate().map(|(particle, _)| motion.at(particle, time_s)).unzip();
@@ -94,12 +125,98 @@ fn play(motion: &Motion, sink: &mut dyn Sink) -> Result<(), powderline_view::Vie
             index,
             time_s,
             tool: tool(time_s),
-            planned: (index % 2 == 0).then(|| tool(time_s)),
+            planned: (index % 200 == 0).then(|| tool(time_s)),
             positions_m: &positions_m,
             velocities_m_s: &velocities_m_s,
         })?;
     }
     sink.finish(&motion.destinations)
+}
+
+/// What a program that opens the exports must find: counts, times, and sums that tell if a value or the order differs.
+struct Expected {
+    contents: Value,
+    tool: Mesh,
+}
+
+impl Expected {
+    fn new(bench: &Bench) -> Self {
+        let containers = bench.containers.iter().fold(Mesh::default(), |all, one| all.and(one.mesh.clone()));
+        let contents = json!({
+            "particles": bench.particles,
+            "containers": solid(&containers),
+            "frames": [],
+            "destinations": {},
+        });
+        Self { contents, tool: bench.tool.clone() }
+    }
+}
+
+impl Sink for Expected {
+    fn frame(&mut self, frame: &Frame<'_>) -> Result<(), ViewError> {
+        let at = Isometry3::from_parts(frame.tool.position_m.into(), frame.tool.orientation);
+        let speeds = frame.velocities_m_s.iter().map(|velocity| {
+            [velocity.iter().map(|part| f64::from(*part).powi(2)).sum::<f64>().sqrt(), 0.0, 0.0]
+        });
+        let moment = json!({
+            "index": frame.index,
+            "time_s": frame.time_s,
+            "positions_m": sums(frame.positions_m.iter().map(|at| at.map(f64::from))),
+            "velocities_m_s": sums(frame.velocities_m_s.iter().map(|at| at.map(f64::from))),
+            "speeds_m_s": sums(speeds).map(|sums| sums[0]),
+            "tool": solid(&self.tool.clone().moved(&at)),
+            "pose": pose(&frame.tool),
+            "planned": frame.planned.as_ref().map(pose),
+        });
+        if let Some(frames) = self.contents["frames"].as_array_mut() {
+            frames.push(moment);
+        }
+        Ok(())
+    }
+
+    fn finish(&mut self, destinations: &[Destination]) -> Result<(), ViewError> {
+        use Destination::{Left, Spilled, Target, Tool};
+        for (which, name) in [(Left, "left"), (Target, "target"), (Tool, "tool"), (Spilled, "spilled")] {
+            let count = destinations.iter().filter(|destination| **destination == which).count();
+            self.contents["destinations"][name] = count.into();
+        }
+        Ok(())
+    }
+}
+
+/// Sum of values, and sum of values times their number from 1, which tells their order.
+fn sums(values: impl Iterator<Item = [f64; 3]>) -> [[f64; 3]; 2] {
+    let mut sums = [[0.0; 3]; 2];
+    for (index, value) in values.enumerate() {
+        for axis in 0..3 {
+            sums[0][axis] += value[axis];
+            sums[1][axis] += value[axis] * (index + 1) as f64;
+        }
+    }
+    sums
+}
+
+/// Counts, sums of the corners, and the volume, which tells if a triangle has other corners or is turned inside out.
+fn solid(mesh: &Mesh) -> Value {
+    // Files hold single precision.
+    let points_m: Vec<_> =
+        mesh.points_m.iter().map(|point| point.map(|part| f64::from(part as f32))).collect();
+    let volume_m3 = |triangle: &[u32; 3]| {
+        let [a, b, c] = triangle.map(|corner| Vector3::from(points_m[corner as usize]));
+        a.dot(&b.cross(&c)) / 6.0
+    };
+    json!({
+        "points": points_m.len(),
+        "triangles": mesh.triangles.len(),
+        "corners_m": sums(points_m.iter().copied()),
+        "volume_m3": mesh.triangles.iter().map(volume_m3).sum::<f64>(),
+    })
+}
+
+/// As the columns of `tool.csv`.
+fn pose(pose: &Pose) -> [f64; 7] {
+    let (at, turn) = (pose.position_m, pose.orientation.quaternion());
+    [at.x, at.y, at.z, turn.w, turn.i, turn.j, turn.k]
 }
 
 fn bench() -> Bench {
@@ -174,7 +291,7 @@ impl Motion {
         let destination = |(index, carried): (usize, &Option<_>)| match carried {
             None => Destination::Left,
             Some(_) if index % 97 == 0 => Destination::Spilled,
-            Some(_) if index % 31 == 0 => Destination::Tool,
+            Some(_) if index % 29 == 0 => Destination::Tool,
             Some(_) => Destination::Target,
         };
         let destinations = carried.iter().enumerate().map(destination).collect();
