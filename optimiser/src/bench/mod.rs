@@ -61,8 +61,7 @@
 //! ```
 //!
 //! - Particles to grid: half the return map, half the scatter, which adds nine rows of nodes for each particle. The rows of
-//!   particles with the same nodes stay in registers; what is left are a hundred instructions a particle, with four
-//!   of sixteen lanes of each row in vain.
+//!   particles with the same nodes stay in registers, with four of sixteen lanes of each row in vain.
 //! - Grid to particles: the gather reads a group's nodes once for all sixteen lanes ([`crate`]'s `mpm/gather.rs`), some two
 //!   runs of 300 multiply-adds a group; about half of its lanes are in each run. Broadcasts and spilled registers take as long as the
 //!   arithmetic.
@@ -70,8 +69,31 @@
 //!   are left out. Its multiple of the floor says little.
 //! - Adjoints: the same gathers with the derivatives of the weights (twice the arithmetic), and the return map twice, forward and
 //!   back. States that were kept come from the last cache or from memory: 176 bytes a particle are worth 17 ns there.
-//! - "Again" is what the grid of a substep costs where it was not kept with its state: at the ends of the schedule's runs.
+//! - "Again" is what the grid of a substep costs where it was not kept with its state: at the ends of the schedule's runs. Its time
+//!   is spread over all substeps, its operations are those of one that needs it.
 //! - The return map alone takes longest where powder is sheared by more than 0.6: those groups go to the eigenvectors.
+//!
+//! # What limits each stage
+//!
+//! Instructions, misses of the first and of the second-level cache (48 KiB and 2 MiB) and branches guessed wrong, per particle and
+//! substep, by callgrind, which knows vectors of 256 bits only (with 512 bits it is about half the instructions); and the
+//! shares of samples of the same program with 512 bits (`perf record -e cpu-clock`) that hit instructions with whole vectors, and
+//! such with an operand on the stack:
+//!
+//! | stage | instructions | L1 misses | L2 misses | mispredicted | whole vectors | on the stack | what limits it |
+//! |---|---|---|---|---|---|---|---|
+//! | particles to grid | 285 | 2.3 | 1.9 | 0.4 | 68 % | 3 % | issue of instructions |
+//! | grid update | 63 | 1.3 | 0.9 | 0.8 | 56 % | 0 | branches, and loads of tiles |
+//! | grid to particles | 359 | 2.2 | 1.0 | 0.6 | 77 % | 18 % | loads: broadcasts, spilled vectors |
+//! | its adjoint | 896 | 4.5 | 1.9 | 1.7 | 69 % | 19 % | spilled vectors, contact's branches |
+//! | adjoint of grid update | 106 | 1.3 | 0.9 | 0.7 | 57 % | 4 % | branches of contact |
+//! | adjoint of particles to grid | 916 | 4.2 | 2.9 | 1.0 | 89 % | 29 % | loads and stores of spilled vectors |
+//! | return map alone | 90 | 1.6 | 1.6 | 0 | | | arithmetic, 70 % of the multiply-adds that fit |
+//!
+//! The return map was also written with explicit vectors, twice as long a text: with `pulp` and with `fearless_simd` it takes 3 to 7 %
+//! longer than these arrays, which the compiler vectorises inside `pulp`'s dispatch; `wide`, which has no dispatch, takes 2.5
+//! times as long in a program that runs everywhere. With 256 bits explicit vectors would be 1.2 to 1.3 times as fast as the arrays.
+//! `-C target-cpu=x86-64-v4` makes everything here half as fast: the compiler then prefers vectors of 256 bits.
 //!
 //! # How to reproduce it
 //!

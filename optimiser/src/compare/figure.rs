@@ -180,7 +180,7 @@ fn draw_panel<B: DrawingBackend>(area: &DrawingArea<B, Shift>, panel: &Panel) ->
         .axis_style(INK)
         .x_desc(panel.x_name)
         .y_desc(panel.y_name)
-        .x_labels(8)
+        .x_labels((end as usize + 1).min(8))
         .x_label_formatter(&|x| format!("{x:.0}"))
         .y_labels(7)
         .y_label_formatter(&|y| format!("{y:.decimals$}"))
@@ -205,7 +205,7 @@ fn draw_band<B: DrawingBackend>(chart: &mut Chart<'_, B>, band: &Band) -> Drawn<
 fn draw_legend<B: DrawingBackend>(area: &DrawingArea<B, Shift>, bands: &[Band]) -> Drawn<B> {
     let column = SIZE.0 as i32 / 3;
     for (index, band) in (0..).zip(bands) {
-        let (x, y) = (80 + column * (index % 3), LEGEND_LINE * (index / 3) + 4);
+        let (x, y) = (80 + column * (index % 3), LEGEND_LINE * (index / 3) + 8);
         let style = band.colour.stroke_width(band.width);
         area.draw(&PathElement::new([(x, y + 7), (x + 26, y + 7)], style))?;
         area.draw(&Text::new(band.name.clone(), (x + 34, y), (FONT, 14).into_font().color(&INK)))?;
