@@ -18,7 +18,7 @@ pub(super) struct RenderArgs {
     #[command(flatten)]
     pub motion: MotionArgs,
     /// Moments to draw, seconds from the beginning [default: six over the whole motion, unless there is an --animation]
-    #[arg(long, value_name = "S,..", value_delimiter = ',')]
+    #[arg(long, value_name = "S,..", value_delimiter = ',', allow_hyphen_values = true)]
     pub at: Vec<f64>,
     /// Animation of the whole motion, a .gif, .png or .apng file; may be given more than once
     #[arg(long, value_name = "FILE")]
@@ -98,7 +98,7 @@ pub(super) fn execute(arguments: &RenderArgs, context: &mut Context<'_>) -> Resu
     let film = Film::new(&task, 0.0)?;
     let bench = film.bench();
     let (camera, look) = (arguments.camera(), arguments.look(&bench));
-    let times = arguments.times(film.duration_s());
+    let times = arguments.times(film.duration_s())?;
     let stills = (!times.is_empty())
         .then(|| Stills::new(&bench, &camera, &look, &arguments.out, &bench.name, &times))
         .transpose()?;
@@ -119,11 +119,16 @@ pub(super) fn execute(arguments: &RenderArgs, context: &mut Context<'_>) -> Resu
 }
 
 impl RenderArgs {
-    fn times(&self, duration_s: f64) -> Vec<f64> {
-        if !self.at.is_empty() || !self.animation.is_empty() {
-            return self.at.clone();
+    fn times(&self, duration_s: f64) -> Result<Vec<f64>, CliError> {
+        if let Some(time_s) = self.at.iter().find(|time_s| !(0.0..=duration_s + 1e-9).contains(*time_s)) {
+            return Err(CliError::Input(format!(
+                "--at asks for {time_s} s, but the motion goes from 0 to {duration_s} s"
+            )));
         }
-        (1..=PICTURES).map(|index| duration_s * index as f64 / PICTURES as f64).collect()
+        if !self.at.is_empty() || !self.animation.is_empty() {
+            return Ok(self.at.clone());
+        }
+        Ok((1..=PICTURES).map(|index| duration_s * index as f64 / PICTURES as f64).collect())
     }
 
     fn camera(&self) -> Camera {

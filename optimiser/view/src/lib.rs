@@ -108,7 +108,7 @@ pub trait Sink {
 #[derive(Debug, thiserror::Error)]
 pub enum ViewError {
     /// A file could not be written.
-    #[error("{}: {source}", path.display())]
+    #[error("{} cannot be written: {source}", path.display())]
     File {
         /// The file.
         path: std::path::PathBuf,

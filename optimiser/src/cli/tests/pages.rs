@@ -95,6 +95,9 @@ fn what_cannot_be_drawn_is_refused() {
     assert_sentence(&render(&["--animation", "skill.avi"]), 2, "skill.avi");
     assert_sentence(&render(&["--animation", "skill.gif", "--rate", "1000"]), 2, "1000");
     assert_sentence(&render(&["--at", "NaN"]), 2, "NaN");
+    assert_sentence(&render(&["--at", "-1"]), 2, "from 0 to 3.3");
+    assert_sentence(&render(&["--at", "1,99"]), 2, "from 0 to 3.3");
+    assert_sentence(&render(&["--zoom", "0"]), 2, "zoom 0.01 to 1000");
     fs::write(&folder, "a file").unwrap();
     assert_sentence(&render(&["--at", "1", "--size", "32x32"]), 1, "pictures");
     let interrupted = optimise_for(1, &["render", "bench-small", "--theta", "0,0,0,0,0", "--out", &folder]);

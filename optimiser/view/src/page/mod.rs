@@ -154,7 +154,7 @@ mod tests {
         fs::create_dir_all(folder.path().join("taken/inner")).expect("a folder");
         let taken = folder.path().join("taken");
         let error = page.write(&taken).expect_err("a folder is there").to_string();
-        assert!(error.contains("taken: "), "{error}");
+        assert!(error.contains("taken cannot be written"), "{error}");
         assert!(!part_of(&taken).exists());
     }
 }

@@ -541,10 +541,13 @@ fn check(bench: &Bench, camera: &Camera, look: &Look) -> Result<(), ViewError> {
             "volume and cells must be larger than zero",
         );
     }
+    let Camera { azimuth_deg, elevation_deg, zoom, field_of_view_deg } = camera;
     if !camera.is_valid() {
         return setting(
-            format!("{camera:?}"),
-            "elevation must be -90 to 90 degrees, zoom 0.01 to 1000, field of view 5 to 120 degrees",
+            format!(
+                "a camera with azimuth {azimuth_deg}, elevation {elevation_deg}, zoom {zoom}, field of view {field_of_view_deg}"
+            ),
+            "azimuth must be a number of degrees, elevation -90 to 90 degrees, zoom 0.01 to 1000, field of view 5 to 120 degrees",
         );
     }
     if !SIZE_PX.contains(&look.width_px) || !SIZE_PX.contains(&look.height_px) {
