@@ -217,7 +217,6 @@ impl Experiment {
     fn empty(&self) -> Comparison {
         Comparison {
             scene: self.scene.name.clone(),
-            target: self.scene.target_count() as i64,
             budget: self.plan.budget,
             tracks: Vec::new(),
         }

@@ -128,8 +128,6 @@ impl Curve {
 pub struct Comparison {
     /// The scene's name.
     pub scene: String,
-    /// Particles wanted.
-    pub target: i64,
     /// Rollouts.
     pub budget: Budget,
     /// The tracks.
@@ -200,7 +198,6 @@ mod tests {
     pub(super) fn comparison() -> Comparison {
         Comparison {
             scene: "bench".into(),
-            target: 100,
             budget: Budget { epochs: 2, rollouts_per_epoch: 2, factor: 2 },
             tracks: vec![
                 track(Method::Gradient, 1, &[50.0, 40.0, 45.0]),
