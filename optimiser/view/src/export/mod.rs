@@ -56,8 +56,8 @@ enum Writer {
 }
 
 impl Series {
-    /// For a folder, which is made, that holds no series of this format yet. Frames 0, `every`, 2 `every` and so on are
-    /// written.
+    /// For a folder of its own, which is made, and holds no series yet, of whatever format. Frames 0, `every`, 2 `every`
+    /// and so on are written.
     ///
     /// # Errors
     /// If there is a file already that would be overwritten, if the system refuses, or if `every` is 0.
