@@ -60,8 +60,8 @@ def solid(what, points, triangles, expected):
     same(f"{what}: triangles with corners that are none", int((triangles >= len(points)).sum()), 0)
     sums(f"{what}'s corners", points, expected["corners_m"])
     a, b, c = (points[triangles[:, corner]] for corner in range(3))
-    volume = (a * numpy.cross(b, c)).sum() / 6
-    close(f"{what}'s volume", volume, expected["volume_m3"], 1e-9, abs((a * numpy.cross(b, c)).sum(axis=1)).sum())
+    volumes = (a * numpy.cross(b, c)).sum(axis=1) / 6
+    close(f"{what}'s volume", volumes.sum(), expected["volume_m3"], 1e-9, abs(volumes).sum())
 
 
 def powder(what, expected, positions, velocities, speeds):
@@ -76,7 +76,8 @@ def powder(what, expected, positions, velocities, speeds):
 def destinations(folder, expected):
     table = pandas.read_csv(folder / "destinations.csv")
     same(f"{folder.name}: columns of destinations", list(table.columns), ["particle", "destination"])
-    same(f"{folder.name}: particles with a destination", table.particle.tolist(), list(range(expected["particles"])))
+    numbers = list(range(expected["particles"]))
+    same(f"{folder.name}: particles with a destination", table.particle.tolist(), numbers)
     found = {name: int((table.destination == name).sum()) for name in expected["destinations"]}
     same(f"{folder.name}: destinations", found, expected["destinations"])
 
@@ -107,7 +108,8 @@ def check_vtk(folder, expected):
         same(f"{files['powder']}: numbers", value("particle").tolist(), list(range(count)))
         powder(files["powder"], one, points_of(data), value("velocity"), value("speed"))
         solid(files["tool"], *surface_of(read_vtk(folder / files["tool"])), one["frame"]["tool"])
-        solid(files["containers"], *surface_of(read_vtk(folder / files["containers"])), expected["containers"])
+        surface = surface_of(read_vtk(folder / files["containers"]))
+        solid(files["containers"], *surface, expected["containers"])
     destinations(folder, expected)
 
 
@@ -209,12 +211,13 @@ def spoilings(expected):
     # The arrays' lengths take eight bytes each; behind the points and velocities come speeds, numbers and cells.
     count = expected["particles"]
     footer = len("</AppendedData>\n</VTKFile>\n")
-    speeds = footer + 3 * (8 + 4 * count) + 4 * count + 8
+    first_number = footer + 3 * (8 + 4 * count) - 8
+    last_velocity = footer + 4 * (8 + 4 * count) + 2
     # A frame in which the last particle moves, too: zero would become a number too small to matter.
     name = f"powder-{expected['frames'][2]['index']:04}"
     return [
-        ("a velocity", "vtk", lambda at: spoil_byte(at / f"{name}.vtp", speeds + 2)),
-        ("a particle's number", "vtk", lambda at: spoil_byte(at / f"{name}.vtp", footer + 3 * (8 + 4 * count) - 8)),
+        ("a velocity", "vtk", lambda at: spoil_byte(at / f"{name}.vtp", last_velocity)),
+        ("a particle's number", "vtk", lambda at: spoil_byte(at / f"{name}.vtp", first_number)),
         ("a time", "vtk", lambda at: spoil_text(at / "series.pvd", 'timestep="1"', 'timestep="1.01"')),
         ("a file's presence", "vtk", lambda at: (at / f"{name}.vtp").unlink()),
         ("a velocity", "ply", lambda at: spoil_byte(at / f"{name}.ply", 6)),
@@ -251,7 +254,7 @@ def check_spoilt(made, expected):
                 CHECKS[kind](folder, expected)
                 unnoticed.append(f"{kind}: {what} was changed, and it was not noticed")
             except (Differs, OSError) as noticed:
-                print(f"{kind}: {what} was changed, as a test: {str(noticed)[:100]}")
+                print(f"{kind}: {what} was changed, and that was noticed: {str(noticed)[:60]}")
     return unnoticed
 
 
@@ -265,7 +268,8 @@ def main():
     for kind, check in CHECKS.items():
         try:
             check(words.made / kind, expected)
-            print(f"{kind}: {len(expected['frames'])} frames of {expected['particles']} particles are as they should be")
+            count = f"{len(expected['frames'])} frames of {expected['particles']} particles"
+            print(f"{kind}: {count} are as they should be")
         except Differs as error:
             failures.append(f"{kind}: {error}")
     if words.spoil and not failures:

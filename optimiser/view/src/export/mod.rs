@@ -56,8 +56,8 @@ enum Writer {
 }
 
 impl Series {
-    /// For a folder, which is made, that holds no series of this format yet. Frames 0, `every`, 2 `every` and so on are
-    /// written.
+    /// For a folder of its own, which is made, and holds no series yet, of whatever format. Frames 0, `every`, 2 `every`
+    /// and so on are written.
     ///
     /// # Errors
     /// If there is a file already that would be overwritten, if the system refuses, or if `every` is 0.
@@ -175,4 +175,111 @@ fn particles<'a>(frame: &'a Frame<'_>) -> impl Iterator<Item = ([f32; 3], [f32; 
         let velocity = frame.velocities_m_s.get(index).copied().unwrap_or_default();
         (*position, velocity, velocity.iter().map(|part| part * part).sum::<f32>().sqrt())
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+    use crate::picture::sample::{bench, frame, positions};
+
+    const FORMATS: [Format; 3] = [Format::Vtk, Format::Ply, Format::Csv];
+    const DESTINATIONS_OF_ALL: [Destination; 3] =
+        [Destination::Spilled, Destination::Left, Destination::Target];
+
+    /// Six frames, of which every k-th is written.
+    fn play(format: Format, folder: &Path, every: usize) -> Result<(), ViewError> {
+        let mut series = Series::new(&bench(), format, folder, every)?;
+        for index in 0..6 {
+            series.frame(&frame(index, &positions(index)))?;
+        }
+        series.finish(&DESTINATIONS_OF_ALL)
+    }
+
+    fn names(folder: &Path) -> BTreeSet<String> {
+        let entries = fs::read_dir(folder).expect("the folder");
+        entries.map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned()).collect()
+    }
+
+    /// Contents of all files, in the order of their names.
+    fn contents(folder: &Path) -> Vec<Vec<u8>> {
+        names(folder).iter().map(|name| fs::read(folder.join(name)).expect("a file")).collect()
+    }
+
+    #[test]
+    fn every_kth_frame_is_written() {
+        let folder = tempfile::tempdir().expect("a folder");
+        for (format, ending, others) in [
+            (Format::Vtk, "vtp", &["containers.vtp", "series.pvd"][..]),
+            (Format::Ply, "ply", &["containers.ply"][..]),
+        ] {
+            let folder = folder.path().join(ending);
+            play(format, &folder, 2).expect("a series");
+            let parts = ["powder", "tool"].into_iter();
+            let frames = parts.flat_map(|part| [0, 2, 4].map(|index| format!("{part}-{index:04}.{ending}")));
+            let others = others.iter().chain(&["destinations.csv"]).map(|name| (*name).to_owned());
+            assert_eq!(names(&folder), frames.chain(others).collect());
+        }
+        let series = fs::read_to_string(folder.path().join("vtp/series.pvd")).expect("the series");
+        let times: BTreeSet<&str> = series.split("timestep=\"").skip(1).map(|rest| &rest[..3]).collect();
+        assert_eq!(times, BTreeSet::from(["0\" ", "0.5", "1\" "]));
+    }
+
+    #[test]
+    fn a_folder_that_holds_a_series_is_refused_and_left_as_it_is() {
+        for format in FORMATS {
+            let folder = tempfile::tempdir().expect("a folder");
+            play(format, folder.path(), 1).expect("a series");
+            let before = contents(folder.path());
+            let error = play(format, folder.path(), 1).expect_err("a series is there");
+            assert!(matches!(error, ViewError::Exists { .. }), "{error:?}");
+            assert!(error.to_string().contains("exists already; name a directory"), "{error}");
+            assert!(contents(folder.path()) == before, "{format:?}");
+            // One that was given up has no destinations.
+            fs::remove_file(folder.path().join(DESTINATIONS)).expect("the destinations");
+            let before = contents(folder.path());
+            let error = play(format, folder.path(), 1).expect_err("part of a series is there");
+            assert!(matches!(error, ViewError::Exists { .. }), "{error:?}");
+            assert!(contents(folder.path()) == before, "{format:?}");
+        }
+    }
+
+    #[test]
+    fn destinations_have_a_row_for_each_particle() {
+        for format in FORMATS {
+            let folder = tempfile::tempdir().expect("a folder");
+            play(format, folder.path(), 3).expect("a series");
+            let table = fs::read_to_string(folder.path().join(DESTINATIONS)).expect("the destinations");
+            assert_eq!(table, "particle,destination\n0,spilled\n1,left\n2,target\n");
+        }
+    }
+
+    #[test]
+    fn numbers_of_frames_have_as_many_digits_as_the_last_one_needs() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let long = Bench { frames: 100_001, ..bench() };
+        let mut series = Series::new(&long, Format::Ply, folder.path(), 1).expect("a series");
+        series.frame(&frame(7, &positions(7))).expect("a frame");
+        assert!(names(folder.path()).contains("powder-000007.ply"));
+    }
+
+    #[test]
+    fn every_0th_frame_is_refused() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let error = play(Format::Csv, &folder.path().join("new"), 0).expect_err("no frame");
+        assert_eq!(error.to_string(), "every 0th frame: 1 writes all frames, 2 every other one");
+        assert!(!folder.path().join("new").exists());
+    }
+
+    #[test]
+    fn numbers_that_are_none_are_written_as_they_are() {
+        for format in FORMATS {
+            let folder = tempfile::tempdir().expect("a folder");
+            let mut series = Series::new(&bench(), format, folder.path(), 1).expect("a series");
+            series.frame(&frame(0, &[[f32::NAN, f32::INFINITY, 0.0]])).expect("a frame");
+            series.frame(&frame(1, &[])).expect("a frame without powder");
+            series.finish(&[]).expect("a series");
+        }
+    }
 }

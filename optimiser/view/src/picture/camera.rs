@@ -121,3 +121,31 @@ pub(super) fn corners(bench: &Bench) -> Vec<V> {
     let corner = |index: usize| [0, 1, 2].map(|axis| if index >> axis & 1 == 0 { 0.0 } else { size[axis] });
     (0..8).map(|index| V::from(corner(index))).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::picture::sample::bench;
+
+    #[test]
+    fn the_whole_volume_is_in_view_from_everywhere() {
+        let size_px = [320, 240];
+        for azimuth_deg in [-170.0, -45.0, 0.0, 22.0, 90.0] {
+            for elevation_deg in [-90.0, 0.0, 24.0, 90.0] {
+                let camera = Camera { azimuth_deg, elevation_deg, ..Camera::default() };
+                let view = View::framing(&camera, size_px, &corners(&bench()));
+                let pixels = corners(&bench()).into_iter().map(|corner| view.pixel(&view.local(&corner)));
+                for [x, y, _] in pixels.map(|pixel| pixel.expect("before the camera")) {
+                    assert!((0.0..320.0).contains(&x) && (0.0..240.0).contains(&y), "{camera:?}: {x}, {y}");
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_ray_goes_through_its_pixel() {
+        let view = View::framing(&Camera::default(), [320, 240], &corners(&bench()));
+        let [x, y, depth_m] = view.pixel(&(view.ray(17, 200) * 2.0)).expect("before the camera");
+        assert!((x - 17.5).abs() < 1e-3 && (y - 200.5).abs() < 1e-3 && (depth_m - 2.0).abs() < 1e-6);
+    }
+}

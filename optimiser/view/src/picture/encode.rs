@@ -344,3 +344,70 @@ fn ticks(shown_s: &[f64], per_second: f64) -> Vec<u16> {
     };
     shown_s.iter().map(tick).collect()
 }
+
+/// The picture in a PNG file's bytes.
+#[cfg(test)]
+pub(super) fn decoded(bytes: &[u8]) -> Image {
+    let mut reader = png::Decoder::new(io::Cursor::new(bytes)).read_info().expect("a PNG file");
+    let mut rgb = vec![0; reader.output_buffer_size().expect("a size")];
+    let info = reader.next_frame(&mut rgb).expect("pixels");
+    assert_eq!((info.color_type, info.bit_depth), (png::ColorType::Rgb, png::BitDepth::Eight));
+    Image { width_px: info.width as usize, height_px: info.height as usize, rgb }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn image(width_px: usize, height_px: usize) -> Image {
+        let rgb = (0..3 * width_px * height_px).map(|index| (index * 7 % 251) as u8).collect();
+        Image { width_px, height_px, rgb }
+    }
+
+    #[test]
+    fn a_png_file_reads_back_as_the_picture() {
+        for image in [image(16, 16), image(33, 20), image(20, 33)] {
+            assert!(decoded(&image.to_png()) == image, "{} x {}", image.width_px, image.height_px);
+        }
+    }
+
+    #[test]
+    fn a_file_has_its_name_only_when_it_is_complete() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("deep/picture.png");
+        drop(Whole::new(&path).expect("a file"));
+        let names = || fs::read_dir(folder.path().join("deep")).expect("the folder").count();
+        assert_eq!(names(), 0);
+        image(16, 16).write(&path).expect("a picture");
+        image(20, 20).write(&path).expect("a picture in place of a picture");
+        assert_eq!(names(), 1);
+        assert_eq!(decoded(&fs::read(&path).expect("the picture")).width_px, 20);
+        let taken = folder.path().join("deep");
+        let error = image(16, 16).write(&taken).expect_err("a folder is there");
+        assert!(error.to_string().contains("deep: "), "{error}");
+        assert!(!folder.path().join("deep.part").exists());
+    }
+
+    #[test]
+    fn ticks_do_not_drift() {
+        let ticks = ticks(&[1.0 / 30.0; 300], 100.0);
+        assert_eq!(ticks.iter().map(|tick| u32::from(*tick)).sum::<u32>(), 1000);
+        assert!(ticks.iter().all(|tick| [3, 4].contains(tick)), "{ticks:?}");
+    }
+
+    #[test]
+    fn only_what_changed_is_stored() {
+        let mut shown = Shown::default();
+        let mut image = image(16, 12);
+        assert_eq!(shown.change(&image).size, [16, 12]);
+        let same = shown.change(&image);
+        assert_eq!((same.size, same.pixels), ([1, 1], vec![None]));
+        for [column, row] in [[3, 2], [5, 4]] {
+            image.blend([column, row], [255; 3], 255);
+        }
+        let change = shown.change(&image);
+        assert_eq!((change.corner, change.size), ([3, 2], [3, 3]));
+        assert_eq!(change.pixels.iter().flatten().count(), 2);
+        assert_eq!((change.pixels[0], change.pixels[8]), (Some([255; 3]), Some([255; 3])));
+    }
+}

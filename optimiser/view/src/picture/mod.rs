@@ -20,6 +20,8 @@ mod glass;
 mod label;
 mod light;
 mod raster;
+#[cfg(test)]
+pub(crate) mod sample;
 mod stills;
 
 use nalgebra::UnitQuaternion;
@@ -313,7 +315,8 @@ impl Painter {
             let left = (x as usize).saturating_sub(pen.width_px(&self.ruler.name) / 2);
             pen.write(image, [left, y as usize + pen.line_px() / 6], &self.ruler.name);
         }
-        let corner = [image.width_px - margin, image.height_px - margin / 2];
+        // A picture may be narrower than a tall one's margin.
+        let corner = [image.width_px.saturating_sub(margin), image.height_px.saturating_sub(margin / 2)];
         match self.look.colouring {
             Colouring::Plain(_) => {}
             Colouring::Speed { max_m_s } => {
@@ -560,4 +563,161 @@ fn check(bench: &Bench, camera: &Camera, look: &Look) -> Result<(), ViewError> {
         return setting(format!("{:?}", look.colouring), "the maximum must be larger than zero");
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::sample::{bare, bench, frame, look, positions};
+    use super::*;
+
+    const RED: Rgb = [230, 20, 20];
+
+    /// A bench without container and tool, whose cells are so large that a particle covers hundreds of pixels.
+    fn empty_bench() -> Bench {
+        Bench { cell_m: 0.04, containers: Vec::new(), tool: Mesh::default(), ..bench() }
+    }
+
+    fn painter(bench: &Bench, look: &Look) -> Painter {
+        Painter::new(bench, &Camera::default(), look).expect("settings in range")
+    }
+
+    fn draw(painter: &Painter, positions_m: &[[f32; 3]], destinations: &[Destination]) -> Image {
+        painter.draw(&frame(0, positions_m), destinations)
+    }
+
+    /// Pixels of which one channel stands out.
+    fn count(image: &Image, channel: usize) -> usize {
+        let stands_out = |pixel: &&Rgb| {
+            let others = [(channel + 1) % 3, (channel + 2) % 3].map(|other| pixel[other]);
+            pixel[channel] > others[0].max(others[1]).saturating_add(20)
+        };
+        image.rgb.as_chunks::<3>().0.iter().filter(stands_out).count()
+    }
+
+    #[test]
+    fn a_particle_covers_the_area_that_its_radius_says() {
+        let painter = painter(&empty_bench(), &bare(Colouring::Plain(RED)));
+        assert_eq!(count(&draw(&painter, &[], &[]), 0), 0);
+        for at in [[0.05, 0.05, 0.05], [0.02, 0.08, 0.06], [0.08, 0.02, 0.04]] {
+            let depth_m = painter.view.local(&V::from(at)).z;
+            let radius_px = painter.view.focal_px / FINE as f32 * painter.radius_m / depth_m;
+            let expected = std::f32::consts::PI * radius_px * radius_px;
+            let found = count(&draw(&painter, &[at], &[]), 0) as f32;
+            assert!(expected > 300.0, "{expected} pixels are too few to be compared");
+            assert!((found / expected - 1.0).abs() < 0.06, "{found} pixels, not {expected}, at {at:?}");
+        }
+    }
+
+    #[test]
+    fn a_particle_out_of_view_covers_nothing() {
+        let painter = painter(&empty_bench(), &bare(Colouring::Plain(RED)));
+        let behind = painter.view.eye - painter.view.forward * 0.1;
+        let aside = painter.view.eye + painter.view.forward * 0.1 + painter.view.right;
+        for at in [behind, aside] {
+            assert_eq!(count(&draw(&painter, &[at.into()], &[]), 0), 0, "{at}");
+        }
+    }
+
+    #[test]
+    fn the_nearer_of_two_particles_is_seen_whichever_is_drawn_first() {
+        let painter = painter(&empty_bench(), &bare(Colouring::Destination));
+        let far = V::new(0.05, 0.05, 0.05);
+        let near = far + (painter.view.eye - far) * 0.1;
+        // Spilled powder is red, powder in the target is green.
+        let [red, green] = [Destination::Spilled, Destination::Target];
+        for (first, second) in [(near, far), (far, near)] {
+            let image = draw(&painter, &[first.into(), second.into()], &[red, green]);
+            let [seen, hidden] = if first == near { [0, 1] } else { [1, 0] };
+            assert!(count(&image, seen) > 300);
+            assert_eq!(count(&image, hidden), 0);
+        }
+    }
+
+    #[test]
+    fn the_same_bytes_come_twice_and_with_any_number_of_threads() {
+        let bench = bench();
+        let draw = |threads: usize, containers| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+            let look = Look { containers, colouring: Colouring::Height { max_m: 0.05 }, ..look() };
+            pool.install(|| painter(&bench, &look).draw(&frame(4, &positions(4)), &[]).to_png())
+        };
+        for containers in [Containers::Translucent, Containers::CutOpen] {
+            let one = draw(1, containers);
+            assert!(one == draw(1, containers), "drawn twice");
+            assert!(one == draw(2, containers), "drawn with two threads");
+        }
+        assert!(draw(1, Containers::Translucent) != draw(1, Containers::CutOpen));
+    }
+
+    #[test]
+    fn particles_without_a_place_are_left_out() {
+        let painter = painter(&empty_bench(), &look());
+        let at = [0.05; 3];
+        let expected = draw(&painter, &[at], &[]);
+        for odd in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, f32::MAX, 1e30] {
+            let image = draw(&painter, &[at, [odd, 0.05, 0.05], [0.05, odd, odd], [0.05, 0.05, odd]], &[]);
+            assert!(image == expected, "{odd}");
+        }
+    }
+
+    #[test]
+    fn a_tool_or_speed_that_cannot_be_said_is_no_reason_to_stop() {
+        let look = Look { colouring: Colouring::Speed { max_m_s: 1.0 }, ..look() };
+        let painter = painter(&bench(), &look);
+        let at = [[0.05; 3]];
+        let with_tool = draw(&painter, &at, &[]);
+        let mut odd = frame(0, &at);
+        odd.velocities_m_s = &[[f32::NAN; 3]];
+        assert!(painter.draw(&odd, &[]) == with_tool, "a speed that is none is shown as rest");
+        odd.tool.position_m.x = f64::NAN;
+        assert!(painter.draw(&odd, &[]) != with_tool, "the tool is nowhere");
+    }
+
+    #[test]
+    fn the_smallest_and_the_narrowest_pictures_say_what_colours_mean() {
+        let scale = (Colouring::Height { max_m: 0.1 }, height_colour(0.0));
+        let key = (Colouring::Destination, destination_colour(Destination::Spilled));
+        for (width_px, height_px) in [(16, 16), (16, 1300), (1300, 16)] {
+            for (colouring, colour) in [scale, key] {
+                let has_colour = |labels| {
+                    let look = Look { width_px, height_px, colouring, labels, ..look() };
+                    let image = draw(&painter(&bench(), &look), &[], &[]);
+                    image.rgb.as_chunks::<3>().0.contains(&colour)
+                };
+                assert!(has_colour(true) && !has_colour(false), "{width_px} x {height_px}: {colouring:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn settings_out_of_range_are_refused_with_one_sentence() {
+        let (camera, look) = (Camera::default(), look());
+        let settings = [
+            (camera, Look { width_px: 15, ..look.clone() }, "15 x 72 pixels: "),
+            (camera, Look { height_px: 8193, ..look.clone() }, "96 x 8193 pixels: "),
+            (camera, Look { grains: 0, ..look.clone() }, "0 grains"),
+            (camera, Look { grains: 65, ..look.clone() }, "65 grains"),
+            (camera, Look { colouring: Colouring::Speed { max_m_s: 0.0 }, ..look.clone() }, "Speed"),
+            (camera, Look { colouring: Colouring::Height { max_m: f64::NAN }, ..look.clone() }, "Height"),
+            (Camera { zoom: 0.0, ..camera }, look.clone(), "zoom"),
+            (Camera { elevation_deg: 91.0, ..camera }, look.clone(), "elevation"),
+            (Camera { azimuth_deg: f64::INFINITY, ..camera }, look.clone(), "azimuth"),
+            (Camera { field_of_view_deg: 180.0, ..camera }, look.clone(), "field of view"),
+        ];
+        for (camera, look, says) in settings {
+            refused(Painter::new(&bench(), &camera, &look).map(drop), says);
+        }
+        let flat = Bench { size_m: [0.1, 0.0, 0.1], ..bench() };
+        refused(Painter::new(&flat, &camera, &look).map(drop), "volume");
+    }
+
+    fn refused(result: Result<(), ViewError>, says: &str) {
+        let error = result.expect_err(says);
+        assert!(matches!(error, ViewError::Setting { .. }), "{error:?}");
+        let sentence = error.to_string();
+        assert!(
+            sentence.contains(says) && !sentence.contains('\n') && !sentence.contains(". "),
+            "{sentence}"
+        );
+    }
 }

@@ -207,3 +207,53 @@ fn span(bounds: [[f32; 2]; 2], size_px: [usize; 2]) -> Option<[[usize; 2]; 2]> {
 fn length_ratio(local_m: &V) -> f32 {
     super::facet::length(local_m) / local_m.z
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::picture::Camera;
+
+    /// Corners of the unit square in pixels, cut into two triangles along a diagonal.
+    #[test]
+    fn two_triangles_cover_a_square_without_gap_or_pixel_outside() {
+        let corner = |x, y| [x, y, 1.0];
+        let square = [corner(2.0, 3.0), corner(12.0, 3.0), corner(12.0, 10.0), corner(2.0, 10.0)];
+        let mut seen = vec![false; 16 * 16];
+        for triangle in [[0, 1, 2], [0, 2, 3]] {
+            covered(triangle.map(|index| square[index]), [16, 16], |column, row, share, _| {
+                assert!((share.iter().sum::<f32>() - 1.0).abs() < 1e-5);
+                seen[row * 16 + column] = true;
+            });
+        }
+        for (index, seen) in seen.iter().enumerate() {
+            let expected = (2..12).contains(&(index % 16)) && (3..10).contains(&(index / 16));
+            assert_eq!(*seen, expected, "column {}, row {}", index % 16, index / 16);
+        }
+    }
+
+    #[test]
+    fn the_nearer_of_a_sphere_and_a_triangle_wins() {
+        let points = [V::zeros(), V::new(1.0, 1.0, 1.0)];
+        let view = View::framing(&Camera::default(), [65, 65], &points);
+        let middle = 32 * 65 + 32;
+        let at = |depth_m: f32| view.eye + view.forward * depth_m;
+        let corner = |right: f32, up: f32| at(1.0) + view.right * right + view.up * up;
+        let corners = [corner(-1.0, -1.0), corner(1.0, -1.0), corner(0.0, 1.0)];
+        let facet = Facet { corners, normals: [-view.forward; 3], creases: [false; 3] };
+        for (depth_m, expected_m, finish) in [(0.5, 0.4, Finish::Matt), (2.0, 1.0, Finish::Metal)] {
+            for sphere_first in [true, false] {
+                let mut canvas = Canvas::floor(&view);
+                for draws_sphere in [sphere_first, !sphere_first] {
+                    if draws_sphere {
+                        canvas.sphere(&at(depth_m), 0.1, [1.0, 0.0, 0.0]);
+                    } else {
+                        canvas.solid(std::slice::from_ref(&facet), [0.0, 1.0, 0.0], Finish::Metal);
+                    }
+                }
+                let texel = &canvas.texels[middle];
+                assert_eq!(texel.finish, finish);
+                assert!((texel.depth_m - expected_m).abs() < 1e-4, "{} m", texel.depth_m);
+            }
+        }
+    }
+}

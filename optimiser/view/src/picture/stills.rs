@@ -67,3 +67,40 @@ impl Sink for Stills {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::picture::encode::decoded;
+    use crate::picture::sample::{bench, frame, look, positions};
+
+    fn stills(folder: &std::path::Path, times_s: &[f64]) -> Result<Stills, ViewError> {
+        Stills::new(&bench(), &Camera::default(), &look(), folder, "view", times_s)
+    }
+
+    #[test]
+    fn the_nearest_frames_are_written_under_their_times() {
+        let folder = tempfile::tempdir().expect("a folder");
+        // The second is as near to two frames, the third has the same as the second, the last is after the end.
+        let mut stills = stills(folder.path(), &[0.1, 0.375, 0.24, 99.0]).expect("times");
+        for index in 0..7 {
+            stills.frame(&frame(index, &positions(index))).expect("a frame");
+        }
+        assert!(stills.written().is_empty());
+        stills.finish(&[]).expect("pictures");
+        let names = ["view-0000.000s.png", "view-0000.250s.png", "view-0001.500s.png"];
+        assert_eq!(stills.written(), names.map(|name| folder.path().join(name)));
+        assert_eq!(std::fs::read_dir(folder.path()).expect("the folder").count(), 3);
+        let painter = Painter::new(&bench(), &Camera::default(), &look()).expect("settings");
+        for (name, index) in names.iter().zip([0, 1, 6]) {
+            let bytes = std::fs::read(folder.path().join(name)).expect("a picture");
+            assert!(decoded(&bytes) == painter.draw(&frame(index, &positions(index)), &[]), "{name}");
+        }
+    }
+
+    #[test]
+    fn a_time_that_is_none_is_refused() {
+        let error = stills("unused".as_ref(), &[0.0, f64::NAN]).map(drop).expect_err("no time");
+        assert_eq!(error.to_string(), "a picture at NaN s: it must be a time of the motion, in seconds");
+    }
+}

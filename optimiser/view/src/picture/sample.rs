@@ -1,0 +1,46 @@
+//! A small bench and its frames, for tests.
+
+use powderline_shared::pose::Pose;
+
+use super::{Colouring, Containers, Look};
+use crate::mesh::Mesh;
+use crate::{Bench, Container, Frame, Role};
+
+/// One box and a bowl; a frame every quarter of a second, which binary numbers hold exactly.
+pub(crate) fn bench() -> Bench {
+    let mesh =
+        Mesh::open_box([0.05, 0.05, 0.02], 0.004).moved(&nalgebra::Isometry3::translation(0.05, 0.05, 0.004));
+    Bench {
+        name: "sample".to_owned(),
+        size_m: [0.1, 0.1, 0.1],
+        cell_m: 0.01,
+        containers: vec![Container { name: "source".to_owned(), role: Role::Source, mesh }],
+        tool: Mesh::bowl(0.012, 0.002),
+        target_m: [0.05; 3],
+        particles: 3,
+        period_s: 0.25,
+        frames: 21,
+    }
+}
+
+/// A small picture with everything in it.
+pub(crate) fn look() -> Look {
+    Look { width_px: 96, height_px: 72, containers: Containers::Translucent, ..Look::default() }
+}
+
+/// A picture of nothing but grey floor and spheres of a colour.
+pub(crate) fn bare(colouring: Colouring) -> Look {
+    let background = [200; 3];
+    Look { width_px: 320, height_px: 240, colouring, background, grains: 1, labels: false, ..Look::default() }
+}
+
+/// Particles of a frame, which move with it.
+pub(crate) fn positions(index: usize) -> [[f32; 3]; 3] {
+    [0.03, 0.05, 0.07].map(|x| [x, 0.05, 0.01 + 0.004 * index as f32])
+}
+
+pub(crate) fn frame(index: usize, positions_m: &[[f32; 3]]) -> Frame<'_> {
+    let mut tool = Pose::identity();
+    tool.position_m = nalgebra::Vector3::new(0.05, 0.05, 0.08);
+    Frame { index, time_s: 0.25 * index as f64, tool, planned: None, positions_m, velocities_m_s: &[] }
+}
