@@ -215,11 +215,7 @@ impl Experiment {
     }
 
     fn empty(&self) -> Comparison {
-        Comparison {
-            scene: self.scene.name.clone(),
-            budget: self.plan.budget,
-            tracks: Vec::new(),
-        }
+        Comparison { scene: self.scene.name.clone(), budget: self.plan.budget, tracks: Vec::new() }
     }
 
     fn folder_of(&self, method: Method, seed: u64) -> PathBuf {
