@@ -36,28 +36,28 @@
 //! ns per particle and substep              median      min     mean  processor  operations    floor  times
 //!
 //! forward
-//!   sort                                      0.2      0.2      1.1        0.1           0
-//!   particles to grid, with return map       21.7     19.0     21.9       21.8        1311      6.5    3.3
-//!   grid update, with contact                 6.7      6.1      7.2        6.6          92      0.5   14.5
-//!   grid to particles, with contact          26.0     25.2     27.8       26.1        1355      6.8    3.9
+//!   sort                                       0.2      0.2      1.0        0.1           0
+//!   particles to grid, with return map        20.8     19.6     21.5       20.9        1176      7.2    2.9
+//!   grid update, with contact                  7.0      6.5      7.4        7.0          92      0.6   12.5
+//!   grid to particles, with contact           25.2     22.9     26.6       25.2        1355      8.3    3.0
 //!
 //! adjoint
-//!   particles to grid, again                 12.5     12.1     12.8       12.6        1311      6.5    1.9
-//!   grid update, again                        3.3      3.1      3.3        3.2          92      0.5    7.1
-//!   adjoint of grid to particles             65.7     62.6     68.5       65.6        3092     15.4    4.3
-//!   adjoint of grid update                   12.0     11.5     12.4       12.0         225      1.1   10.6
-//!   adjoint of particles to grid             60.4     58.8     62.2       60.4        3991     19.9    3.0
-//!   adjoint of sort                           0.0      0.0      0.4        0.0           0
+//!   particles to grid, again                  11.3     10.7     11.4       11.4        1176      7.2    1.6
+//!   grid update, again                         3.3      3.2      3.4        3.3          92      0.6    5.8
+//!   adjoint of grid to particles              57.4     55.1     60.2       57.5        2957     18.1    3.2
+//!   adjoint of grid update                    11.7     11.5     12.3       11.7         225      1.4    8.5
+//!   adjoint of particles to grid              55.8     51.5     56.8       55.9        3991     24.4    2.3
+//!   adjoint of sort                            0.0      0.0      0.3        0.0           0
 //!
 //! alone
-//!   return map                               15.4      9.2     16.7       15.5         533      2.7    5.8
-//!   adjoint of return map                    20.8     15.6     21.5       20.8        1266      6.3    3.3
-//!   sort, each time                          85.6     70.9     92.6       85.6           0
-//!   adjoint of sort, each time               31.7     21.4     38.5       31.8           0
+//!   return map                                15.1      9.3     15.9       15.2         533      3.3    4.7
+//!   adjoint of return map                     19.0     15.6     20.9       19.0        1266      7.7    2.5
+//!   sort, each time                           90.7     71.9     98.6       90.7           0
+//!   adjoint of sort, each time                29.7     19.9     35.2       29.8           0
 //!
 //! whole
-//!   forward                                  57.2     50.6     58.1       57.2        2757     13.7    4.2
-//!   forward and gradient                    285.1    269.1    298.3      285.0       13605     67.8    4.2
+//!   forward                                   54.5     50.8     56.7       54.5        2622     16.0    3.4
+//!   forward and gradient                     258.8    246.8    267.8      258.8       13096     80.0    3.2
 //! ```
 //!
 //! - Particles to grid: half the return map, half the scatter, which adds nine rows of nodes for each particle. The rows of
