@@ -1,4 +1,4 @@
-//! RMSprop with the paper's curriculum, and two changes.
+//! RMSprop with the paper's curriculum, and three changes.
 //!
 //! | symbol | identifier      | equation                                              |
 //! |--------|-----------------|-------------------------------------------------------|
@@ -6,17 +6,21 @@
 //! | v^     | `corrected`     | v^ = v' / (1 - beta^n), n updates of the component    |
 //! | s      | `noise`         | standard deviation of g                               |
 //! | k      | `kept`          | k = g max(0, 1 - s^2 / g^2)                           |
-//! | Theta  | `theta`         | Theta' = clamp(Theta - lr k / (sqrt(v^) + eps))       |
+//! | r      | `rate`          | r' = r / 2 if k changes sign, else min(1, 1.2 r)      |
+//! | Theta  | `theta`         | Theta' = clamp(Theta - lr r' k / (sqrt(v^) + eps))    |
 //!
 //! In the first `curriculum_epochs` updates only depth, angle and lift take part; the running mean of a component
 //! starts, from zero, with its first update. The gradient is neither clipped nor rescaled: a step is at most
 //! lr / sqrt(1 - beta) in any component whatever the gradient's size.
 //!
-//! The paper has v for v^ and g for k. Without the correction for the mean's start from zero (Kingma and Ba 2015, "Adam",
+//! The paper has v for v^, g for k, and r = 1. Without the correction for the mean's start from zero (Kingma and Ba 2015, "Adam",
 //! section 3) the first step of each component is lr / sqrt(1 - beta), three times as long as those that follow, in a
 //! direction that a single gradient has given. And the division by the root of v makes a component whose gradient is all
 //! noise wander as fast as one that leads somewhere; k is the positive-part James-Stein estimate of the slope behind a
-//! measured g, and stands still there.
+//! measured g, and stands still there. Last, where the loss has an edge and not a valley (one particle too few costs as much
+//! as one too many), steps as long as the slope is steep go to and fro across it for ever: a component whose slope changes
+//! sign has gone too far and halves its steps, and lengthens them again while it goes on in one direction. That is the rule
+//! of Rprop (Riedmiller and Braun 1993), which RMSprop descends from.
 
 use crate::{
     scene,
@@ -28,6 +32,10 @@ use thiserror::Error;
 
 /// Components that take part from the first epoch: scooping depth, scooping angle, lift height.
 const CURRICULUM_COMPONENTS: usize = 3;
+
+/// What becomes of a component's steps when its slope changes sign, and when it does not.
+const SHORTENED: f64 = 0.5;
+const LENGTHENED: f64 = 1.2;
 
 /// The update rule.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -49,6 +57,10 @@ pub struct RmsPropState {
     pub theta: Theta,
     /// Running mean of the squared gradient.
     pub mean_square: [f64; 5],
+    /// Length of the steps, 1 at first.
+    pub rate: [f64; 5],
+    /// The slope that the last step went along; 0 before the first.
+    pub slope: [f64; 5],
     /// Updates made.
     pub updates: u32,
 }
@@ -77,13 +89,15 @@ impl From<&scene::Optimiser> for RmsProp {
 impl RmsPropState {
     /// Before the first update.
     pub fn new(theta: Theta) -> Self {
-        Self { theta, mean_square: [0.0; 5], updates: 0 }
+        Self { theta, mean_square: [0.0; 5], rate: [1.0; 5], slope: [0.0; 5], updates: 0 }
     }
 
     /// Whether updates can have led here.
     pub(super) fn is_sound(&self) -> bool {
         check_theta(&self.theta).is_ok()
             && self.mean_square.iter().all(|mean| (0.0..=f64::MAX).contains(mean))
+            && self.rate.iter().all(|rate| (0.0..=1.0).contains(rate))
+            && self.slope.iter().all(|slope| slope.is_finite())
     }
 }
 
@@ -107,8 +121,15 @@ impl RmsProp {
             }
             let before = if index < CURRICULUM_COMPONENTS { 0 } else { self.curriculum_epochs };
             let corrected = mean_square / (1.0 - libm::pow(self.beta, f64::from(next.updates - before)));
-            let step = self.learning_rate * kept(g, noise[index]) / (libm::sqrt(corrected) + self.epsilon);
+            let slope = kept(g, noise[index]);
+            let rate = rate(state.rate[index], state.slope[index], slope);
+            let step = self.learning_rate * rate * slope / (libm::sqrt(corrected) + self.epsilon);
             next.mean_square[index] = mean_square;
+            next.rate[index] = rate;
+            // What stands still has not turned.
+            if slope != 0.0 {
+                next.slope[index] = slope;
+            }
             next.theta[index] = (state.theta[index] - step).clamp(-1.0, 1.0);
         }
         Ok(next)
@@ -124,6 +145,15 @@ impl RmsProp {
 fn kept(g: f64, noise: f64) -> f64 {
     // No slope has no sign either.
     if g.abs() > noise { g * (1.0 - (noise / g) * (noise / g)) } else { 0.0 }
+}
+
+/// Length of the next step, after one along the slope `last`.
+fn rate(rate: f64, last: f64, slope: f64) -> f64 {
+    match last * slope {
+        turned if turned < 0.0 => SHORTENED * rate,
+        onwards if onwards > 0.0 => (LENGTHENED * rate).min(1.0),
+        _ => rate,
+    }
 }
 
 #[cfg(test)]
@@ -146,7 +176,8 @@ mod tests {
         assert!((first.theta[1] + 0.75 * step).abs() < 1e-15 && (first.mean_square[1] - 0.4).abs() < 1e-15);
         assert_eq!(first.theta[2].to_bits(), 0.0f64.to_bits());
         let second = RULE.update(&first, &[-1.0; 5], &noise).unwrap();
-        let step = 0.05 / ((0.46f64 / (1.0 - 0.81)).sqrt() + 1e-8);
+        // The slope has turned.
+        let step = 0.5 * 0.05 / ((0.46f64 / (1.0 - 0.81)).sqrt() + 1e-8);
         assert!((second.theta[0] - first.theta[0] - step).abs() < 1e-15);
     }
 
@@ -159,6 +190,23 @@ mod tests {
             state = rule.update(&state, &[dice, 8.0 + dice, 0.0, 0.0, 0.0], &[3.0; 5]).unwrap();
         }
         assert!(state.theta[0].abs() < 1e-12 && state.theta[1] < -0.7, "{state:?}");
+    }
+
+    #[test]
+    fn comes_to_rest_at_an_edge() {
+        let rule = RmsProp { curriculum_epochs: 0, learning_rate: 0.25, ..RULE };
+        let mut state = RmsPropState::new([-0.9, 0.9, -0.5, 0.8, 1.0]);
+        for _ in 0..25 {
+            let gradient = state.theta.map(|x| if x > 0.123 { 7.0 } else { -7.0 });
+            state = rule.update(&state, &gradient, &EXACT).unwrap();
+        }
+        assert!(state.theta.iter().all(|x| (x - 0.123).abs() < 0.02), "{state:?}");
+    }
+
+    #[test]
+    fn steps_grow_again_but_not_beyond_the_first() {
+        assert!((rate(0.5, 1.0, 3.0) - 0.6).abs() < 1e-15 && (rate(0.9, -1.0, -3.0) - 1.0).abs() < 1e-15);
+        assert!((rate(0.5, 0.0, 3.0) - 0.5).abs() < 1e-15 && (rate(0.5, -1.0, 0.0) - 0.5).abs() < 1e-15);
     }
 
     #[test]

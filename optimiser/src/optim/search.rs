@@ -377,7 +377,7 @@ mod tests {
     fn what_no_epochs_lead_to_is_not_sound() {
         let mut sound = Search::new([-0.5; 5], 10);
         advance(&mut sound, 5);
-        let defects: [fn(&mut Search); 13] = [
+        let defects: [fn(&mut Search); 15] = [
             |search| search.epochs = 4,
             |search| search.state.updates = 6,
             |search| search.state.updates = u32::MAX,
@@ -385,6 +385,8 @@ mod tests {
             |search| search.state.theta[0] = f64::NAN,
             |search| search.state.mean_square[0] = -1.0,
             |search| search.state.mean_square[0] = f64::INFINITY,
+            |search| search.state.rate[0] = 1.001,
+            |search| search.state.slope[0] = f64::NAN,
             |search| search.history.clear(),
             |search| search.history[1].epoch = u32::MAX,
             |search| search.history[1].loss = f64::MAX,

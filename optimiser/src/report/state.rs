@@ -11,7 +11,7 @@ use sha2::{Digest as _, Sha256};
 use thiserror::Error;
 
 const MAGIC: &[u8; 8] = b"PLSTATE\0";
-const VERSION: u32 = 4;
+const VERSION: u32 = 5;
 const HEAD: usize = MAGIC.len() + size_of::<u32>();
 const CHECKSUM: usize = 32;
 

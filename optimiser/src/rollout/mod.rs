@@ -2,7 +2,8 @@
 
 mod branches;
 pub mod gradcheck;
-pub(crate) mod outcome;
+pub(crate) mod loss;
+mod outcome;
 pub(crate) mod path;
 pub(crate) mod schedule;
 mod simulator;
@@ -243,7 +244,7 @@ pub fn simulator<T: Real>(scene: &Scene, settings: &SimulatorSettings) -> Result
 
 /// Loss of the powder as it is packed, that nobody has moved, metres.
 pub fn packed_loss(scene: &Scene, seed: u64) -> f64 {
-    outcome::loss(scene, &scene.particle_positions_m(seed)).0
+    loss::loss(scene, &scene.particle_positions_m(seed)).0
 }
 
 pub(crate) fn thread_pool(threads: usize) -> Result<rayon::ThreadPool, RolloutError> {

@@ -15,7 +15,9 @@ use crate::real::Real;
 use crate::rollout::branches::{self, Family};
 use crate::rollout::path::{Path, resting};
 use crate::rollout::schedule::{Action, advances, schedule};
-use crate::rollout::{Evaluate, Evaluation, Look, Progress, RolloutError, Shot, Take, outcome, thread_pool};
+use crate::rollout::{
+    Evaluate, Evaluation, Look, Progress, RolloutError, Shot, Take, loss, outcome, thread_pool,
+};
 use crate::scene::Scene;
 use crate::skill::{Control, SkillMap, Theta, displacement};
 
@@ -328,7 +330,7 @@ impl<T: Real> Evaluate for Simulator<T> {
 }
 
 fn evaluation(scene: &Scene, positions: &[[f64; 3]], tool: &Pose) -> (Evaluation, Vec<[f64; 3]>) {
-    let (loss, gradient) = outcome::loss(scene, positions);
+    let (loss, gradient) = loss::loss(scene, positions);
     let census = outcome::census(scene, positions, tool);
     let evaluation = Evaluation {
         loss,

@@ -1,6 +1,6 @@
 //! Quantities that follow from a scene's fields.
 
-use super::{Amount, Powder, Scene, Time};
+use super::{Amount, Container, ContainerShape, Objective, Powder, Scene, Time};
 
 /// Edge of a grid block, in cells.
 pub const BLOCK_CELLS: usize = 4;
@@ -74,7 +74,44 @@ impl Powder {
     }
 }
 
+impl Container {
+    /// A point of the world in the container's own frame, metres; the inner floor is at z = 0.
+    pub(crate) fn local_m(&self, p: &[f64; 3]) -> [f64; 3] {
+        let d = [0, 1, 2].map(|i| p[i] - self.position_m[i]);
+        let (sin, cos) = libm::sincos(self.yaw_deg.to_radians());
+        [cos * d[0] + sin * d[1], cos * d[1] - sin * d[0], d[2]]
+    }
+
+    /// The point of the container's inner space that is nearest to another, metres, world frame.
+    fn nearest_m(&self, p: &[f64; 3]) -> [f64; 3] {
+        let [x, y, z] = self.local_m(p);
+        let [x, y] = match self.shape {
+            ContainerShape::Box { inner_size_m: [lx, ly, _] } => {
+                [x.clamp(-0.5 * lx, 0.5 * lx), y.clamp(-0.5 * ly, 0.5 * ly)]
+            }
+            ContainerShape::Cylinder { inner_radius_m, .. } => {
+                let inwards = (inner_radius_m / x.hypot(y)).min(1.0);
+                [x * inwards, y * inwards]
+            }
+        };
+        let (sin, cos) = libm::sincos(self.yaw_deg.to_radians());
+        let [origin_x, origin_y, origin_z] = self.position_m;
+        [
+            origin_x + cos * x - sin * y,
+            origin_y + sin * x + cos * y,
+            origin_z + z.clamp(0.0, self.inner_height_m()),
+        ]
+    }
+}
+
 impl Scene {
+    /// The point of the source container that is nearest to the target point, metres.
+    pub(crate) fn nearest_of_source_m(&self) -> [f64; 3] {
+        let Objective { source, p_target_m, .. } = &self.objective;
+        let source = self.container.iter().find(|container| container.name == *source);
+        source.map_or(*p_target_m, |source| source.nearest_m(p_target_m))
+    }
+
     /// The same with powder that never sleeps.
     #[must_use]
     pub fn awake(&self) -> Self {
@@ -122,5 +159,41 @@ impl Scene {
             Amount::Particles(count) => count as usize,
             Amount::MassKg(mass_kg) => ((mass_kg / self.particle_mass_kg()).round() as usize).max(1),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn container(shape: ContainerShape) -> Container {
+        Container {
+            name: "source".into(),
+            position_m: [1.0, 2.0, 0.5],
+            yaw_deg: 90.0,
+            wall_thickness_m: 0.1,
+            friction: 0.4,
+            shape,
+        }
+    }
+
+    fn assert_near(found: [f64; 3], wanted: [f64; 3]) {
+        assert!((0..3).all(|i| (found[i] - wanted[i]).abs() < 1e-12), "{found:?} {wanted:?}");
+    }
+
+    #[test]
+    fn nearest_point_of_a_turned_box() {
+        let container = container(ContainerShape::Box { inner_size_m: [0.4, 0.2, 0.3] });
+        // Its length lies along y now.
+        assert_near(container.nearest_m(&[3.0, 2.05, 0.0]), [1.1, 2.05, 0.5]);
+        assert_near(container.nearest_m(&[1.0, 5.0, 9.0]), [1.0, 2.2, 0.8]);
+        assert_near(container.nearest_m(&[1.05, 2.1, 0.6]), [1.05, 2.1, 0.6]);
+    }
+
+    #[test]
+    fn nearest_point_of_a_cylinder() {
+        let container = container(ContainerShape::Cylinder { inner_radius_m: 0.5, inner_height_m: 0.3 });
+        assert_near(container.nearest_m(&[4.0, 6.0, 0.6]), [1.3, 2.4, 0.6]);
+        assert_near(container.nearest_m(&[1.0, 2.0, 0.6]), [1.0, 2.0, 0.6]);
     }
 }

@@ -280,6 +280,8 @@ pub struct Objective {
     pub p_target_m: [f64; 3],
     /// How much powder should arrive.
     pub amount: Amount,
+    /// What the loss asks for.
+    pub aim: Aim,
     /// How the distance of a particle from `p_target_m` is measured.
     pub norm: Norm,
     /// Which particles the loss sees.
@@ -294,6 +296,16 @@ pub enum Amount {
     Particles(u32),
     /// Mass, kilogram; above 0, up to all of it. Rounded to whole particles.
     MassKg(f64),
+}
+
+/// What the loss asks for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Aim {
+    /// The wanted amount at `p_target_m`, and the rest no nearer than the source.
+    Amount,
+    /// All powder at `p_target_m`, as in the paper: as much as can be had, whatever amount is wanted.
+    All,
 }
 
 /// How a particle's distance from the target point is measured.

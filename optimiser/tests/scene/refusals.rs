@@ -533,6 +533,11 @@ const RULES_BETWEEN_FIELDS: &[Case] = &[
         ": objective.observation.pixel_m is 0, but it must be from 0.0001 to 0.1",
     ),
     (
+        r#"observation = { kind = "all" }"#,
+        r#"observation = { kind = "visible_from_above", pixel_m = 0.004 }"#,
+        ": objective.aim is \"amount\", but a view from above tells no amount; \"all\" would be right, or an observation that is not visible_from_above",
+    ),
+    (
         "start_position_m = [0.048, 0.048, 0.066]",
         "start_position_m = [0.010, 0.048, 0.066]",
         ": tool.start_position_m is [0.01, 0.048, 0.066], but the tool would then reach x = -0.01, outside the domain, which goes from 0 to 0.256",

@@ -206,7 +206,7 @@ pub(super) fn inside_domain(
 
 /// Source, target, target point and amount.
 pub(super) fn check_objective(checker: &Checker<'_>, scene: &Scene) -> Checked {
-    use crate::scene::{Amount, Observation};
+    use crate::scene::{Aim, Amount, Observation};
     let objective = &scene.objective;
     named_container(checker, scene, "objective.source", &objective.source)?;
     named_container(checker, scene, "objective.target", &objective.target)?;
@@ -243,6 +243,11 @@ pub(super) fn check_objective(checker: &Checker<'_>, scene: &Scene) -> Checked {
     }
     match objective.observation {
         Observation::Subsample { particles: size } => particles("objective.observation.particles", size),
+        Observation::VisibleFromAbove { .. } if objective.aim == Aim::Amount => Err(checker.invalid(
+            "objective.aim",
+            "\"amount\"".to_owned(),
+            "a view from above tells no amount; \"all\" would be right, or an observation that is not visible_from_above",
+        )),
         Observation::All | Observation::VisibleFromAbove { .. } => Ok(()),
     }
 }
