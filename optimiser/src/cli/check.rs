@@ -10,7 +10,7 @@ use super::CliError;
 use crate::memory::{Need, memory_needs};
 use crate::scene::figures::about;
 use crate::scene::{DEFAULT_SCENE, MAX_CFL, Scene};
-use crate::skill::SkillMap;
+use crate::skill::{SkillMap, colliding_skill};
 use powderline_shared::plan::Precision;
 
 /// Arguments of `optimise check`.
@@ -124,11 +124,17 @@ impl CheckReport {
     }
 }
 
-/// The scene's own remarks, and whether `optimise run` would refuse it for its motion limits.
+/// The scene's own remarks, whether its skills stay clear of the containers, and whether `optimise run` would refuse it
+/// for its motion limits.
 fn remarks(scene: &Scene) -> Vec<String> {
     let refusal = SkillMap::new(scene).check_all_corners().err();
     let refusal = refusal.map(|error| format!("`optimise run` would refuse this scene: {error}"));
-    scene.remarks().into_iter().chain(refusal).collect()
+    let collision = colliding_skill(scene).map(|(theta, collision)| {
+        format!(
+            "`optimise run` would pass over some skills of this range: with theta = {theta:?} {collision}"
+        )
+    });
+    scene.remarks().into_iter().chain(collision).chain(refusal).collect()
 }
 
 impl MemoryRow {

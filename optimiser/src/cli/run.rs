@@ -16,7 +16,7 @@ use crate::{
     },
     rollout::{Evaluate, Evaluation, RolloutError, check_memory},
     scene::{DEFAULT_SCENE, Scene},
-    skill::{Quantised, SkillMap, Theta},
+    skill::{Quantised, SkillError, SkillMap, Theta, collision},
 };
 use clap::Args;
 use powderline_shared::plan::Precision;
@@ -258,22 +258,31 @@ impl Run {
         Ok(self.folder.replace(CURVES, svg.as_bytes())?)
     }
 
-    /// The epoch of the lowest loss, and its motion as shipped. Between the corners of the skill's bounds, which were
-    /// checked before the run, a motion of constant speed and whole control steps may exceed the arm's limits; such an
-    /// epoch is passed over.
+    /// The epoch of the lowest loss, and its motion as shipped. Passed over are epochs whose motion takes the tool through a
+    /// container, and those that exceed the arm's limits (between the corners of the skill's bounds, which were checked
+    /// before the run, a motion of constant speed and whole control steps may).
     fn best(&self) -> Result<(EpochRecord, Quantised), CliError> {
         let mut epochs = self.state.search.history().to_vec();
         epochs.sort_by(|a, b| a.loss.total_cmp(&b.loss));
         let mut refusal = None;
         for epoch in epochs {
-            let shipped = self.map.quantised(&epoch.theta);
-            match shipped.and_then(|quantised| self.map.check_limits(&quantised).map(|_| quantised)) {
+            match self.shipped(&epoch.theta) {
                 Ok(quantised) => return Ok((epoch, quantised)),
                 Err(error) => refusal = refusal.or(Some(error)),
             }
         }
         let reason = refusal.map_or_else(|| "there is none".into(), |error| error.to_string());
-        Err(CliError::Failed(format!("no evaluated skill is a motion within the limits: {reason}")))
+        Err(CliError::Failed(format!("no evaluated skill is a motion that the arm may perform: {reason}")))
+    }
+
+    /// A skill's motion, if the arm may perform it.
+    fn shipped(&self, theta: &Theta) -> Result<Quantised, SkillError> {
+        let quantised = self.map.quantised(theta)?;
+        self.map.check_limits(&quantised)?;
+        match collision(&self.scene, self.map.start_pose(), &quantised.controls) {
+            Some(collision) => Err(collision.into()),
+            None => Ok(quantised),
+        }
     }
 
     /// The best epoch's skill, quantised, simulated again as it will be performed, and written.

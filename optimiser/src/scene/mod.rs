@@ -29,6 +29,8 @@ pub use embedded::{DEFAULT_SCENE, EMBEDDED_SCENES, embedded_scene};
 pub use error::SceneError;
 pub use powderline_shared::limits::Limits;
 pub use read::MAX_SCENE_BYTES;
+pub(crate) use tool_body::PlacedTool;
+pub use tool_body::ToolPart;
 
 /// A whole bench, as written in TOML.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

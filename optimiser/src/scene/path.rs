@@ -108,15 +108,4 @@ impl Scene {
             })
         })
     }
-
-    /// Poses during the transport at the lowest lift after the deepest scoop, over all scooping angles.
-    pub(super) fn lowest_transport_poses(&self) -> impl Iterator<Item = (Vec3, f64)> {
-        let skill = &self.skill;
-        let up_m = skill.lift_height_m[0] - skill.approach_m - skill.scooping_depth_m[1];
-        samples([0.0, skill.transport_displacement_m[1]]).flat_map(move |travel_m| {
-            samples(skill.scooping_angle_deg).map(move |angle_deg| {
-                (self.origin_after(skill.sweep_m + travel_m, up_m), self.tool.start_pitch_deg - angle_deg)
-            })
-        })
-    }
 }

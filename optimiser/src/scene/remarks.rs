@@ -1,7 +1,6 @@
 //! What is allowed in a scene but worth knowing.
 
 use super::figures::about;
-use super::solid::Hull;
 use super::tool_body::PlacedTool;
 use super::{Container, ContainerShape, Scene};
 
@@ -12,13 +11,10 @@ const REMARKABLE_CELLS: f64 = 0.25;
 const BADLY_PLACED_CELLS: f64 = 0.1;
 
 impl Scene {
-    /// Sentences about a valid scene that may hide a mistake: corners of the skill's range in which the tool
-    /// would pass through a container, a start height at odds with the approach, and faces that the grid holds badly.
+    /// Sentences about a valid scene that may hide a mistake: a start height at odds with the approach, and faces that the
+    /// grid holds badly.
     pub fn remarks(&self) -> Vec<String> {
-        [self.remark_approach(), self.remark_handle(), self.remark_transport(), self.remark_faces()]
-            .into_iter()
-            .flatten()
-            .collect()
+        [self.remark_approach(), self.remark_faces()].into_iter().flatten().collect()
     }
 
     fn remark_approach(&self) -> Option<String> {
@@ -31,36 +27,6 @@ impl Scene {
                  measured from",
                 about(1e3 * above_m.abs(), 3),
                 if above_m > 0.0 { "above" } else { "below" }
-            )
-        })
-    }
-
-    fn remark_handle(&self) -> Option<String> {
-        let source = self.source();
-        let solids = source.pieces();
-        let hits = self.scoop_poses().any(|(origin, pitch_deg)| {
-            let tool = PlacedTool::new(self, origin, pitch_deg);
-            solids.iter().any(|solid| !tool.handle_clears(solid))
-        });
-        hits.then(|| {
-            format!(
-                "in some corner of the skill's range the handle passes through container {:?} while scooping",
-                source.name
-            )
-        })
-    }
-
-    fn remark_transport(&self) -> Option<String> {
-        let solids: Vec<(&Container, Vec<Hull>)> =
-            self.container.iter().map(|container| (container, container.pieces())).collect();
-        let hit = self.lowest_transport_poses().find_map(|(origin, pitch_deg)| {
-            let tool = PlacedTool::new(self, origin, pitch_deg);
-            solids.iter().find(|(_, pieces)| pieces.iter().any(|piece| !tool.body_clears(piece)))
-        });
-        hit.map(|(container, _)| {
-            format!(
-                "at the lowest lift after the deepest scoop the tool passes through container {:?}",
-                container.name
             )
         })
     }

@@ -5,7 +5,7 @@
 //! normals and a fixed set of directions, so "apart" is always true, and "not apart" errs only for gaps below about
 //! a hundredth of the solids' size.
 
-use super::{Container, ContainerShape, Powder};
+use super::{Container, ContainerShape, Powder, Scene};
 
 /// A vector, world or tool frame.
 pub(super) type Vec3 = [f64; 3];
@@ -23,6 +23,21 @@ const DIRECTIONS: usize = 512;
 
 pub(super) fn dot(a: Vec3, b: Vec3) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+/// A container's material.
+pub(crate) struct Solid {
+    /// The container's name.
+    pub(super) name: String,
+    /// Convex pieces.
+    pub(super) pieces: Vec<Hull>,
+}
+
+impl Scene {
+    /// What stands in the tool's way.
+    pub(crate) fn solids(&self) -> Vec<Solid> {
+        self.container.iter().map(|c| Solid { name: c.name.clone(), pieces: c.pieces() }).collect()
+    }
 }
 
 /// Convex hull of points.

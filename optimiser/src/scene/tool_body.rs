@@ -3,8 +3,11 @@
 //! The body stands for its convex hull: the cavity counts as solid, which only matters for things inside it. World
 //! axes of the tool at heading h and pitch p: x = cos p h - sin p z, y = z x h, z = sin p h + cos p z.
 
-use super::solid::{Hull, Vec3, dot};
+use super::solid::{Hull, Solid, Vec3, dot};
 use super::{Scene, Tool, ToolShape};
+use nalgebra::Vector3;
+use powderline_shared::pose::Pose;
+use std::fmt;
 
 impl Tool {
     /// Distance from the tool's origin to its lowest point when the opening looks straight up, metres.
@@ -52,8 +55,26 @@ impl Tool {
     }
 }
 
+/// A part of the tool.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ToolPart {
+    /// Bowl or scoop.
+    Body,
+    /// Handle.
+    Handle,
+}
+
+impl fmt::Display for ToolPart {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Body => "tool's body",
+            Self::Handle => "tool's handle",
+        })
+    }
+}
+
 /// The tool somewhere in the world.
-pub(super) struct PlacedTool<'a> {
+pub(crate) struct PlacedTool<'a> {
     tool: &'a Tool,
     origin: Vec3,
     /// The tool's x, y, z in the world frame.
@@ -70,6 +91,23 @@ impl<'a> PlacedTool<'a> {
             [sin_p * cos_h, sin_p * sin_h, cos_p],
         ];
         Self { tool: &scene.tool, origin, axes }
+    }
+
+    pub(crate) fn at(tool: &'a Tool, pose: &Pose) -> Self {
+        let axis = |axis: Vec3| (pose.orientation * Vector3::from(axis)).into();
+        let axes = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]].map(axis);
+        Self { tool, origin: pose.position_m.into(), axes }
+    }
+
+    /// The first of the solids that a part of the tool is inside of.
+    pub(crate) fn inside_of<'s>(&self, solids: &'s [Solid]) -> Option<(ToolPart, &'s str)> {
+        solids.iter().find_map(|solid| {
+            let within = |clears: &dyn Fn(&Hull) -> bool| !solid.pieces.iter().all(clears);
+            let body = within(&|piece| self.body_clears(piece)).then_some(ToolPart::Body);
+            let part =
+                body.or_else(|| within(&|piece| self.handle_clears(piece)).then_some(ToolPart::Handle));
+            part.map(|part| (part, solid.name.as_str()))
+        })
     }
 
     fn to_tool(&self, direction: Vec3) -> Vec3 {

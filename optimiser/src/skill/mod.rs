@@ -10,6 +10,7 @@
 //! the derivative); with `constant_speed` where a control tick meets the end of a segment, and where a travel
 //! passes through zero. `continuous` timing with `minimum_jerk` is twice continuously differentiable everywhere.
 
+mod clearance;
 mod duration;
 mod motion;
 mod profile;
@@ -18,6 +19,7 @@ mod real;
 #[cfg(test)]
 mod tests;
 
+pub use clearance::{Collision, colliding_skill, collision};
 pub use motion::SegmentKind;
 pub use quantised::{LSB, Quantised, controls_of, displacement};
 pub use real::{Dual5, Real};
@@ -64,6 +66,9 @@ pub enum SkillError {
     /// The scene's limits are not limits.
     #[error(transparent)]
     Limits(#[from] LimitsError),
+    /// The motion takes the tool through a container.
+    #[error(transparent)]
+    Collision(#[from] Collision),
     /// The motion breaks a limit.
     #[error(transparent)]
     Violation(#[from] Violation),
