@@ -322,7 +322,9 @@ impl Run {
         let search = &self.state.search;
         if let [first, .., last] | [first @ last] = search.history() {
             let (best, _) = self.best()?;
-            write!(context.out, "\n{}", Finding { map: &self.map, first, best: &best, last, plan }.text())?;
+            let particle_mass_kg = self.scene.particle_mass_kg();
+            let finding = Finding { map: &self.map, first, best: &best, last, plan, particle_mass_kg };
+            write!(context.out, "\n{}", finding.text())?;
         }
         let path = self.folder.file(PLAN);
         writeln!(context.out, "\nThe curves are in {}.", self.folder.file(CURVES).display())?;

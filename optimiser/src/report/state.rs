@@ -158,6 +158,6 @@ mod tests {
         let mut bytes = state().to_bytes();
         bytes[8] = 9;
         let error = RunState::from_bytes(&bytes).unwrap_err().to_string();
-        assert!(error.contains("version 9") && error.contains("version 4"), "{error}");
+        assert!(error.contains("version 9") && error.contains("version 5"), "{error}");
     }
 }

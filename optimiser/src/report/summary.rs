@@ -4,6 +4,7 @@ use super::words::{grouped, parameter};
 use crate::{
     optim::EpochRecord,
     rollout::Evaluation,
+    scene::figures::about,
     skill::{SkillMap, Theta},
 };
 use powderline_shared::plan::SKILL_PARAMETERS;
@@ -22,6 +23,8 @@ pub struct Finding<'a> {
     pub last: &'a EpochRecord,
     /// What the plan, quantised, achieves.
     pub plan: &'a Evaluation,
+    /// Mass of a particle, kilogram.
+    pub particle_mass_kg: f64,
 }
 
 impl Finding<'_> {
@@ -61,16 +64,18 @@ impl Finding<'_> {
     fn powder(&self) -> String {
         let plan = self.plan;
         let target = plan.indicator + i64::from(plan.transported);
+        let off = 100.0 * plan.indicator.abs() as f64 / target as f64;
         let missing = match plan.indicator {
-            1.. => format!("{} short of the {} wanted", grouped(plan.indicator), grouped(target)),
+            1.. => format!("{off:.1} % less than the {} wanted", grouped(target)),
             0 => format!("exactly the {} wanted", grouped(target)),
-            _ => format!("{} more than the {} wanted", grouped(-plan.indicator), grouped(target)),
+            _ => format!("{off:.1} % more than the {} wanted", grouped(target)),
         };
         format!(
-            "As shipped (quantised, simulated again) it has a loss of {:.3} m and brings {} particles into the target \
+            "As shipped (quantised, simulated again) it has a loss of {:.3} m and brings {} particles ({} g) into the target \
              container, {missing}; {} spill. At epoch 0 it was {} particles, and {} spilled.",
             plan.loss,
             grouped(plan.transported.into()),
+            about(1e3 * self.particle_mass_kg * f64::from(plan.transported), 4),
             grouped(plan.spilled.into()),
             grouped(self.first.transported.into()),
             grouped(self.first.spilled.into()),
@@ -106,15 +111,16 @@ mod tests {
             best: &EpochRecord { theta: [1.0; 5], ..record(27, 1128.0) },
             last: &record(30, 1129.0),
             plan: &plan,
+            particle_mass_kg: 8e-6,
         };
         let text = finding.text();
         for part in [
             "from 1200.000 m",
             "epoch 27 (by 6.0 %)",
-            "851 particles",
-            "1 more than the 850",
+            "851 particles (6.808 g)",
+            "0.1 % more than the 850",
             "20.0 mm",
-            "150.0 deg",
+            "110.0 deg",
         ] {
             assert!(text.contains(part), "{part} in {text}");
         }

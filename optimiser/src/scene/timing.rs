@@ -21,7 +21,8 @@ mod tests {
         scene.skill.profile = Profile::ConstantSpeed;
         scene.skill.sweep_m = 0.0;
         let travel_m = 0.020 + 0.020 + 0.090 + 0.160;
-        let turn_rad = (100.0f64 + 160.0).to_radians();
+        let [scoop_deg, pour_deg] = [scene.skill.scooping_angle_deg[1], scene.skill.pouring_angle_deg[1]];
+        let turn_rad = (scoop_deg + pour_deg).to_radians();
         let expected_s = travel_m / scene.skill.linear_speed_m_s + turn_rad / scene.skill.angular_speed_rad_s;
         assert!((scene.longest_skill_s() - expected_s).abs() < 1e-12);
         scene.skill.timing = Timing::Rounded;
