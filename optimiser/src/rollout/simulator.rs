@@ -15,7 +15,9 @@ use crate::real::Real;
 use crate::rollout::branches::{self, Family};
 use crate::rollout::path::{Path, resting};
 use crate::rollout::schedule::{Action, advances, schedule};
-use crate::rollout::{Evaluate, Evaluation, Look, Progress, RolloutError, Shot, Take, outcome, thread_pool};
+use crate::rollout::{
+    Evaluate, Evaluation, Look, Progress, RolloutError, Shot, Slope, Take, outcome, thread_pool,
+};
 use crate::scene::Scene;
 use crate::skill::{Control, SkillMap, Theta, displacement};
 
@@ -284,6 +286,16 @@ impl<T: Real> Evaluate for Simulator<T> {
     ) -> Result<Evaluation, RolloutError> {
         let anchor = self.anchor;
         self.simulate_from(&anchor, controls, progress)
+    }
+
+    fn gradient_of(
+        &mut self,
+        controls: &[Displacement],
+        progress: Progress<'_>,
+    ) -> Result<(Evaluation, Vec<Slope>), RolloutError> {
+        let start = self.beginning(progress)?;
+        let (evaluation, bars) = self.control_gradient(&start, controls, progress)?;
+        Ok((evaluation, bars.into_iter().map(Slope::from).collect()))
     }
 
     fn simulate_from(
