@@ -6,6 +6,7 @@
 mod estimate;
 mod rmsprop;
 mod search;
+pub mod steps;
 
 pub use estimate::{
     Estimate, Estimator, EstimatorState, Findings, Place, Probe, REMEASURE_EPOCHS, TRUSTED_WEIGHT,

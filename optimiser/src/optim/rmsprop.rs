@@ -101,17 +101,23 @@ impl RmsProp {
         let mut next = RmsPropState { updates: state.updates + 1, ..*state };
         let active = self.active_components(state.updates);
         for (index, &g) in gradient.iter().enumerate().take(active) {
-            let mean_square = self.beta * state.mean_square[index] + (1.0 - self.beta) * g * g;
-            if !mean_square.is_finite() {
-                return Err(GradientError { index, value: g });
-            }
             let before = if index < CURRICULUM_COMPONENTS { 0 } else { self.curriculum_epochs };
-            let corrected = mean_square / (1.0 - libm::pow(self.beta, f64::from(next.updates - before)));
-            let step = self.learning_rate * kept(g, noise[index]) / (libm::sqrt(corrected) + self.epsilon);
+            let (mean_square, step) = self
+                .step(state.mean_square[index], g, noise[index], next.updates - before)
+                .ok_or(GradientError { index, value: g })?;
             next.mean_square[index] = mean_square;
             next.theta[index] = (state.theta[index] - step).clamp(-1.0, 1.0);
         }
         Ok(next)
+    }
+
+    /// Of one component: the mean square after its `updates`-th update, and how far that takes it down the slope `g`;
+    /// none if the mean square is not finite.
+    pub(super) fn step(&self, mean_square: f64, g: f64, noise: f64, updates: u32) -> Option<(f64, f64)> {
+        let mean_square = self.beta * mean_square + (1.0 - self.beta) * g * g;
+        let corrected = mean_square / (1.0 - libm::pow(self.beta, f64::from(updates)));
+        let step = self.learning_rate * kept(g, noise) / (libm::sqrt(corrected) + self.epsilon);
+        mean_square.is_finite().then_some((mean_square, step))
     }
 
     /// How many of the five components, from the first, the update after `updates` others changes.
