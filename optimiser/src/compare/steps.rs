@@ -36,8 +36,8 @@ pub struct StepTrack {
     /// What it comes from.
     pub origin: Origin,
     search: StepSearch,
-    /// What was evaluated. An epoch whose motion has no loss repeats the best try before, which is what it leaves to the
-    /// next, and counts as many rollouts as any other.
+    /// What was evaluated. An epoch whose motion has no loss repeats the best try before it, and counts as many
+    /// rollouts as any other.
     pub tries: Vec<Try>,
 }
 

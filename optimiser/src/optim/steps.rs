@@ -10,9 +10,9 @@
 //!
 //! What is kept is u and not w: a search that begins with a skill's displacements begins with their bits.
 //!
-//! Where a motion has no loss, since powder left the simulated volume or a number was not finite, the search goes back to
-//! the best motion known, with the running means that it had there, and leaves it by half the step: every such epoch
-//! halves the learning rate for good.
+//! Where a motion has no loss, since powder left the simulated volume or a number was not finite, the search goes back
+//! to the best motion known, with the running means that it had there, and leaves it by half the step: every such
+//! epoch halves the learning rate for good.
 //!
 //! As in the search for skills, nothing here simulates, reads a clock or touches a file.
 
@@ -25,8 +25,8 @@ use crate::{
 use powderline_shared::displacement::Displacement;
 use serde::{Deserialize, Serialize};
 
-/// Learning rate, in units of w. In `bench-small`, seed 1, the lowest losses of ten epochs were 219.9, 219.2, 177.7, 182.0
-/// and 207.0 m with 0.001, 0.003, 0.01, 0.03 and 0.1.
+/// Learning rate, in units of w. In `bench-small`, seed 1, the lowest losses of ten epochs were 219.9, 219.2, 177.7,
+/// 182.0 and 207.0 m with 0.001, 0.003, 0.01, 0.03 and 0.1.
 const LEARNING_RATE: f64 = 0.01;
 
 /// The longest displacement of one control step along each axis.
@@ -130,8 +130,8 @@ impl StepSearch {
         self.halvings
     }
 
-    /// The search after its motion was found to have this loss (metres) and these slopes; none if a number is not finite
-    /// or missing.
+    /// The search after its motion was found to have this loss (metres) and these slopes; none if a number is not
+    /// finite or missing.
     pub fn onward(&self, rule: &StepRule, loss: f64, slopes: &[Slope]) -> Option<Self> {
         if !is_loss(loss) || slopes.len() != self.place.controls.len() {
             return None;

@@ -59,7 +59,8 @@ impl Seal {
         bytes
     }
 
-    /// What the file's bytes hold, if they are whole and of this kind and version. What it says is the caller's to judge.
+    /// What the file's bytes hold, if they are whole and of this kind and version; whether it makes sense is for the
+    /// caller to judge.
     pub(crate) fn open<T: DeserializeOwned>(&self, bytes: &[u8]) -> Result<T, StateError> {
         if bytes.len() < HEAD || !bytes.starts_with(&self.magic) {
             return Err(StateError::NotAState);

@@ -36,8 +36,8 @@ pub struct Evaluation {
     pub gradient: Option<Theta>,
 }
 
-/// Derivative of the loss with respect to one displacement of a control sequence, the others held, in the world frame:
-/// what [`Displacement`] has in metres and in radians, this has per metre and per radian.
+/// Derivative of the loss with respect to one displacement of a control sequence, the others held, in the world
+/// frame: what [`Displacement`] has in metres and in radians, this has per metre and per radian.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Slope {
     /// Metres of loss per metre of each component of the translation.
