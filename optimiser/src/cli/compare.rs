@@ -6,6 +6,7 @@ use super::{
     options::{DEFAULT_PRECISION, PrecisionArg},
     report::read_history,
     run::{self, RunArgs},
+    steps,
 };
 use crate::{
     compare::{Budget, Comparison, Method, Row, Track, Try, summarise},
@@ -25,7 +26,7 @@ use std::{
 };
 
 /// What was tried, one JSON line each.
-const TRIES: &str = "tries.jsonl";
+pub(super) const TRIES: &str = "tries.jsonl";
 /// Every try of every track.
 const TABLE: &str = "comparison.csv";
 /// The figure for papers.
@@ -243,15 +244,18 @@ impl Experiment {
         Ok(comparison)
     }
 
-    /// The best skill of all, as a motion; none if nothing was evaluated.
+    /// The best skill of all, as a motion; none if no skill was evaluated. Motions that are no skill's are left out: they
+    /// keep no limit of the arm but that of the speed along each axis.
     pub(super) fn best_motion(&self, comparison: &Comparison) -> Option<Task> {
-        let tries =
-            comparison.tracks.iter().flat_map(|track| track.tries.iter().map(move |one| (track, one)));
-        let (track, best) = tries.min_by(|(_, a), (_, b)| a.loss.total_cmp(&b.loss))?;
+        let skills = comparison
+            .tracks
+            .iter()
+            .flat_map(|track| track.tries.iter().filter_map(move |one| Some((track, one.loss, one.theta?))));
+        let (track, _, theta) = skills.min_by(|(_, a, _), (_, b, _)| a.total_cmp(b))?;
         Some(Task {
             scene: track.method.scene(&self.scene),
             settings: self.resources.settings(track.seed, self.plan.precision),
-            motion: Motion::Skill(best.theta),
+            motion: Motion::Skill(theta),
         })
     }
 
@@ -277,8 +281,9 @@ impl Experiment {
     fn track(&self, method: Method, seed: u64, context: &mut Context<'_>) -> Result<Track, CliError> {
         let path = self.folder_of(method, seed);
         match method.search(seed) {
-            None => self.gradient(method, seed, &path, context),
             Some(search) => self.search(method, seed, search, &path, context),
+            None if method == Method::GradientSteps => self.steps(seed, &path, context),
+            None => self.gradient(method, seed, &path, context),
         }
     }
 
@@ -303,6 +308,12 @@ impl Experiment {
         };
         let history = run::completed(&arguments, context)?;
         Ok(Track::of_epochs(method, seed, &history))
+    }
+
+    /// A search over displacements.
+    fn steps(&self, seed: u64, path: &Path, context: &mut Context<'_>) -> Result<Track, CliError> {
+        let settings = self.resources.settings(seed, self.plan.precision);
+        steps::completed(&self.scene, &settings, self.plan.budget.epochs, path, context)
     }
 
     fn search(
@@ -437,7 +448,8 @@ impl Tracing {
             let done = self.track.tries.len();
             let skills = self.ask()?;
             let Some(known) = self.known.get(done..done + skills.len()).map(<[Try]>::to_vec) else { break };
-            let same = |(skill, one): (&Theta, &Try)| skill.map(f64::to_bits) == one.theta.map(f64::to_bits);
+            let bits = |theta: Theta| theta.map(f64::to_bits);
+            let same = |(skill, one): (&Theta, &Try)| Some(bits(*skill)) == one.theta.map(bits);
             if !skills.iter().zip(&known).all(same) {
                 return Err(CliError::Input(format!(
                     "{} holds skills that this version of the search does not ask for; start a new comparison",
@@ -483,7 +495,7 @@ impl Tracing {
             let mut tries: Vec<Try> = Vec::with_capacity(skills.len());
             for (theta, found) in skills.iter().zip(&found) {
                 let last = tries.last().or(self.track.tries.last());
-                tries.push(Try::after(last, *theta, found, 1, seconds));
+                tries.push(Try::after(last, Some(*theta), found, 1, seconds));
             }
             let lines: String = tries.iter().map(run::json_line).collect();
             self.folder.append(TRIES, lines.as_bytes())?;
@@ -535,12 +547,13 @@ fn table(comparison: &Comparison) -> String {
     );
     for track in &comparison.tracks {
         for (index, one) in track.tries.iter().enumerate() {
-            let Try { loss, indicator, transported, spilled, rollouts, seconds, theta: [a, b, c, d, e] } =
-                one;
+            let Try { loss, indicator, transported, spilled, rollouts, seconds, theta } = one;
+            // Five cells, empty where the motion is no skill's.
+            let theta = theta.map_or(",".repeat(4), |theta| theta.map(|value| value.to_string()).join(","));
             // Writing to a string does not fail.
             let _ = writeln!(
                 text,
-                "{},{},{index},{rollouts},{seconds:.3},{loss},{indicator},{transported},{spilled},{a},{b},{c},{d},{e}",
+                "{},{},{index},{rollouts},{seconds:.3},{loss},{indicator},{transported},{spilled},{theta}",
                 track.method.name(),
                 track.seed
             );

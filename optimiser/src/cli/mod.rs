@@ -22,6 +22,7 @@ mod report;
 mod run;
 mod simulate;
 mod size;
+mod steps;
 #[cfg(test)]
 mod tests;
 

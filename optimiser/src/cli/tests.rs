@@ -4,7 +4,7 @@ use super::*;
 use crate::{
     optim::EpochRecord,
     report::folder::{CURVES, METRICS, PLAN, RunFolder, SCENE, STATE},
-    rollout::{Evaluation, Look, Progress, RolloutError, Shot, Take},
+    rollout::{Evaluation, Look, Progress, RolloutError, Shot, Slope, Take},
     skill::{Control, SkillMap, Theta},
 };
 use powderline_shared::{
@@ -86,6 +86,20 @@ impl Evaluate for Ends {
     ) -> Result<Evaluation, RolloutError> {
         let anchor = *self.map.start_pose();
         self.simulate_from(&anchor, controls, progress)
+    }
+
+    /// Powder leaves where the pitch comes too close to what is wished.
+    fn gradient_of(
+        &mut self,
+        controls: &[Displacement],
+        progress: Progress<'_>,
+    ) -> Result<(Evaluation, Vec<Slope>), RolloutError> {
+        self.tick(progress)?;
+        let (evaluation, bar) = Self::judge(controls.iter().map(Displacement::components));
+        if bar[4].abs() < 0.1 {
+            return Err(RolloutError::Escaped { step: 1, substep: 2, particle: 3 });
+        }
+        Ok((evaluation, vec![Slope::from(bar); controls.len()]))
     }
 
     fn simulate_from(

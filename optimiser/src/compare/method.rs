@@ -17,6 +17,8 @@ pub enum Method {
     GradientRounded,
     /// The same, by the adjoint alone, without central differences
     GradientAdjoint,
+    /// RMSprop on every displacement of the motion instead of the skill, by the adjoint
+    GradientSteps,
     /// Soft actor-critic, one skill an episode
     Sac,
     /// Covariance matrix adaptation
@@ -33,13 +35,14 @@ impl Method {
             Self::GradientNoCurriculum => "gradient-no-curriculum",
             Self::GradientRounded => "gradient-rounded",
             Self::GradientAdjoint => "gradient-adjoint",
+            Self::GradientSteps => "gradient-steps",
             Self::Sac => "sac",
             Self::CmaEs => "cma-es",
             Self::Random => "random",
         }
     }
 
-    /// Whether it goes along a gradient, by the search that `optimise run` makes.
+    /// Whether it goes along a gradient, with one motion an epoch.
     pub fn is_gradient(self) -> bool {
         !matches!(self, Self::Sac | Self::CmaEs | Self::Random)
     }
@@ -51,7 +54,7 @@ impl Method {
             Self::GradientNoCurriculum => scene.optimiser.curriculum_epochs = 0,
             Self::GradientRounded => scene.skill.timing = Timing::Rounded,
             Self::GradientAdjoint => scene.optimiser.gradient = Gradient::Adjoint,
-            Self::Gradient | Self::Sac | Self::CmaEs | Self::Random => {}
+            Self::Gradient | Self::GradientSteps | Self::Sac | Self::CmaEs | Self::Random => {}
         }
         scene
     }

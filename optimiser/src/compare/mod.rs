@@ -6,9 +6,13 @@
 //! central difference, and [`ADJOINT_ROLLOUTS`] for an adjoint; an epoch of the others is as many rollouts as the
 //! comparison grants them, each of a skill of its own. What a search has achieved by an epoch is the skill with the lowest
 //! loss that it has evaluated so far: what one would send to the arm if it ended there.
+//!
+//! [`Method::GradientSteps`] is apart: its motions are no skill's, an epoch of it is a motion and its adjoint, and
+//! nothing holds them within the arm's limits but the bounds of single displacements.
 
 pub mod figure;
 mod method;
+pub mod steps;
 mod summary;
 
 pub use method::Method;
@@ -20,11 +24,11 @@ use serde::{Deserialize, Serialize};
 /// What an adjoint takes, in rollouts, beside the rollout that it is the adjoint of.
 pub const ADJOINT_ROLLOUTS: u32 = 4;
 
-/// One evaluated skill.
+/// One evaluated motion.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Try {
-    /// The skill.
-    pub theta: Theta,
+    /// The skill; none where the motion is not that of a skill.
+    pub theta: Option<Theta>,
     /// Loss, metres.
     pub loss: f64,
     /// Wanted particles that did not arrive; negative if more did.
@@ -41,7 +45,13 @@ pub struct Try {
 
 impl Try {
     /// A try after another; `rollouts` and `seconds` are its own.
-    pub fn after(last: Option<&Self>, theta: Theta, found: &Evaluation, rollouts: u32, seconds: f64) -> Self {
+    pub fn after(
+        last: Option<&Self>,
+        theta: Option<Theta>,
+        found: &Evaluation,
+        rollouts: u32,
+        seconds: f64,
+    ) -> Self {
         let (before, spent) = last.map_or((0, 0.0), |last| (last.rollouts, last.seconds));
         Self {
             theta,
@@ -52,6 +62,12 @@ impl Try {
             rollouts: before + rollouts,
             seconds: spent + seconds,
         }
+    }
+
+    /// What was found.
+    pub fn evaluation(&self) -> Evaluation {
+        let Self { loss, indicator, transported, spilled, .. } = *self;
+        Evaluation { loss, indicator, transported, spilled, gradient: None }
     }
 }
 
@@ -73,7 +89,7 @@ impl Track {
         for record in history {
             let EpochRecord { theta, loss, indicator, transported, spilled, seconds, .. } = *record;
             let found = Evaluation { loss, indicator, transported, spilled, gradient: None };
-            tries.push(Try::after(tries.last(), theta, &found, rollouts(record), seconds));
+            tries.push(Try::after(tries.last(), Some(theta), &found, rollouts(record), seconds));
         }
         Self { method, seed, tries }
     }
@@ -190,7 +206,7 @@ mod tests {
     pub(super) fn track(method: Method, seed: u64, losses: &[f64]) -> Track {
         let mut tries: Vec<Try> = Vec::new();
         for loss in losses {
-            tries.push(Try::after(tries.last(), [0.0; 5], &at(*loss), 1, 2.0));
+            tries.push(Try::after(tries.last(), Some([0.0; 5]), &at(*loss), 1, 2.0));
         }
         Track { method, seed, tries }
     }
@@ -223,6 +239,17 @@ mod tests {
         assert_eq!(losses(more, 0), [Some(87.0), Some(83.0), Some(79.0), None]);
         assert_eq!(comparison.curves(), [gradient, random, more]);
         assert_eq!(comparison.last_epoch(more), Some(2));
+    }
+
+    #[test]
+    fn tries_are_read_with_a_skill_and_without() {
+        let saved = r#"{"theta":[0.1,0.2,0.3,0.4,0.5],"loss":2.5,"indicator":5,"transported":1,"spilled":0,
+            "rollouts":11,"seconds":3.5}"#;
+        let read: Try = serde_json::from_str(saved).unwrap();
+        assert_eq!((read.theta, read.rollouts), (Some([0.1, 0.2, 0.3, 0.4, 0.5]), 11));
+        let without = Try { theta: None, ..read };
+        let text = serde_json::to_string(&without).unwrap();
+        assert_eq!(serde_json::from_str::<Try>(&text).unwrap(), without);
     }
 
     #[test]

@@ -6,12 +6,13 @@
 mod estimate;
 mod rmsprop;
 mod search;
+pub mod steps;
 
 pub use estimate::{
     Estimate, Estimator, EstimatorState, Findings, Place, Probe, REMEASURE_EPOCHS, TRUSTED_WEIGHT,
     USELESS_WEIGHT,
 };
-pub use rmsprop::{GradientError, RmsProp, RmsPropState};
+pub use rmsprop::{GradientError, Pace, RmsProp, RmsPropState};
 pub use search::{EpochRecord, Method, Request, Search, SearchError};
 
 use crate::skill::Theta;

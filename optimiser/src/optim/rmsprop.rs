@@ -50,17 +50,36 @@ pub struct RmsProp {
     pub curriculum_epochs: u32,
 }
 
+/// What the updates of one component hand on.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Pace {
+    /// Running mean of the squared gradient.
+    pub mean_square: f64,
+    /// Length of the steps, 1 at first.
+    pub rate: f64,
+    /// The slope that the last step went along; 0 before the first.
+    pub slope: f64,
+}
+
+impl Pace {
+    /// Before the first update.
+    pub const START: Self = Self { mean_square: 0.0, rate: 1.0, slope: 0.0 };
+
+    /// Whether updates can have led here.
+    pub(super) fn is_sound(&self) -> bool {
+        (0.0..=f64::MAX).contains(&self.mean_square)
+            && (0.0..=1.0).contains(&self.rate)
+            && self.slope.is_finite()
+    }
+}
+
 /// All that one update hands to the next.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct RmsPropState {
     /// Skill parameters.
     pub theta: Theta,
-    /// Running mean of the squared gradient.
-    pub mean_square: [f64; 5],
-    /// Length of the steps, 1 at first.
-    pub rate: [f64; 5],
-    /// The slope that the last step went along; 0 before the first.
-    pub slope: [f64; 5],
+    /// How far each of them goes.
+    pub paces: [Pace; 5],
     /// Updates made.
     pub updates: u32,
 }
@@ -89,15 +108,12 @@ impl From<&scene::Optimiser> for RmsProp {
 impl RmsPropState {
     /// Before the first update.
     pub fn new(theta: Theta) -> Self {
-        Self { theta, mean_square: [0.0; 5], rate: [1.0; 5], slope: [0.0; 5], updates: 0 }
+        Self { theta, paces: [Pace::START; 5], updates: 0 }
     }
 
     /// Whether updates can have led here.
     pub(super) fn is_sound(&self) -> bool {
-        check_theta(&self.theta).is_ok()
-            && self.mean_square.iter().all(|mean| (0.0..=f64::MAX).contains(mean))
-            && self.rate.iter().all(|rate| (0.0..=1.0).contains(rate))
-            && self.slope.iter().all(|slope| slope.is_finite())
+        check_theta(&self.theta).is_ok() && self.paces.iter().all(Pace::is_sound)
     }
 }
 
@@ -115,24 +131,26 @@ impl RmsProp {
         let mut next = RmsPropState { updates: state.updates + 1, ..*state };
         let active = self.active_components(state.updates);
         for (index, &g) in gradient.iter().enumerate().take(active) {
-            let mean_square = self.beta * state.mean_square[index] + (1.0 - self.beta) * g * g;
-            if !mean_square.is_finite() {
-                return Err(GradientError { index, value: g });
-            }
             let before = if index < CURRICULUM_COMPONENTS { 0 } else { self.curriculum_epochs };
-            let corrected = mean_square / (1.0 - libm::pow(self.beta, f64::from(next.updates - before)));
-            let slope = kept(g, noise[index]);
-            let rate = rate(state.rate[index], state.slope[index], slope);
-            let step = self.learning_rate * rate * slope / (libm::sqrt(corrected) + self.epsilon);
-            next.mean_square[index] = mean_square;
-            next.rate[index] = rate;
-            // What stands still has not turned.
-            if slope != 0.0 {
-                next.slope[index] = slope;
-            }
+            let (pace, step) = self
+                .step(&state.paces[index], g, noise[index], next.updates - before)
+                .ok_or(GradientError { index, value: g })?;
+            next.paces[index] = pace;
             next.theta[index] = (state.theta[index] - step).clamp(-1.0, 1.0);
         }
         Ok(next)
+    }
+
+    /// How far the `updates`-th update of a component takes it down the gradient `g`; none if the mean square is not finite.
+    pub(super) fn step(&self, pace: &Pace, g: f64, noise: f64, updates: u32) -> Option<(Pace, f64)> {
+        let mean_square = self.beta * pace.mean_square + (1.0 - self.beta) * g * g;
+        let corrected = mean_square / (1.0 - libm::pow(self.beta, f64::from(updates)));
+        let slope = kept(g, noise);
+        let rate = rate(pace.rate, pace.slope, slope);
+        let step = self.learning_rate * rate * slope / (libm::sqrt(corrected) + self.epsilon);
+        // What stands still has not turned.
+        let slope = if slope == 0.0 { pace.slope } else { slope };
+        mean_square.is_finite().then_some((Pace { mean_square, rate, slope }, step))
     }
 
     /// How many of the five components, from the first, the update after `updates` others changes.
@@ -171,9 +189,11 @@ mod tests {
         let first = RULE.update(&RmsPropState::new([0.0; 5]), &[2.0; 5], &noise).unwrap();
         // The mean of one gradient is its square.
         let step = 0.05 * 2.0 / (2.0 + 1e-8);
-        assert!((first.theta[0] + step).abs() < 1e-15 && (first.mean_square[0] - 0.4).abs() < 1e-15);
+        assert!((first.theta[0] + step).abs() < 1e-15 && (first.paces[0].mean_square - 0.4).abs() < 1e-15);
         // Half the gradient is noise: a quarter less is kept. All of it: nothing.
-        assert!((first.theta[1] + 0.75 * step).abs() < 1e-15 && (first.mean_square[1] - 0.4).abs() < 1e-15);
+        assert!(
+            (first.theta[1] + 0.75 * step).abs() < 1e-15 && (first.paces[1].mean_square - 0.4).abs() < 1e-15
+        );
         assert_eq!(first.theta[2].to_bits(), 0.0f64.to_bits());
         let second = RULE.update(&first, &[-1.0; 5], &noise).unwrap();
         // The slope has turned.
@@ -215,9 +235,9 @@ mod tests {
         for _ in 0..2 {
             state = RULE.update(&state, &[1.0, 1.0, 1.0, f64::NAN, 1.0], &EXACT).unwrap();
         }
-        assert_eq!((state.theta[3].to_bits(), state.mean_square[3].to_bits()), (0.1f64.to_bits(), 0));
+        assert_eq!((state.theta[3].to_bits(), state.paces[3].mean_square.to_bits()), (0.1f64.to_bits(), 0));
         state = RULE.update(&state, &[1.0; 5], &EXACT).unwrap();
-        assert!((state.mean_square[3] - 0.1).abs() < 1e-15 && state.theta[3] < 0.1);
+        assert!((state.paces[3].mean_square - 0.1).abs() < 1e-15 && state.theta[3] < 0.1);
     }
 
     #[test]

@@ -51,7 +51,7 @@ impl EpochRecord {
     }
 }
 
-fn is_loss(loss: f64) -> bool {
+pub(super) fn is_loss(loss: f64) -> bool {
     (0.0..=MAX_LOSS_M).contains(&loss)
 }
 
@@ -383,10 +383,10 @@ mod tests {
             |search| search.state.updates = u32::MAX,
             |search| search.state.theta[4] = 1.001,
             |search| search.state.theta[0] = f64::NAN,
-            |search| search.state.mean_square[0] = -1.0,
-            |search| search.state.mean_square[0] = f64::INFINITY,
-            |search| search.state.rate[0] = 1.001,
-            |search| search.state.slope[0] = f64::NAN,
+            |search| search.state.paces[0].mean_square = -1.0,
+            |search| search.state.paces[0].mean_square = f64::INFINITY,
+            |search| search.state.paces[0].rate = 1.001,
+            |search| search.state.paces[0].slope = f64::NAN,
             |search| search.history.clear(),
             |search| search.history[1].epoch = u32::MAX,
             |search| search.history[1].loss = f64::MAX,

@@ -4,6 +4,7 @@ pub mod curves;
 pub mod folder;
 pub(crate) mod ink;
 pub mod plan;
+pub(crate) mod sealed;
 pub mod state;
 pub mod summary;
 pub mod view;

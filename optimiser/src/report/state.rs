@@ -1,19 +1,12 @@
 //! The `state` file: all that a run needs to go on with the same bits.
-//!
-//! ```text
-//! magic "PLSTATE\0" (8) | version u32 LE (4) | body (postcard) | SHA-256 of everything before (32)
-//! ```
 
+use super::sealed::Seal;
+pub use super::sealed::StateError;
 use crate::{mpm::PHYSICS_VERSION, optim::Search, scene::Digest};
 use powderline_shared::plan::Precision;
 use serde::{Deserialize, Serialize};
-use sha2::{Digest as _, Sha256};
-use thiserror::Error;
 
-const MAGIC: &[u8; 8] = b"PLSTATE\0";
-const VERSION: u32 = 5;
-const HEAD: usize = MAGIC.len() + size_of::<u32>();
-const CHECKSUM: usize = 32;
+const SEAL: Seal = Seal { magic: *b"PLSTATE\0", version: 6 };
 
 /// A run between two epochs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -32,34 +25,6 @@ pub struct RunState {
     pub finished: bool,
 }
 
-/// Why bytes are not a state.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-pub enum StateError {
-    /// Too short, or another kind of file.
-    #[error("it is not a state file")]
-    NotAState,
-    /// Written by another version of the program.
-    #[error("it has version {found}, and this program reads version {VERSION}")]
-    Version {
-        /// The file's version.
-        found: u32,
-    },
-    /// Its epochs were simulated by another physics.
-    #[error(
-        "its epochs were simulated by version {found} of the powder's physics, and this program has {PHYSICS_VERSION}; start a new run"
-    )]
-    Physics {
-        /// The file's version.
-        found: u32,
-    },
-    /// Cut short or changed.
-    #[error("it is damaged: its checksum does not fit its contents")]
-    Damaged,
-    /// Intact, but not written by a run.
-    #[error("it holds what no run leaves behind, although its checksum fits")]
-    Nonsense,
-}
-
 impl RunState {
     /// A run of this version of the program that is not finished.
     pub fn new(scene: Digest, seed: u64, precision: Precision, search: Search) -> Self {
@@ -68,12 +33,7 @@ impl RunState {
 
     /// The file's bytes.
     pub fn to_bytes(&self) -> Vec<u8> {
-        let head = [&MAGIC[..], &VERSION.to_le_bytes()].concat();
-        let mut bytes =
-            postcard::to_extend(self, head).expect("a state holds nothing that postcard cannot encode");
-        let checksum = Sha256::digest(&bytes);
-        bytes.extend_from_slice(&checksum);
-        bytes
+        SEAL.close(self)
     }
 
     /// Reads the file's bytes.
@@ -81,22 +41,9 @@ impl RunState {
     /// # Errors
     /// See [`StateError`].
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, StateError> {
-        if bytes.len() < HEAD || !bytes.starts_with(MAGIC) {
-            return Err(StateError::NotAState);
-        }
-        let found = u32::from_le_bytes([bytes[8], bytes[9], bytes[10], bytes[11]]);
-        if found != VERSION {
-            return Err(StateError::Version { found });
-        }
-        let (checked, checksum) = bytes.split_last_chunk::<CHECKSUM>().ok_or(StateError::Damaged)?;
-        let intact = checked.len() >= HEAD && Sha256::digest(checked)[..] == checksum[..];
-        if !intact {
-            return Err(StateError::Damaged);
-        }
-        let (state, rest) =
-            postcard::take_from_bytes::<Self>(&checked[HEAD..]).map_err(|_| StateError::Nonsense)?;
+        let state: Self = SEAL.open(bytes)?;
         match state.physics {
-            PHYSICS_VERSION if rest.is_empty() && state.search.is_sound() => Ok(state),
+            PHYSICS_VERSION if state.search.is_sound() => Ok(state),
             PHYSICS_VERSION => Err(StateError::Nonsense),
             found => Err(StateError::Physics { found }),
         }
@@ -106,6 +53,8 @@ impl RunState {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::report::sealed::{CHECKSUM, HEAD};
+    use sha2::{Digest as _, Sha256};
 
     fn state() -> RunState {
         let search = Search::new([0.1, -0.2, 1.0 / 3.0, 0.0, -1.0], 30);
@@ -158,6 +107,6 @@ mod tests {
         let mut bytes = state().to_bytes();
         bytes[8] = 9;
         let error = RunState::from_bytes(&bytes).unwrap_err().to_string();
-        assert!(error.contains("version 9") && error.contains("version 5"), "{error}");
+        assert!(error.contains("version 9") && error.contains("version 6"), "{error}");
     }
 }

@@ -16,9 +16,10 @@ pub use simulator::Simulator;
 use crate::memory::least_memory;
 use crate::real::Real;
 use crate::scene::Scene;
-use crate::skill::{SkillError, Theta};
+use crate::skill::{Control, SkillError, Theta};
 use powderline_shared::{displacement::Displacement, plan::Precision, pose::Pose};
 use powderline_view::Destination;
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 /// What one simulated motion achieved.
@@ -34,6 +35,33 @@ pub struct Evaluation {
     pub spilled: u32,
     /// Derivative of the loss with respect to theta, when asked for.
     pub gradient: Option<Theta>,
+}
+
+/// Derivative of the loss with respect to one displacement of a control sequence, the others held, in the world
+/// frame: what [`Displacement`] has in metres and in radians, this has per metre and per radian.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Slope {
+    /// Metres of loss per metre of each component of the translation.
+    pub per_metre: [f64; 3],
+    /// Metres of loss per radian of each component of the rotation vector, as it stands in the displacement: about the
+    /// world's axes, whatever way the tool is turned.
+    pub per_radian: [f64; 3],
+}
+
+impl Slope {
+    /// The six numbers in the order of [`Displacement::components`].
+    pub fn components(&self) -> [f64; 6] {
+        let [x, y, z] = self.per_metre;
+        let [rx, ry, rz] = self.per_radian;
+        [x, y, z, rx, ry, rz]
+    }
+}
+
+impl From<Control> for Slope {
+    /// From the cotangent of a [`Control`], translation before rotation vector as there.
+    fn from([x, y, z, rx, ry, rz]: Control) -> Self {
+        Self { per_metre: [x, y, z], per_radian: [rx, ry, rz] }
+    }
 }
 
 /// Called now and then with work units done and in total; `false` stops the rollout with [`RolloutError::Stopped`].
@@ -172,7 +200,17 @@ pub trait Evaluate {
         progress: Progress<'_>,
     ) -> Result<Evaluation, RolloutError>;
 
-    /// The same for a tool that begins at `anchor` and not at the scene's start pose.
+    /// Loss of a given control sequence, and its derivative with respect to each displacement.
+    ///
+    /// # Errors
+    /// See [`RolloutError`].
+    fn gradient_of(
+        &mut self,
+        controls: &[Displacement],
+        progress: Progress<'_>,
+    ) -> Result<(Evaluation, Vec<Slope>), RolloutError>;
+
+    /// Loss of a given control sequence for a tool that begins at `anchor` and not at the scene's start pose.
     ///
     /// # Errors
     /// See [`RolloutError`].

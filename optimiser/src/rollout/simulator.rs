@@ -16,7 +16,7 @@ use crate::rollout::branches::{self, Family};
 use crate::rollout::path::{Path, resting};
 use crate::rollout::schedule::{Action, advances, schedule};
 use crate::rollout::{
-    Evaluate, Evaluation, Look, Progress, RolloutError, Shot, Take, loss, outcome, thread_pool,
+    Evaluate, Evaluation, Look, Progress, RolloutError, Shot, Slope, Take, loss, outcome, thread_pool,
 };
 use crate::scene::Scene;
 use crate::skill::{Control, SkillMap, Theta, displacement};
@@ -286,6 +286,16 @@ impl<T: Real> Evaluate for Simulator<T> {
     ) -> Result<Evaluation, RolloutError> {
         let anchor = self.anchor;
         self.simulate_from(&anchor, controls, progress)
+    }
+
+    fn gradient_of(
+        &mut self,
+        controls: &[Displacement],
+        progress: Progress<'_>,
+    ) -> Result<(Evaluation, Vec<Slope>), RolloutError> {
+        let start = self.beginning(progress)?;
+        let (evaluation, bars) = self.control_gradient(&start, controls, progress)?;
+        Ok((evaluation, bars.into_iter().map(Slope::from).collect()))
     }
 
     fn simulate_from(

@@ -2,9 +2,9 @@
 
 use powderline_shared::plan::Precision;
 
-use crate::rollout::{Evaluate, RolloutError, Shot, SimulatorSettings, Take, gradcheck, simulator};
+use crate::rollout::{Evaluate, RolloutError, Shot, SimulatorSettings, Slope, Take, gradcheck, simulator};
 use crate::scene::Scene;
-use crate::skill::{SkillMap, Theta, displacement};
+use crate::skill::{Control, SkillMap, Theta, displacement};
 
 #[test]
 fn threads_and_memory_change_no_bit_of_loss_and_gradient() {
@@ -160,5 +160,42 @@ fn a_motion_that_is_looked_at_ends_as_one_that_is_not() {
         }
         let refused = s.record(&take, &mut |_| false, &mut |_, _| true);
         assert_eq!(refused.err(), Some(RolloutError::Stopped));
+    }
+}
+
+#[test]
+fn the_gradient_of_controls_agrees_with_central_differences() {
+    let mut scene = Scene::load("bench-small").expect("shipped");
+    scene.time.settle_s = 0.0;
+    let map = SkillMap::new(&scene);
+    let controls = &map.controls(&gradcheck::CHECKED_THETA).expect("fits")[..24];
+    let settings =
+        SimulatorSettings { seed: 1, precision: Precision::F64, threads: None, memory_bytes: 1 << 30 };
+    let mut s = simulator::<f64>(&scene, &settings).expect("threads");
+    let whole: Vec<_> = controls.iter().map(displacement).collect();
+    let (evaluation, slopes) = s.gradient_of(&whole, &mut |_, _| true).expect("runs");
+    let simulated = s.simulate(&whole, &mut |_, _| true).expect("runs");
+    assert_eq!(evaluation.loss.to_bits(), simulated.loss.to_bits());
+    assert_eq!(slopes.len(), controls.len());
+    // A direction of translations alone, in metres, and one of rotations alone, in radians.
+    for half in [0..3, 3..6] {
+        let direction = |step: usize, k: usize| {
+            if half.contains(&k) { libm::sin((6 * step + k) as f64) } else { 0.0 }
+        };
+        let mut loss_at = |h: f64| {
+            let moved = |(step, control): (usize, &Control)| {
+                displacement(&std::array::from_fn(|k| control[k] + h * direction(step, k)))
+            };
+            let moved: Vec<_> = controls.iter().enumerate().map(moved).collect();
+            s.simulate(&moved, &mut |_, _| true).expect("runs").loss
+        };
+        let along = |(step, slope): (usize, &Slope)| -> f64 {
+            slope.components().iter().enumerate().map(|(k, slope)| slope * direction(step, k)).sum()
+        };
+        let adjoint: f64 = slopes.iter().enumerate().map(along).sum();
+        let error = |h: &f64| ((loss_at(*h) - loss_at(-h)) / (2.0 * h) / adjoint - 1.0).abs();
+        let errors: Vec<f64> = [1e-7, 1e-8, 1e-9].iter().map(error).collect();
+        println!("{half:?}: adjoint {adjoint:e}, errors {errors:?}");
+        assert!(errors.iter().any(|error| *error < 1e-5), "{half:?}: {adjoint:e} {errors:?}");
     }
 }

@@ -3,7 +3,7 @@
 use super::*;
 use crate::report::folder::COMPARISON;
 
-const METHODS: &str = "gradient,sac,cma-es,random";
+const METHODS: &str = "gradient,gradient-steps,sac,cma-es,random";
 
 fn arguments<'a>(folder: &'a str, more: &[&'a str]) -> Vec<&'a str> {
     let mut all = vec!["compare", "bench-small", "--methods", METHODS, "--seeds", "1,2", "--epochs", "3"];
@@ -25,7 +25,7 @@ fn tries(folder: &str, track: &str) -> Vec<Value> {
 
 fn assert_same(folder: &str, other: &str) {
     for seed in [1, 2] {
-        for method in ["sac", "cma-es", "random"] {
+        for method in ["gradient-steps", "sac", "cma-es", "random"] {
             let track = format!("{method}-seed{seed}");
             assert_eq!(tries(folder, &track), tries(other, &track), "{track}");
         }
@@ -46,8 +46,8 @@ fn a_comparison_leaves_figure_table_and_summary() {
     }
     let summary = String::from_utf8(bytes(&folder, "summary.md")).unwrap();
     assert!(done.out.contains(&summary), "{}", done.out);
-    // A heading, a line below it, the gradient, and three methods with their budget and twice that.
-    assert_eq!(summary.lines().count(), 2 + 1 + 3 * 2, "{summary}");
+    // A heading, a line below it, two gradients, and three methods with their budget and twice that.
+    assert_eq!(summary.lines().count(), 2 + 2 + 3 * 2, "{summary}");
     let widths: Vec<usize> = summary.lines().map(str::len).collect();
     assert!(widths.iter().all(|width| *width == widths[0]), "{summary}");
     for seed in [1, 2] {
@@ -55,10 +55,16 @@ fn a_comparison_leaves_figure_table_and_summary() {
             assert_eq!(tries(&folder, &format!("{method}-seed{seed}")).len(), 4 * 5 * 2);
         }
         assert_eq!(metrics(&format!("{folder}/gradient-seed{seed}")).len(), 4);
+        assert_eq!(tries(&folder, &format!("gradient-steps-seed{seed}")).len(), 4);
         assert!(Path::new(&folder).join(format!("gradient-seed{seed}")).join(PLAN).is_file());
     }
     let table = String::from_utf8(bytes(&folder, "comparison.csv")).unwrap();
-    assert_eq!(table.lines().count(), 1 + 2 * (4 + 3 * 40));
+    assert_eq!(table.lines().count(), 1 + 2 * (2 * 4 + 3 * 40));
+    // Without a skill, five cells are empty.
+    let widths: Vec<usize> = table.lines().map(|line| line.split(',').count()).collect();
+    assert!(widths.iter().all(|width| *width == widths[0]), "{table}");
+    let steps: Vec<&str> = table.lines().filter(|line| line.starts_with("gradient-steps,")).collect();
+    assert!(steps.len() == 8 && steps.iter().all(|line| line.ends_with(",,,,,")), "{table}");
 }
 
 #[test]
@@ -173,4 +179,75 @@ fn a_comparison_that_was_changed_is_refused() {
     fs::write(&path, &text[..text.len() - 20]).unwrap();
     assert_eq!(optimise(&["compare", "--resume", &folder]).code, 0);
     assert_eq!(tries(&folder, "random-seed1"), whole);
+}
+
+fn steps<'a>(folder: &'a str, epochs: &'a str) -> Vec<&'a str> {
+    let all = ["compare", "bench-small", "--methods", "gradient-steps", "--seeds", "1,2", "--epochs", epochs];
+    [&all[..], &["--out", folder]].concat()
+}
+
+#[test]
+fn displacements_begin_with_the_loss_of_the_skill_and_descend_although_powder_escapes() {
+    let place = Place::new();
+    let folder = place.text("steps");
+    let done = optimise(&steps(&folder, "20"));
+    assert_eq!(done.code, 0, "{}", done.err);
+    assert!(done.err.contains("epoch  20/20"), "{}", done.err);
+    assert!(done.err.contains("left the simulated volume"), "{}", done.err);
+    assert!(done.err.contains("back to the best motion, with half the learning rate"), "{}", done.err);
+    let skills = place.text("skills");
+    let arguments = ["--methods", "gradient", "--seeds", "1,2", "--epochs", "0", "--out", &skills];
+    assert_eq!(optimise(&[&["compare", "bench-small"], &arguments[..]].concat()).code, 0);
+    for seed in [1, 2] {
+        let tries = tries(&folder, &format!("gradient-steps-seed{seed}"));
+        let losses: Vec<f64> = tries.iter().map(|one| one["loss"].as_f64().unwrap()).collect();
+        let skill = &metrics(&format!("{skills}/gradient-seed{seed}"))[0];
+        assert_eq!(skill["loss"].as_f64().unwrap().to_bits(), losses[0].to_bits());
+        assert!(losses[20] < losses[0] - 1e-4, "{losses:?}");
+        assert_eq!(tries[20]["rollouts"], 21 * 5);
+    }
+    // The page has nothing to replay, and says what there is.
+    assert_eq!(optimise(&["report", &folder]).code, 0);
+}
+
+#[test]
+fn a_search_over_displacements_is_prolonged_and_goes_on_from_what_it_saved() {
+    let place = Place::new();
+    let [long, short] = ["long", "short"].map(|name| place.text(name));
+    assert_eq!(optimise(&steps(&long, "20")).code, 0);
+    let mut done = optimise_for(4 * TICKS + 1, &steps(&short, "11"));
+    let mut resumptions = 0;
+    while done.code == 130 && resumptions < 100 {
+        done = optimise_for(5 * TICKS, &["compare", "--resume", &short]);
+        resumptions += 1;
+    }
+    assert!(done.code == 0 && resumptions > 2, "{} after {resumptions}", done.err);
+    // What stands beside the state is put right by it.
+    fs::write(Path::new(&short).join("gradient-steps-seed1/tries.jsonl"), "").unwrap();
+    assert_eq!(optimise(&["compare", "--resume", &short, "--epochs", "20"]).code, 0);
+    for track in ["gradient-steps-seed1", "gradient-steps-seed2"] {
+        assert_eq!(tries(&short, track), tries(&long, track));
+    }
+    assert_eq!(bytes(&short, CURVES), bytes(&long, CURVES));
+}
+
+#[test]
+fn a_state_of_displacements_that_was_changed_is_refused() {
+    let place = Place::new();
+    let folder = place.text("steps");
+    assert_eq!(optimise(&steps(&folder, "2")).code, 0);
+    let whole = bytes(&folder, "gradient-steps-seed1/state");
+    let mut flipped = whole.clone();
+    flipped[1000] ^= 1;
+    for (broken, about) in [
+        (whole[..whole.len() / 2].to_vec(), "damaged"),
+        (flipped, "damaged"),
+        (b"{}".to_vec(), "not a state file"),
+        (bytes(&folder, "gradient-steps-seed2/state"), "another scene, seed or precision"),
+    ] {
+        fs::write(Path::new(&folder).join("gradient-steps-seed1/state"), &broken).unwrap();
+        let done = optimise(&["compare", "--resume", &folder]);
+        assert_sentence(&done, 2, about);
+        assert!(done.err.contains("gradient-steps-seed1/state cannot be resumed from"), "{}", done.err);
+    }
 }
