@@ -47,6 +47,20 @@ fn a_bad_scene_is_one_sentence_on_standard_error_and_exit_code_2() {
 }
 
 #[test]
+fn skills_that_take_the_tool_through_a_wall_are_noted() {
+    let mut scene = powderline_optimiser::scene::Scene::load("bench-small").unwrap();
+    scene.skill.lift_height_m[0] = 0.010;
+    let file = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("low-lift.toml");
+    std::fs::write(&file, scene.to_toml()).unwrap();
+    let output = optimise(&["check", file.to_str().unwrap()]);
+    assert_eq!(output.status.code(), Some(0));
+    let said = text(&output.stdout);
+    let note = said.lines().find(|line| line.starts_with("Note: ")).unwrap();
+    assert!(note.contains("would pass over") && note.contains("through container \"source\" at "), "{note}");
+    assert!(!text(&optimise(&["check", "bench-small"]).stdout).contains("Note"));
+}
+
+#[test]
 fn unknown_arguments_are_bad_input() {
     assert_eq!(optimise(&["check", "--jsn"]).status.code(), Some(2));
 }

@@ -245,7 +245,7 @@ impl Experiment {
     }
 
     /// The best skill of all, as a motion; none if no skill was evaluated. Motions that are no skill's are left out: they
-    /// keep no limit of the arm but that of the speed along each axis.
+    /// keep no limit of the arm but its workspace and the speed along each axis.
     pub(super) fn best_motion(&self, comparison: &Comparison) -> Option<Task> {
         let skills = comparison
             .tracks

@@ -152,11 +152,10 @@ impl ReportArgs {
             title: format!("{}: comparison of methods", comparison.scene),
             charts: comparison_charts(&comparison),
             tables: vec![summary(&experiment, &comparison)],
-            notes: vec![
-                "Curves are means over the seeds of the best skill found so far, bands one standard deviation. The replay \
-                 shows the best skill of all."
-                    .into(),
-            ],
+            notes: vec![format!(
+                "Curves are means over the seeds of the best motion found so far, bands one standard deviation.{}",
+                if task.is_some() { " The replay shows the best skill of all." } else { "" }
+            )],
             ..Page::default()
         };
         Ok((page, task))

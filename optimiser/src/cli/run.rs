@@ -16,7 +16,7 @@ use crate::{
     },
     rollout::{Evaluate, Evaluation, RolloutError, check_memory},
     scene::{DEFAULT_SCENE, Scene},
-    skill::{Quantised, SkillError, SkillMap, Theta, collision},
+    skill::{Quantised, SkillError, SkillMap, Theta, colliding_skill, collision},
 };
 use clap::Args;
 use powderline_shared::plan::Precision;
@@ -117,7 +117,11 @@ pub(super) fn completed(
         None => Run::start(arguments, context)?,
     };
     if !run.state.finished {
-        run.complete(simulator.as_mut(), context)?;
+        match run.complete(simulator.as_mut(), context) {
+            // A comparison asks what was found, not whether the arm may perform it.
+            Err(error) if !(run.state.search.is_done() && run.best().is_err()) => return Err(error),
+            _ => {}
+        }
     }
     Ok(run.state.search.history().to_vec())
 }
@@ -182,6 +186,9 @@ impl Run {
             precision_name(precision),
             self.folder.path().display()
         ));
+        if let Some((theta, collision)) = colliding_skill(&self.scene) {
+            progress.line(&format!("skills such as theta = {theta:?} are passed over: {collision}"));
+        }
         let result = self
             .evaluate_epochs(simulator, &mut progress, &context.interrupt)
             .and_then(|()| self.write_plan(simulator, &mut progress, &context.interrupt));
@@ -247,12 +254,13 @@ impl Run {
 
     fn write_curves(&self) -> Result<(), CliError> {
         let search = &self.state.search;
+        let best = self.best().ok();
         let curves = Curves {
             title: &format!("{}, seed {}", self.scene.name, self.state.seed),
             history: search.history(),
             epochs: search.epochs(),
             curriculum_epochs: self.method.rule.curriculum_epochs,
-            best: search.best(),
+            best: best.as_ref().map(|best| &best.epoch),
         };
         let svg = curves.to_svg().map_err(|error| CliError::Failed(error.to_string()))?;
         Ok(self.folder.replace(CURVES, svg.as_bytes())?)
@@ -261,17 +269,17 @@ impl Run {
     /// The epoch of the lowest loss, and its motion as shipped. Passed over are epochs whose motion takes the tool through a
     /// container, and those that exceed the arm's limits (between the corners of the skill's bounds, which were checked
     /// before the run, a motion of constant speed and whole control steps may).
-    fn best(&self) -> Result<(EpochRecord, Quantised), CliError> {
+    fn best(&self) -> Result<Best, CliError> {
         let mut epochs = self.state.search.history().to_vec();
         epochs.sort_by(|a, b| a.loss.total_cmp(&b.loss));
-        let mut refusal = None;
+        let mut passed_over = None;
         for epoch in epochs {
             match self.shipped(&epoch.theta) {
-                Ok(quantised) => return Ok((epoch, quantised)),
-                Err(error) => refusal = refusal.or(Some(error)),
+                Ok(quantised) => return Ok(Best { epoch, quantised, passed_over }),
+                Err(error) => passed_over = passed_over.or(Some((epoch, error))),
             }
         }
-        let reason = refusal.map_or_else(|| "there is none".into(), |error| error.to_string());
+        let reason = passed_over.map_or_else(|| "there is none".into(), |(_, error)| error.to_string());
         Err(CliError::Failed(format!("no evaluated skill is a motion that the arm may perform: {reason}")))
     }
 
@@ -293,7 +301,7 @@ impl Run {
         interrupt: &Interrupt,
     ) -> Result<Evaluation, CliError> {
         stop_if_requested(interrupt)?;
-        let (best, quantised) = self.best()?;
+        let Best { epoch: best, quantised, .. } = self.best()?;
         progress.begin("the plan, as shipped", 0, &[]);
         let mut tick = |done, total| {
             progress.tick(done, total);
@@ -321,9 +329,11 @@ impl Run {
     fn conclude(&self, plan: &Evaluation, context: &mut Context<'_>) -> Result<(), CliError> {
         let search = &self.state.search;
         if let [first, .., last] | [first @ last] = search.history() {
-            let (best, _) = self.best()?;
+            let Best { epoch: best, passed_over, .. } = self.best()?;
             let particle_mass_kg = self.scene.particle_mass_kg();
-            let finding = Finding { map: &self.map, first, best: &best, last, plan, particle_mass_kg };
+            let passed_over = passed_over.as_ref().map(|(epoch, error)| (epoch, error.to_string()));
+            let finding =
+                Finding { map: &self.map, first, best: &best, passed_over, last, plan, particle_mass_kg };
             write!(context.out, "\n{}", finding.text())?;
         }
         let path = self.folder.file(PLAN);
@@ -332,6 +342,14 @@ impl Run {
         writeln!(context.out, "    cargo run --release --bin execute -- {}", path.display())?;
         Ok(())
     }
+}
+
+/// What becomes the plan.
+struct Best {
+    epoch: EpochRecord,
+    quantised: Quantised,
+    /// An epoch of lower loss, the lowest, and why it does not.
+    passed_over: Option<(EpochRecord, SkillError)>,
 }
 
 /// What evaluates, and those who watch it.

@@ -272,6 +272,28 @@ fn run_leaves_its_files_and_says_what_it_found() {
 }
 
 #[test]
+fn a_skill_that_takes_the_tool_through_a_wall_is_no_plan() {
+    let place = Place::new();
+    let mut scene = Scene::load("bench").unwrap();
+    scene.skill.lift_height_m = [0.018, 0.019];
+    fs::write(place.path("low.toml"), scene.to_toml()).unwrap();
+    let [file, folder] = ["low.toml", "run"].map(|name| place.text(name));
+    let done = optimise(&[&file, "--epochs", "1", "--out", &folder]);
+    let about = "no evaluated skill is a motion that the arm may perform: the tool's body would pass through container \
+                 \"target\" at ";
+    assert_sentence(&done, 1, about);
+    assert!(done.err.contains("are passed over: the tool's body would pass through"), "{}", done.err);
+    assert!(!Path::new(&folder).join(PLAN).exists());
+    // What was evaluated is there all the same, and a comparison goes on with it.
+    assert_eq!(metrics(&folder).len(), 2);
+    let folder = place.text("comparison");
+    let methods =
+        ["--methods", "gradient,random", "--seeds", "1", "--epochs", "1", "--rollouts-per-epoch", "2"];
+    let done = optimise(&[&["compare", &file, "--out", &folder][..], &methods].concat());
+    assert_eq!(done.code, 0, "{}", done.err);
+}
+
+#[test]
 fn metrics_have_their_fields_in_order_and_one_line_per_epoch() {
     let place = Place::new();
     let folder = place.finished("run", 5);

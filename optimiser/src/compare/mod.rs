@@ -5,10 +5,10 @@
 //! A *rollout* is one simulated motion. An epoch of the gradient's search takes one for its skill, one for each probe of a
 //! central difference, and [`ADJOINT_ROLLOUTS`] for an adjoint; an epoch of the others is as many rollouts as the
 //! comparison grants them, each of a skill of its own. What a search has achieved by an epoch is the skill with the lowest
-//! loss that it has evaluated so far: what one would send to the arm if it ended there.
+//! loss that it has evaluated so far: what one would send to the arm if it ended there, and the tool met no container.
 //!
-//! [`Method::GradientSteps`] is apart: its motions are no skill's, an epoch of it is a motion and its adjoint, and
-//! nothing holds them within the arm's limits but the bounds of single displacements.
+//! [`Method::GradientSteps`] is apart: its motions are no skill's, an epoch of it is a motion and its adjoint, and of the
+//! arm's limits they keep the workspace and, along each axis, the speed.
 
 pub mod figure;
 mod method;
@@ -59,7 +59,7 @@ impl Try {
             indicator: found.indicator,
             transported: found.transported,
             spilled: found.spilled,
-            rollouts: before + rollouts,
+            rollouts: before.saturating_add(rollouts),
             seconds: spent + seconds,
         }
     }

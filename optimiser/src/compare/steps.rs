@@ -4,7 +4,7 @@ use super::{ADJOINT_ROLLOUTS, Try};
 use crate::{
     mpm::PHYSICS_VERSION,
     optim::{
-        initial_theta,
+        initial_theta, is_loss,
         steps::{StepRule, StepSearch},
     },
     report::sealed::{Seal, StateError},
@@ -99,7 +99,9 @@ impl StepTrack {
         let lowest = self.best().map(|best| best.loss.to_bits());
         self.search.is_sound(&scene.into(), scene.time.horizon_steps as usize)
             && self.search.lowest_loss().map(f64::to_bits) == lowest
-            && self.tries.iter().all(|one| one.theta.is_none() && (0.0..=f64::MAX).contains(&one.seconds))
+            && self.tries.iter().all(|one| {
+                one.theta.is_none() && is_loss(one.loss) && (0.0..=f64::MAX).contains(&one.seconds)
+            })
     }
 }
 

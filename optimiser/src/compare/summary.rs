@@ -47,8 +47,11 @@ pub(super) fn spread(values: &[f64]) -> f64 {
 
 /// One row a curve; `rest_loss` is the loss of powder that nobody moves, metres, by seed.
 pub fn summarise(comparison: &Comparison, rest_loss: &dyn Fn(u64) -> f64) -> Vec<Row> {
-    let tries = comparison.tracks.iter().flat_map(|track| &track.tries);
-    let best_known = tries.map(|one| one.loss).fold(f64::INFINITY, f64::min);
+    let tries = || comparison.tracks.iter().flat_map(|track| &track.tries);
+    let lowest = |a: f64, one: &Try| a.min(one.loss);
+    // What is no skill breaks limits of the arm: not what others should be measured by.
+    let best_skill = tries().filter(|one| one.theta.is_some()).fold(f64::INFINITY, lowest);
+    let best_known = if best_skill.is_finite() { best_skill } else { tries().fold(f64::INFINITY, lowest) };
     let row = |curve: &Curve| {
         Row::of(comparison, *curve, &|seed| {
             let rest = rest_loss(seed);

@@ -13,6 +13,7 @@ pub use estimate::{
     USELESS_WEIGHT,
 };
 pub use rmsprop::{GradientError, Pace, RmsProp, RmsPropState};
+pub(crate) use search::is_loss;
 pub use search::{EpochRecord, Method, Request, Search, SearchError};
 
 use crate::skill::Theta;

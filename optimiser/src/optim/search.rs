@@ -51,7 +51,7 @@ impl EpochRecord {
     }
 }
 
-pub(super) fn is_loss(loss: f64) -> bool {
+pub(crate) fn is_loss(loss: f64) -> bool {
     (0.0..=MAX_LOSS_M).contains(&loss)
 }
 

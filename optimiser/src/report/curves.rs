@@ -31,7 +31,7 @@ pub struct Curves<'a> {
     pub epochs: u32,
     /// Epochs in which only depth, angle and lift change.
     pub curriculum_epochs: u32,
-    /// The epoch of the lowest loss.
+    /// The epoch of the lowest loss whose motion the arm may perform.
     pub best: Option<&'a EpochRecord>,
 }
 

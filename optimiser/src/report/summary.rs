@@ -11,7 +11,7 @@ use powderline_shared::plan::SKILL_PARAMETERS;
 use std::fmt::Write;
 
 /// What the words are about.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Finding<'a> {
     /// The mapping of the scene.
     pub map: &'a SkillMap,
@@ -19,6 +19,8 @@ pub struct Finding<'a> {
     pub first: &'a EpochRecord,
     /// The epoch whose skill became the plan.
     pub best: &'a EpochRecord,
+    /// An epoch of lower loss whose skill could not, and why.
+    pub passed_over: Option<(&'a EpochRecord, String)>,
     /// The last epoch.
     pub last: &'a EpochRecord,
     /// What the plan, quantised, achieves.
@@ -34,6 +36,10 @@ impl Finding<'_> {
         // Writing to a string does not fail.
         let _ = writeln!(text, "{}", self.verdict());
         let _ = writeln!(text, "{}", self.powder());
+        if let Some((epoch, reason)) = &self.passed_over {
+            let EpochRecord { epoch, loss, .. } = epoch;
+            let _ = writeln!(text, "Epoch {epoch} was passed over with its loss of {loss:.3} m: {reason}.");
+        }
         let _ = writeln!(text, "\n{:<24}{:>12}{:>14}", "skill", "at epoch 0", "in the plan");
         let [first, best] =
             [self.first.theta, self.best.theta].map(|theta: Theta| self.map.parameters(&theta));
@@ -46,17 +52,18 @@ impl Finding<'_> {
 
     fn verdict(&self) -> String {
         let (first, best, last) = (self.first, self.best, self.last);
+        let able = if self.passed_over.is_some() { " that the arm may perform" } else { "" };
         if best.epoch == first.epoch {
             return format!(
-                "None of the {} epochs after the first improved on it: the plan is the skill the run started from, with a \
-                 loss of {:.3} m.",
+                "None of the {} epochs after the first{able} improved on it: the plan is the skill the run started from, \
+                 with a loss of {:.3} m.",
                 last.epoch, first.loss
             );
         }
         let share = 100.0 * (first.loss - best.loss) / first.loss;
         format!(
-            "The loss fell from {:.3} m at epoch 0 to {:.3} m at epoch {} (by {share:.1} %), the best of {} epochs; that \
-             skill is the plan.",
+            "The loss fell from {:.3} m at epoch 0 to {:.3} m at epoch {} (by {share:.1} %), the best of {} epochs{able}; \
+             that skill is the plan.",
             first.loss, best.loss, best.epoch, last.epoch
         )
     }
@@ -64,11 +71,11 @@ impl Finding<'_> {
     fn powder(&self) -> String {
         let plan = self.plan;
         let target = plan.indicator + i64::from(plan.transported);
-        let off = 100.0 * plan.indicator.abs() as f64 / target as f64;
+        let off = about(100.0 * plan.indicator.abs() as f64 / target as f64, 2);
         let missing = match plan.indicator {
-            1.. => format!("{off:.1} % less than the {} wanted", grouped(target)),
+            1.. => format!("{off} % less than the {} wanted", grouped(target)),
             0 => format!("exactly the {} wanted", grouped(target)),
-            _ => format!("{off:.1} % more than the {} wanted", grouped(target)),
+            _ => format!("{off} % more than the {} wanted", grouped(target)),
         };
         format!(
             "As shipped (quantised, simulated again) it has a loss of {:.3} m and brings {} particles ({} g) into the target \
@@ -111,6 +118,7 @@ mod tests {
             best: &EpochRecord { theta: [1.0; 5], ..record(27, 1128.0) },
             last: &record(30, 1129.0),
             plan: &plan,
+            passed_over: None,
             particle_mass_kg: 8e-6,
         };
         let text = finding.text();
@@ -118,13 +126,20 @@ mod tests {
             "from 1200.000 m",
             "epoch 27 (by 6.0 %)",
             "851 particles (6.808 g)",
-            "0.1 % more than the 850",
+            "0.12 % more than the 850",
             "20.0 mm",
             "110.0 deg",
         ] {
             assert!(text.contains(part), "{part} in {text}");
         }
-        let none = Finding { best: &record(0, 1200.0), ..finding };
-        assert!(none.text().contains("None of the 30 epochs"));
+        let none = Finding { best: &record(0, 1200.0), ..finding.clone() };
+        assert!(none.text().contains("None of the 30 epochs after the first improved"));
+        let reason = "the tool's handle would pass through container \"target\" at 3.21 s".into();
+        let text = Finding { passed_over: Some((&record(29, 1100.0), reason)), ..finding }.text();
+        assert!(text.contains("the best of 30 epochs that the arm may perform; that skill"), "{text}");
+        assert!(
+            text.contains("\nEpoch 29 was passed over with its loss of 1100.000 m: the tool's handle"),
+            "{text}"
+        );
     }
 }

@@ -4,7 +4,7 @@
 //! |--------|----------------------------------------------------------------------------------|
 //! | d_i    | distance of particle i from `p_target` at the end, in the scene's norm           |
 //! | n      | wanted particles                                                                 |
-//! | D      | distance of the source container from `p_target`                                 |
+//! | D      | distance from `p_target` of the point of the source's inside that is nearest it  |
 //!
 //! The paper's loss is the sum of all d_i ([`Aim::All`]): its minimum is as much powder as can be had, at `p_target`. With
 //! [`Aim::Amount`] the n nearest particles count as in the paper, and each of the others by what it lies nearer to
@@ -48,7 +48,7 @@ pub(crate) fn loss(scene: &Scene, positions: &[[f64; 3]]) -> (f64, Vec<[f64; 3]>
 fn wanted(scene: &Scene, seen: usize, all: usize) -> usize {
     match scene.objective.aim {
         Aim::All => seen,
-        Aim::Amount => (scene.target_count() * seen + all / 2).checked_div(all).unwrap_or(0),
+        Aim::Amount => (scene.target_count() * seen + all / 2).checked_div(all).unwrap_or(0).max(1),
     }
 }
 

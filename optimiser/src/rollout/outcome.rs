@@ -51,7 +51,7 @@ fn above(c: &Container, p: &[f64; 3], walls: f64) -> bool {
         ContainerShape::Box { inner_size_m: [lx, ly, _] } => {
             x.abs() <= 0.5 * lx + extra && y.abs() <= 0.5 * ly + extra
         }
-        ContainerShape::Cylinder { inner_radius_m, .. } => x.hypot(y) <= inner_radius_m + extra,
+        ContainerShape::Cylinder { inner_radius_m, .. } => libm::hypot(x, y) <= inner_radius_m + extra,
     }
 }
 

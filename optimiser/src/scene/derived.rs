@@ -90,7 +90,7 @@ impl Container {
                 [x.clamp(-0.5 * lx, 0.5 * lx), y.clamp(-0.5 * ly, 0.5 * ly)]
             }
             ContainerShape::Cylinder { inner_radius_m, .. } => {
-                let inwards = (inner_radius_m / x.hypot(y)).min(1.0);
+                let inwards = (inner_radius_m / libm::hypot(x, y)).min(1.0);
                 [x * inwards, y * inwards]
             }
         };

@@ -37,7 +37,7 @@ fn samples(range: [f64; 2]) -> impl Iterator<Item = f64> + Clone {
 impl Scene {
     /// The tool's origin after travelling `forward_m` along the heading and `up_m` upwards from the start.
     pub(super) fn origin_after(&self, forward_m: f64, up_m: f64) -> Vec3 {
-        let (sin, cos) = self.skill.heading_deg.to_radians().sin_cos();
+        let (sin, cos) = libm::sincos(self.skill.heading_deg.to_radians());
         let [x, y, z] = self.tool.start_position_m;
         [x + forward_m * cos, y + forward_m * sin, z + up_m]
     }

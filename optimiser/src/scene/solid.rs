@@ -6,6 +6,7 @@
 //! a hundredth of the solids' size.
 
 use super::{Container, ContainerShape, Powder, Scene};
+use std::sync::LazyLock;
 
 /// A vector, world or tool frame.
 pub(super) type Vec3 = [f64; 3];
@@ -31,12 +32,16 @@ pub(crate) struct Solid {
     pub(super) name: String,
     /// Convex pieces.
     pub(super) pieces: Vec<Hull>,
+    /// Lowest and highest coordinates.
+    pub(super) extent: [Vec3; 2],
 }
 
 impl Scene {
     /// What stands in the tool's way.
     pub(crate) fn solids(&self) -> Vec<Solid> {
-        self.container.iter().map(|c| Solid { name: c.name.clone(), pieces: c.pieces() }).collect()
+        let solid =
+            |c: &Container| Solid { name: c.name.clone(), pieces: c.pieces(), extent: c.outer().extent() };
+        self.container.iter().map(solid).collect()
     }
 }
 
@@ -65,6 +70,16 @@ impl Hull {
         self.points.iter().map(|point| dot(*point, direction)).fold(f64::NEG_INFINITY, f64::max)
     }
 
+    /// Lowest and highest coordinates.
+    fn extent(&self) -> [Vec3; 2] {
+        let ends = |axis: usize| {
+            let mut along = [0.0; 3];
+            along[axis] = 1.0;
+            [-self.reach(along.map(|x: f64| -x)), self.reach(along)]
+        };
+        [0, 1].map(|end| std::array::from_fn(|axis| ends(axis)[end]))
+    }
+
     /// Box aligned with the world's axes.
     pub(super) fn aligned_box(min: Vec3, max: Vec3) -> Self {
         let corner = |index: usize| {
@@ -79,14 +94,16 @@ impl Hull {
 fn apart(normals: &[Vec3], a: impl Fn(Vec3) -> f64, b: impl Fn(Vec3) -> f64) -> bool {
     let separates = |d: Vec3| a(d) + b(d.map(|component| -component)) <= TOUCH_M;
     let both_ways = |d: Vec3| separates(d) || separates(d.map(|component| -component));
-    normals.iter().copied().any(both_ways) || (0..DIRECTIONS).map(spread_direction).any(both_ways)
+    normals.iter().copied().any(both_ways) || SPREAD.iter().copied().any(both_ways)
 }
+
+static SPREAD: LazyLock<[Vec3; DIRECTIONS]> = LazyLock::new(|| std::array::from_fn(spread_direction));
 
 /// Directions spread evenly over the half sphere (Fibonacci lattice).
 fn spread_direction(index: usize) -> Vec3 {
     const GOLDEN_ANGLE: f64 = 2.399_963_229_728_653;
     let up = (index as f64 + 0.5) / DIRECTIONS as f64;
-    let (sin, cos) = (GOLDEN_ANGLE * index as f64).sin_cos();
+    let (sin, cos) = libm::sincos(GOLDEN_ANGLE * index as f64);
     let across = (1.0 - up * up).sqrt();
     [across * cos, across * sin, up]
 }
@@ -94,7 +111,7 @@ fn spread_direction(index: usize) -> Vec3 {
 impl Container {
     /// The container's own axes, world frame.
     fn axes(&self) -> [Vec3; 3] {
-        let (sin, cos) = self.yaw_deg.to_radians().sin_cos();
+        let (sin, cos) = libm::sincos(self.yaw_deg.to_radians());
         [[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]]
     }
 
@@ -159,7 +176,7 @@ impl Container {
                     && across.abs() <= 0.5 * inner_size_m[1] + TOUCH_M
             }
             ContainerShape::Cylinder { inner_radius_m, .. } => {
-                along.hypot(across) <= inner_radius_m + TOUCH_M
+                libm::hypot(along, across) <= inner_radius_m + TOUCH_M
             }
         }
     }
@@ -175,9 +192,9 @@ impl Container {
 
     /// Upright prism around a circle.
     fn prism(&self, radius: f64, low: f64, high: f64) -> Hull {
-        let corner = radius / (std::f64::consts::PI / ROUND_SEGMENTS as f64).cos();
+        let corner = radius / libm::cos(std::f64::consts::PI / ROUND_SEGMENTS as f64);
         let points = (0..ROUND_SEGMENTS).flat_map(|index| {
-            let (sin, cos) = segment_angle(index as f64 + 0.5).sin_cos();
+            let (sin, cos) = libm::sincos(segment_angle(index as f64 + 0.5));
             [low, high].map(|z| self.to_world([corner * cos, corner * sin, z]))
         });
         let sides = (0..ROUND_SEGMENTS / 2).map(|index| self.outwards(index as f64));
@@ -187,7 +204,7 @@ impl Container {
     /// One segment of a round wall.
     fn stave(&self, index: usize, inner_radius: f64, height: f64) -> Hull {
         let points = [0, 1].into_iter().flat_map(|end| {
-            let (sin, cos) = segment_angle((index + end) as f64).sin_cos();
+            let (sin, cos) = libm::sincos(segment_angle((index + end) as f64));
             [inner_radius, inner_radius + self.wall_thickness_m]
                 .into_iter()
                 .flat_map(move |radius| [0.0, height].map(|z| self.to_world([radius * cos, radius * sin, z])))
@@ -200,7 +217,7 @@ impl Container {
     /// Direction from the container's middle to a place on its round wall, counted in segments.
     fn outwards(&self, segments: f64) -> Vec3 {
         let [x, y, _] = self.axes();
-        let (sin, cos) = segment_angle(segments).sin_cos();
+        let (sin, cos) = libm::sincos(segment_angle(segments));
         std::array::from_fn(|axis| cos * x[axis] + sin * y[axis])
     }
 

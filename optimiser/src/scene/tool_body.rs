@@ -39,7 +39,8 @@ impl Tool {
         let wall = self.wall_thickness_m;
         match self.shape {
             ToolShape::Bowl { inner_radius_m } => {
-                let below_rim = if z > 0.0 { x.hypot(y) } else { x.hypot(y).hypot(z) };
+                let across = libm::hypot(x, y);
+                let below_rim = if z > 0.0 { across } else { libm::hypot(across, z) };
                 (inner_radius_m + wall) * below_rim
             }
             ToolShape::BoxScoop { inner_size_m: [length, width, height] } => {
@@ -47,6 +48,20 @@ impl Tool {
                 along + (0.5 * width + wall) * y.abs() + (height + wall) * (-z).max(0.0)
             }
         }
+    }
+
+    /// Of a ball around the tool's origin that holds all of it, metres.
+    pub(crate) fn radius_m(&self) -> f64 {
+        let wall = self.wall_thickness_m;
+        let body = match self.shape {
+            ToolShape::Bowl { inner_radius_m } => inner_radius_m + wall,
+            ToolShape::BoxScoop { inner_size_m: [length, width, height] } => {
+                let half = [0.5 * length + wall, 0.5 * width + wall, height + wall];
+                libm::sqrt(dot(half, half))
+            }
+        };
+        let ends = self.handle_axis_m().map(|end| libm::sqrt(dot(end, end)) + self.handle.radius_m);
+        body.max(ends[0]).max(ends[1])
     }
 
     fn handle_reach(&self, direction: Vec3) -> f64 {
@@ -83,8 +98,8 @@ pub(crate) struct PlacedTool<'a> {
 
 impl<'a> PlacedTool<'a> {
     pub(super) fn new(scene: &'a Scene, origin: Vec3, pitch_deg: f64) -> Self {
-        let (sin_h, cos_h) = scene.skill.heading_deg.to_radians().sin_cos();
-        let (sin_p, cos_p) = pitch_deg.to_radians().sin_cos();
+        let (sin_h, cos_h) = libm::sincos(scene.skill.heading_deg.to_radians());
+        let (sin_p, cos_p) = libm::sincos(pitch_deg.to_radians());
         let axes = [
             [cos_p * cos_h, cos_p * sin_h, -sin_p],
             [-sin_h, cos_h, 0.0],
@@ -101,7 +116,12 @@ impl<'a> PlacedTool<'a> {
 
     /// The first of the solids that a part of the tool is inside of.
     pub(crate) fn inside_of<'s>(&self, solids: &'s [Solid]) -> Option<(ToolPart, &'s str)> {
-        solids.iter().find_map(|solid| {
+        let near = |solid: &&Solid| {
+            let [low, high] = solid.extent;
+            let reach = self.tool.radius_m();
+            (0..3).all(|k| self.origin[k] + reach > low[k] && self.origin[k] - reach < high[k])
+        };
+        solids.iter().filter(near).find_map(|solid| {
             let within = |clears: &dyn Fn(&Hull) -> bool| !solid.pieces.iter().all(clears);
             let body = within(&|piece| self.body_clears(piece)).then_some(ToolPart::Body);
             let part =

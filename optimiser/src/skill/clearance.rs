@@ -11,9 +11,6 @@ use thiserror::Error;
 /// Values of each skill parameter that stand for its range.
 const SAMPLES: usize = 3;
 
-/// Control steps from one look at a sampled skill to the next.
-const STRIDE: usize = 4;
-
 /// A place where the tool would be inside a container's material.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[error("the {part} would pass through container {container:?} at {at_s:.2} s")]
@@ -27,22 +24,51 @@ pub struct Collision {
 }
 
 /// The first collision of a motion that begins at `start`; none if the tool stays clear.
+///
+/// Between two looks no point of the tool goes as far as the thinnest thing that could be jumped over is thick, whatever the
+/// control period.
 pub fn collision(scene: &Scene, start: &Pose, controls: &[Displacement]) -> Option<Collision> {
-    first_of(scene, start, controls, 1)
+    let (solids, stride_m) = (scene.solids(), stride_m(scene));
+    let (mut pose, mut unseen_m) = (*start, 0.0);
+    for (step, control) in controls.iter().enumerate() {
+        let travel_m = travel_m(scene, control);
+        // A step that is long is looked at on the way, short ones at the end of a stride.
+        let strides = (unseen_m + travel_m) / stride_m;
+        let looks = if strides < 1.0 { 0.0 } else { strides.ceil().min(MOST_LOOKS) };
+        for look in 1..=looks as u32 {
+            let part = f64::from(look) / looks;
+            let seen = pose.displaced(&fraction(control, part));
+            if let Some((part_of_tool, container)) = PlacedTool::at(&scene.tool, &seen).inside_of(&solids) {
+                let at_s = (step as f64 + part) * scene.time.control_period_s();
+                return Some(Collision { part: part_of_tool, container: container.into(), at_s });
+            }
+        }
+        unseen_m = if looks > 0.0 { 0.0 } else { unseen_m + travel_m };
+        pose = pose.displaced(control);
+    }
+    None
 }
 
-fn first_of(scene: &Scene, start: &Pose, controls: &[Displacement], stride: usize) -> Option<Collision> {
-    let solids = scene.solids();
-    let poses = controls.iter().scan(*start, |pose, control| {
-        *pose = pose.displaced(control);
-        Some(*pose)
-    });
-    let looked_at = (1u32..).zip(poses).step_by(stride);
-    looked_at.into_iter().find_map(|(step, pose)| {
-        let (part, container) = PlacedTool::at(&scene.tool, &pose).inside_of(&solids)?;
-        let at_s = f64::from(step) * scene.time.control_period_s();
-        Some(Collision { part, container: container.into(), at_s })
-    })
+/// Looks in one control step, at most: velocity limits are far from that in any motion that is performed.
+const MOST_LOOKS: f64 = 1000.0;
+
+fn stride_m(scene: &Scene) -> f64 {
+    let walls = scene.container.iter().map(|container| container.wall_thickness_m);
+    let parts = [2.0 * scene.tool.handle.radius_m, scene.tool.wall_thickness_m];
+    0.5 * walls.chain(parts).fold(f64::INFINITY, f64::min)
+}
+
+/// How far a displacement takes any point of the tool, at most, metres.
+fn travel_m(scene: &Scene, control: &Displacement) -> f64 {
+    let length = |[x, y, z]: [f64; 3]| libm::sqrt(x * x + y * y + z * z);
+    length(control.translation_m) + length(control.rotation_rad) * scene.tool.radius_m()
+}
+
+fn fraction(control: &Displacement, part: f64) -> Displacement {
+    Displacement {
+        translation_m: control.translation_m.map(|x| part * x),
+        rotation_rad: control.rotation_rad.map(|x| part * x),
+    }
 }
 
 /// A skill within the scene's bounds whose tool would pass through a container, if one is found among their ends and
@@ -53,7 +79,7 @@ pub fn colliding_skill(scene: &Scene) -> Option<(Theta, Collision)> {
         .map(|index| std::array::from_fn(|k| (index / SAMPLES.pow(k as u32) % SAMPLES) as f64 - 1.0));
     skills.find_map(|theta: Theta| {
         let motion = map.quantised(&theta).ok()?;
-        first_of(scene, map.start_pose(), &motion.controls, STRIDE).map(|collision| (theta, collision))
+        collision(scene, map.start_pose(), &motion.controls).map(|collision| (theta, collision))
     })
 }
 
@@ -83,6 +109,19 @@ mod tests {
         );
         assert_eq!(collision(&scene, map.start_pose(), &motion(1.0)), None);
         assert!(colliding_skill(&scene).is_some());
+    }
+
+    #[test]
+    fn no_wall_is_jumped_over_in_a_long_control_step() {
+        let scene = Scene::load("bench").unwrap();
+        let map = SkillMap::new(&scene);
+        // Down beside the source's far wall, then through it to the middle of the target, in one step each.
+        let step = |x: f64, z: f64| Displacement { translation_m: [x, 0.0, z], rotation_rad: [0.0; 3] };
+        let found = collision(&scene, map.start_pose(), &[step(0.0, -0.03), step(0.13, 0.0)]).unwrap();
+        assert_eq!((found.part, found.container.as_str()), (ToolPart::Body, "source"));
+        assert!(found.at_s > 0.01 && found.at_s < 0.02, "{found}");
+        // The way over the walls is free.
+        assert_eq!(collision(&scene, map.start_pose(), &[step(0.0, 0.06), step(0.13, 0.0)]), None);
     }
 
     #[test]

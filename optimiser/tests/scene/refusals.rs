@@ -503,6 +503,11 @@ const RULES_BETWEEN_FIELDS: &[Case] = &[
         ": objective.p_target_m is [0.176, 0.048, -0.01], but it must lie in the domain, which goes from [0, 0, 0] to [0.256, 0.096, 0.208]",
     ),
     (
+        "p_target_m = [0.176, 0.048, 0.010]",
+        "p_target_m = [0.056, 0.048, 0.010]",
+        ": objective.p_target_m is [0.056, 0.048, 0.01], but that is inside the source, where too much powder costs nothing; a point in the target container would be right",
+    ),
+    (
         "amount = { particles = 850 }",
         "amount = { particles = 0 }",
         ": objective.amount.particles is 0, but it must be from 1 to 11264",

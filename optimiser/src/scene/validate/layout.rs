@@ -225,6 +225,13 @@ pub(super) fn check_objective(checker: &Checker<'_>, scene: &Scene) -> Checked {
             format!("it must lie in the domain, which goes from [0, 0, 0] to {}", list(&scene.domain.size_m)),
         ));
     }
+    if objective.aim == Aim::Amount && scene.nearest_of_source_m() == p_target {
+        return Err(checker.invalid(
+            "objective.p_target_m",
+            list(&p_target),
+            "that is inside the source, where too much powder costs nothing; a point in the target container would be right",
+        ));
+    }
     let count = scene.particle_count();
     let whole_kg = count as f64 * scene.particle_mass_kg();
     let particles = |field: &str, particles: u32| {
