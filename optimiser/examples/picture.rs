@@ -16,7 +16,7 @@ use powderline_shared::plan::Precision;
 use powderline_shared::pose::Pose;
 
 /// A deep scoop that pours well before the end.
-const THETA: Theta = [0.6, 0.0, 0.0, 0.0, 0.3];
+const THETA: Theta = [0.9, -0.35, 0.39, 0.07, 0.23];
 
 /// Half the thickness of the drawn slice, metres.
 const SLICE_M: f64 = 0.004;
@@ -26,7 +26,7 @@ const MOMENTS: [(&str, SegmentKind, f64); 4] = [
     ("scoop", SegmentKind::Scoop, 0.5),
     ("lift", SegmentKind::Lift, 1.0),
     ("transport", SegmentKind::Transport, 0.6),
-    ("pour", SegmentKind::Pour, 0.72),
+    ("pour", SegmentKind::Pour, 0.8),
 ];
 
 /// Drawing units in a metre.

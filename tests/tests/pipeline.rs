@@ -1,5 +1,6 @@
 //! From a scene to a motion that the simulated arm performs.
 
+use powderline_optimiser::scene::{Aim, Amount, Scene};
 use serde_json::Value;
 
 use crate::programs::{EXECUTE, OPTIMISE, Place, assert_same_bits, metrics, run};
@@ -52,6 +53,23 @@ fn a_skill_is_optimised_played_and_reproduced_with_the_same_bits_for_any_number_
     );
     assert_ne!(lines[1]["theta"], lines[0]["theta"]);
     assert_ne!(lines[1]["loss"], lines[0]["loss"]);
+}
+
+#[test]
+fn the_wanted_amount_arrives_and_no_more() {
+    let place = Place::new();
+    let mut scene = Scene::load(&place.tiny()).unwrap();
+    // Half of what the spoon holds.
+    scene.objective.amount = Amount::Particles(16);
+    let [amount, all] = [Aim::Amount, Aim::All].map(|aim| {
+        scene.objective.aim = aim;
+        let file = place.write("wanted.toml", scene.to_toml().as_bytes());
+        let folder = place.path(if aim == Aim::All { "all" } else { "amount" });
+        run(OPTIMISE, &[&file, "--epochs", "8", "--out", &folder]).succeeded();
+        let plan = run(OPTIMISE, &["inspect", &format!("{folder}/skill.plan"), "--json"]).json();
+        plan["predicted_indicator"].as_i64().unwrap()
+    });
+    assert!(amount.abs() <= 2 && all <= -10, "{amount} {all}");
 }
 
 #[test]
