@@ -195,10 +195,9 @@ impl Place {
             }
             for k in 0..3 {
                 let to = at[k] + moved[k];
-                let held = to.clamp(least[k], greatest[k]);
                 // Only what would leave the workspace is cut short, so that all else keeps its bits.
-                if held != to {
-                    moved[k] = held - at[k];
+                if !(least[k]..=greatest[k]).contains(&to) {
+                    moved[k] = to.clamp(least[k], greatest[k]) - at[k];
                 }
             }
             *control = reach.clamped(&moved);

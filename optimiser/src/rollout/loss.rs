@@ -190,7 +190,7 @@ mod tests {
                     };
                     let slope = (at(1e-7) - at(-1e-7)) / 2e-7;
                     // At the target's own coordinate the L1 norm has a kink.
-                    let kink = norm == Norm::L1 && axis == 2 || norm == Norm::L1 && id == 0;
+                    let kink = norm == Norm::L1 && (axis == 2 || id == 0);
                     assert!(kink || (gradient[id][axis] - slope).abs() < 1e-5, "{id} {axis} {slope}");
                 }
             }

@@ -225,7 +225,7 @@ pub(super) fn check_objective(checker: &Checker<'_>, scene: &Scene) -> Checked {
             format!("it must lie in the domain, which goes from [0, 0, 0] to {}", list(&scene.domain.size_m)),
         ));
     }
-    if objective.aim == Aim::Amount && scene.nearest_of_source_m() == p_target {
+    if objective.aim == Aim::Amount && scene.source().holds_box(p_target, p_target) {
         return Err(checker.invalid(
             "objective.p_target_m",
             list(&p_target),
