@@ -56,7 +56,7 @@ fn skills_that_take_the_tool_through_a_wall_are_noted() {
     assert_eq!(output.status.code(), Some(0));
     let said = text(&output.stdout);
     let note = said.lines().find(|line| line.starts_with("Note: ")).unwrap();
-    assert!(note.contains("would pass over") && note.contains("through container \"source\" at "), "{note}");
+    assert!(note.contains("would pass over") && note.contains("through container \"target\" at "), "{note}");
     assert!(!text(&optimise(&["check", "bench-small"]).stdout).contains("Note"));
 }
 

@@ -120,12 +120,12 @@ const STRUCTURE: &[Case] = &[
     (
         r#"gradient = "mixed""#,
         r#"gradient = "differences""#,
-        ": optimiser.gradient at line 98: unknown variant `differences`, expected `adjoint` or `mixed`",
+        ": optimiser.gradient at line 99: unknown variant `differences`, expected `adjoint` or `mixed`",
     ),
     (
         "difference_half_step = 0.1",
         "",
-        ": optimiser at line 92: missing field `difference_half_step`; in the scene `bench` it is: difference_half_step = 0.1 # of these differences, in units of theta; above 0, at most 0.5",
+        ": optimiser at line 93: missing field `difference_half_step`; in the scene `bench` it is: difference_half_step = 0.1 # of these differences, in units of theta; above 0, at most 0.5",
     ),
     (
         "amount = { particles = 850 }",
@@ -145,12 +145,12 @@ const STRUCTURE: &[Case] = &[
     (
         "[optimiser]",
         "[optimizer]",
-        ": optimizer at line 92: unknown field `optimizer`, expected one of `name`, `domain`, `powder`, `time`, `container`, `tool`, `skill`, `limits`, `objective`, `optimiser`",
+        ": optimizer at line 93: unknown field `optimizer`, expected one of `name`, `domain`, `powder`, `time`, `container`, `tool`, `skill`, `limits`, `objective`, `optimiser`",
     ),
     (
         "[optimiser]",
         "[optimiser",
-        " is not valid TOML at line 92, column 11: unclosed table, expected `]`",
+        " is not valid TOML at line 93, column 11: unclosed table, expected `]`",
     ),
     (
         "[domain]",

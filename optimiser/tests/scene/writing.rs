@@ -1,6 +1,8 @@
 //! Writing and identifying scenes.
 
-use powderline_optimiser::scene::{Amount, ContainerShape, EMBEDDED_SCENES, Observation, Scene, ToolShape};
+use powderline_optimiser::scene::{
+    Aim, Amount, ContainerShape, EMBEDDED_SCENES, Observation, Scene, ToolShape,
+};
 use proptest::prelude::*;
 
 /// A valid scene away from the shipped ones, by small changes that break no rule.
@@ -34,6 +36,8 @@ fn arbitrary_scene() -> impl Strategy<Value = Scene> {
             Observation::Subsample { particles },
             Observation::VisibleFromAbove { pixel_m: 0.004 },
         ][observation];
+        // A view from above goes with this one only.
+        scene.objective.aim = [Aim::Amount, Aim::Amount, Aim::All][observation];
         scene
     })
 }
