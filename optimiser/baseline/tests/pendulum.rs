@@ -103,7 +103,6 @@ fn a_short_training_learns_most_of_it() {
 }
 
 #[test]
-#[ignore = "takes half a minute"]
 fn a_whole_training_swings_it_up_and_holds_it() {
     for seed in 1..=3 {
         let found = train(seed, 40, settings());

@@ -175,8 +175,9 @@ mod tests {
     #[test]
     fn what_no_track_leaves_behind_is_refused_whatever_its_checksum() {
         let scene = scene();
-        let defects: [fn(&mut StepTrack); 5] = [
+        let defects: [fn(&mut StepTrack); 6] = [
             |track| track.tries.clear(),
+            |track| track.tries[0].loss = f64::INFINITY,
             |track| track.tries[1].loss = 8.5,
             |track| track.tries[0].theta = Some([0.0; 5]),
             |track| track.tries[0].seconds = f64::NAN,

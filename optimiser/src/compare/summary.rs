@@ -145,7 +145,7 @@ impl Row {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::comparison;
+    use super::super::{Method, tests::comparison};
     use super::*;
 
     #[test]
@@ -164,6 +164,16 @@ mod tests {
         let cells = gradient.cells();
         assert_eq!(cells[3], "35 +- 7");
         assert_eq!(cells[5], "3 (1 of 2)");
+    }
+
+    #[test]
+    fn others_are_not_measured_by_what_is_no_skill() {
+        let rows = summarise(&comparison(), &|_| 100.0);
+        let mut with_steps = comparison();
+        let mut steps = Track { method: Method::GradientSteps, ..with_steps.tracks[0].clone() };
+        steps.tries.iter_mut().for_each(|one| (one.theta, one.loss) = (None, 1.0));
+        with_steps.tracks.push(steps);
+        assert_eq!(summarise(&with_steps, &|_| 100.0)[..rows.len()], rows);
     }
 
     #[test]

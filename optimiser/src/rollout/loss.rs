@@ -173,6 +173,14 @@ mod tests {
     }
 
     #[test]
+    fn of_the_smallest_amount_one_particle_is_wanted_in_any_subsample() {
+        let mut scene = scene(Aim::Amount, 1);
+        scene.objective.observation = Observation::Subsample { particles: 3 };
+        let far = vec![[0.0, 0.048, 0.01]; 1000];
+        assert!(loss(&scene, &far).0 > 0.17, "bringing nothing is not what is wanted");
+    }
+
+    #[test]
     fn gradient_is_the_slope() {
         for (aim, norm) in [(Aim::All, Norm::L1), (Aim::Amount, Norm::Euclidean), (Aim::Amount, Norm::L1)] {
             let mut scene = scene(aim, 4);
