@@ -105,7 +105,8 @@ impl Container {
 }
 
 impl Scene {
-    /// The point of the source container that is nearest to the target point, metres.
+    /// The point of the source container that is nearest to the target point, metres; the target point itself in a scene that
+    /// was made up for measurements and has no source.
     pub(crate) fn nearest_of_source_m(&self) -> [f64; 3] {
         let Objective { source, p_target_m, .. } = &self.objective;
         let source = self.container.iter().find(|container| container.name == *source);

@@ -11,6 +11,9 @@ use thiserror::Error;
 /// Values of each skill parameter that stand for its range.
 const SAMPLES: usize = 3;
 
+/// Looks in one control step, at most: velocity limits are far from that in any motion that is performed.
+const MOST_LOOKS: f64 = 1000.0;
+
 /// A place where the tool would be inside a container's material.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[error("the {part} would pass through container {container:?} at {at_s:.2} s")]
@@ -48,9 +51,6 @@ pub fn collision(scene: &Scene, start: &Pose, controls: &[Displacement]) -> Opti
     }
     None
 }
-
-/// Looks in one control step, at most: velocity limits are far from that in any motion that is performed.
-const MOST_LOOKS: f64 = 1000.0;
 
 fn stride_m(scene: &Scene) -> f64 {
     let walls = scene.container.iter().map(|container| container.wall_thickness_m);
