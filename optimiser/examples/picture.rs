@@ -9,11 +9,11 @@
 use std::fmt::Write as _;
 
 use nalgebra::Vector3;
-use powderline_optimiser::rollout::{SimulatorSettings, simulator};
-use powderline_optimiser::scene::{ContainerShape, Scene, ToolShape};
-use powderline_optimiser::skill::{SegmentKind, SkillMap, Theta};
 use powderline_shared::plan::Precision;
 use powderline_shared::pose::Pose;
+use powderline_simulator::rollout::{SimulatorSettings, simulator};
+use powderline_simulator::scene::{ContainerShape, Scene, ToolShape};
+use powderline_simulator::skill::{SegmentKind, SkillMap, Theta};
 
 /// A deep scoop that pours well before the end.
 const THETA: Theta = [0.9, -0.35, 0.39, 0.07, 0.23];

@@ -1,15 +1,6 @@
-//! From a bench description to a motion: simulation, gradient, skill, optimiser, plan.
+//! From a bench description to a motion: search, comparison, reports, and the program `optimise`.
 
-pub mod bench;
 pub mod cli;
 pub mod compare;
-pub mod memory;
-mod mpm;
 pub mod optim;
-pub mod real;
 pub mod report;
-pub mod rollout;
-pub mod scene;
-mod shape;
-pub mod skill;
-mod small;

@@ -48,7 +48,7 @@ fn a_bad_scene_is_one_sentence_on_standard_error_and_exit_code_2() {
 
 #[test]
 fn skills_that_take_the_tool_through_a_wall_are_noted() {
-    let mut scene = powderline_optimiser::scene::Scene::load("bench-small").unwrap();
+    let mut scene = powderline_simulator::scene::Scene::load("bench-small").unwrap();
     scene.skill.lift_height_m[0] = 0.010;
     let file = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("low-lift.toml");
     std::fs::write(&file, scene.to_toml()).unwrap();

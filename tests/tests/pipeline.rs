@@ -1,6 +1,6 @@
 //! From a scene to a motion that the simulated arm performs.
 
-use powderline_optimiser::scene::{Aim, Amount, Scene};
+use powderline_simulator::scene::{Aim, Amount, Scene};
 use serde_json::Value;
 
 use crate::programs::{EXECUTE, OPTIMISE, Place, assert_same_bits, metrics, run};

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
 
-use powderline_optimiser::scene::Scene;
+use powderline_simulator::scene::Scene;
 use serde_json::Value;
 use tempfile::TempDir;
 

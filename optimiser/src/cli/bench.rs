@@ -1,11 +1,11 @@
 //! `optimise bench`: what each stage of the simulator takes.
 
 use super::{CliError, Context, Progress, format_size, options::PrecisionArg, parse_size};
-use crate::bench::{Arithmetic, BenchError, Report, Settings, Timing, run};
 use crate::report::words::grouped;
-use crate::scene::MAX_PARTICLES;
 use clap::Args;
 use powderline_shared::plan::Precision;
+use powderline_simulator::bench::{Arithmetic, BenchError, Report, Settings, Timing, run};
+use powderline_simulator::scene::MAX_PARTICLES;
 use std::{fmt::Write, ops::RangeInclusive};
 
 /// Arguments of `optimise bench`.

@@ -7,11 +7,11 @@ use clap::Args;
 use serde::Serialize;
 
 use super::CliError;
-use crate::memory::{Need, memory_needs};
-use crate::scene::figures::about;
-use crate::scene::{DEFAULT_SCENE, MAX_CFL, Scene};
-use crate::skill::{SkillMap, colliding_skill};
 use powderline_shared::plan::Precision;
+use powderline_simulator::memory::{Need, memory_needs};
+use powderline_simulator::scene::figures::about;
+use powderline_simulator::scene::{DEFAULT_SCENE, MAX_CFL, Scene};
+use powderline_simulator::skill::{SkillMap, colliding_skill};
 
 /// Arguments of `optimise check`.
 #[derive(Debug, Args)]

@@ -12,13 +12,15 @@ use crate::{
     compare::{Budget, Comparison, Method, Row, Track, Try, summarise},
     report::folder::{COMPARISON, CURVES, METRICS, RunFolder, SCENE},
     report::words::{duration, hex},
-    rollout::{Evaluate, SimulatorSettings, packed_loss},
-    scene::{DEFAULT_SCENE, Digest, Scene},
-    skill::{SkillMap, Theta},
 };
 use clap::Args;
 use powderline_baseline::Search;
 use powderline_shared::plan::Precision;
+use powderline_simulator::{
+    rollout::{Evaluate, SimulatorSettings, packed_loss},
+    scene::{DEFAULT_SCENE, Digest, Scene},
+    skill::{SkillMap, Theta},
+};
 use serde::{Deserialize, Serialize};
 use std::{
     fmt::Write as _,

@@ -1,6 +1,7 @@
 //! What a command ends with when it does not succeed.
 
-use crate::{report::folder::FolderError, rollout::RolloutError, scene::SceneError, skill::SkillError};
+use crate::report::folder::FolderError;
+use powderline_simulator::{rollout::RolloutError, scene::SceneError, skill::SkillError};
 use std::{fmt, io, process::ExitCode};
 
 /// One sentence for the person, and the exit code that goes with it.

@@ -1,7 +1,6 @@
 //! The motion that the arm has really made of a plan: read from its file, held against the plan, made ready for the powder.
 
 use super::CliError;
-use crate::scene::Scene;
 use powderline_shared::{
     displacement::{Displacement, pose_at},
     plan::{PlanHeader, PlanReader},
@@ -10,6 +9,7 @@ use powderline_shared::{
         ANCHOR_TOLERANCE_M, ANCHOR_TOLERANCE_RAD, MAX_LINE_BYTES, TrajectoryHeader, TrajectoryReader,
     },
 };
+use powderline_simulator::scene::Scene;
 use serde::Serialize;
 use std::{
     fmt::Write as _,

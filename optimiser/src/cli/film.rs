@@ -4,12 +4,12 @@ use super::{
     CliError, Context, Progress,
     motion::{Motion, Task},
 };
-use crate::{
-    report::view,
+use crate::report::view;
+use powderline_shared::{displacement::Displacement, pose::Pose};
+use powderline_simulator::{
     rollout::{Evaluation, RolloutError, Shot, Take},
     skill::{SkillMap, displacement},
 };
-use powderline_shared::{displacement::Displacement, pose::Pose};
 use powderline_view::{Bench, Frame, Sink, ViewError};
 
 /// A motion that is to be looked at.

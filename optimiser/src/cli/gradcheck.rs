@@ -4,13 +4,15 @@ use super::{
     CliError, Context, Interrupt, Progress, Resources,
     options::{PrecisionArg, precision_name},
 };
-use crate::real::Real;
-use crate::rollout::gradcheck::{CHECKED_THETA, HALF_STEPS, Smoothed, Window, check_window, smoothed};
-use crate::rollout::{RolloutError, SimulatorSettings, check_memory, simulator};
-use crate::scene::{DEFAULT_SCENE, Scene};
-use crate::skill::SkillMap;
 use clap::Args;
 use powderline_shared::plan::{Precision, SKILL_PARAMETERS};
+use powderline_simulator::real::Real;
+use powderline_simulator::rollout::gradcheck::{
+    CHECKED_THETA, HALF_STEPS, Smoothed, Window, check_window, smoothed,
+};
+use powderline_simulator::rollout::{RolloutError, SimulatorSettings, check_memory, simulator};
+use powderline_simulator::scene::{DEFAULT_SCENE, Scene};
+use powderline_simulator::skill::SkillMap;
 use serde::Serialize;
 use std::fmt::Write;
 

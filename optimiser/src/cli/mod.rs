@@ -33,11 +33,11 @@ pub use options::{PrecisionArg, Resources};
 pub use progress::Progress;
 pub use size::{format_size, parse_size};
 
-use crate::{
+use clap::{Parser, Subcommand};
+use powderline_simulator::{
     rollout::{Evaluate, RolloutError, SimulatorSettings, boxed_simulator},
     scene::Scene,
 };
-use clap::{Parser, Subcommand};
 use serde::Serialize;
 use std::{
     ffi::OsString,

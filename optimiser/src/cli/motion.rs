@@ -6,17 +6,17 @@ use super::{
     inspect::read_plan,
     options::{DEFAULT_PRECISION, PrecisionArg},
 };
-use crate::{
-    report::{folder, words::hex},
-    rollout::SimulatorSettings,
-    scene::{DEFAULT_SCENE, Scene},
-    skill::{SkillMap, Theta, check_theta, controls_of},
-};
+use crate::report::{folder, words::hex};
 use clap::Args;
 use powderline_shared::{
     displacement::{Displacement, pose_at},
     plan::{PlanHeader, PlanReader, Precision},
     pose::Pose,
+};
+use powderline_simulator::{
+    rollout::SimulatorSettings,
+    scene::{DEFAULT_SCENE, Scene},
+    skill::{SkillMap, Theta, check_theta, controls_of},
 };
 use std::path::{Path, PathBuf};
 

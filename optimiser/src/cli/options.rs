@@ -1,9 +1,9 @@
 //! Arguments that several commands share.
 
 use super::size::parse_size;
-use crate::rollout::SimulatorSettings;
 use clap::{Args, ValueEnum};
 use powderline_shared::plan::Precision;
+use powderline_simulator::rollout::SimulatorSettings;
 
 /// Number format of the simulation, as an argument.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]

@@ -15,11 +15,10 @@ use crate::{
         folder::{COMPARISON, METRICS, PLAN},
         words::{duration, grouped, parameter},
     },
-    rollout::Evaluation,
-    skill::Theta,
 };
 use clap::Args;
 use powderline_shared::plan::{PlanReader, SKILL_PARAMETERS};
+use powderline_simulator::{rollout::Evaluation, skill::Theta};
 use powderline_view::page::{Chart, Page, Recorder, Series, Table};
 use std::{
     fs,

@@ -14,12 +14,14 @@ use crate::{
         summary::Finding,
         words::hex,
     },
+};
+use clap::Args;
+use powderline_shared::plan::Precision;
+use powderline_simulator::{
     rollout::{Evaluate, Evaluation, RolloutError, check_memory},
     scene::{DEFAULT_SCENE, Scene},
     skill::{Quantised, SkillError, SkillMap, Theta, colliding_skill, collision},
 };
-use clap::Args;
-use powderline_shared::plan::Precision;
 use std::path::{Path, PathBuf};
 
 /// Arguments of `optimise run`.
@@ -373,7 +375,10 @@ impl Work<'_, '_> {
     fn go<R>(
         &mut self,
         span: [f64; 2],
-        job: impl FnOnce(&mut dyn Evaluate, crate::rollout::Progress<'_>) -> Result<R, RolloutError>,
+        job: impl FnOnce(
+            &mut dyn Evaluate,
+            powderline_simulator::rollout::Progress<'_>,
+        ) -> Result<R, RolloutError>,
     ) -> Result<R, CliError> {
         let Self { simulator, progress, interrupt } = self;
         stop_if_requested(interrupt)?;

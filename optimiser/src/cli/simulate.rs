@@ -6,13 +6,10 @@ use super::{
     motion::{Motion, MotionArgs, Task},
     options::precision_name,
 };
-use crate::{
-    report::words::{grouped, hex},
-    rollout::Evaluation,
-    skill::Theta,
-};
+use crate::report::words::{grouped, hex};
 use clap::Args;
 use powderline_shared::plan::PlanHeader;
+use powderline_simulator::{rollout::Evaluation, skill::Theta};
 use serde::Serialize;
 
 /// Arguments of `optimise simulate`.

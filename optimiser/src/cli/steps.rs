@@ -9,6 +9,8 @@ use crate::{
     optim::{EpochRecord, steps::StepRule},
     report::folder::{RunFolder, STATE},
     report::words::duration,
+};
+use powderline_simulator::{
     rollout::{Evaluate, Evaluation, RolloutError, SimulatorSettings, Slope, check_memory},
     scene::Scene,
 };

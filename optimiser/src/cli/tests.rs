@@ -4,14 +4,16 @@ use super::*;
 use crate::{
     optim::EpochRecord,
     report::folder::{CURVES, METRICS, PLAN, RunFolder, SCENE, STATE},
-    rollout::{Evaluation, Look, Progress, RolloutError, Shot, Slope, Take},
-    skill::{Control, SkillMap, Theta},
 };
 use powderline_shared::{
     displacement::{Displacement, pose_at},
     plan::PlanReader,
     pose::Pose,
     trajectory::{Sample, TrajectoryHeader},
+};
+use powderline_simulator::{
+    rollout::{Evaluation, Look, Progress, RolloutError, Shot, Slope, Take},
+    skill::{Control, SkillMap, Theta},
 };
 use powderline_view::Destination;
 use serde_json::Value;
@@ -371,7 +373,7 @@ fn run_interrupted_again_and_again_has_the_same_bits() {
 fn run_by_the_adjoint_alone_evaluates_every_skill_once() {
     let place = Place::new();
     let mut scene = Scene::load("bench-small").unwrap();
-    scene.optimiser.gradient = crate::scene::Gradient::Adjoint;
+    scene.optimiser.gradient = powderline_simulator::scene::Gradient::Adjoint;
     let (path, folder) = (place.text("adjoint.toml"), place.text("run"));
     fs::write(&path, scene.to_toml()).unwrap();
     // Five skills, and Ctrl-C at the end of the plan's simulation.
@@ -856,7 +858,7 @@ fn what_is_no_plan_is_refused() {
 fn scene_without_a_motion_for_every_skill_is_refused() {
     let place = Place::new();
     let mut scene = Scene::load("bench-small").unwrap();
-    scene.skill.profile = crate::scene::Profile::ConstantSpeed;
+    scene.skill.profile = powderline_simulator::scene::Profile::ConstantSpeed;
     let path = place.text("jerky.toml");
     fs::write(&path, scene.to_toml()).unwrap();
     assert_sentence(&optimise(&[&path, "--out", &place.text("run")]), 2, "linear acceleration");

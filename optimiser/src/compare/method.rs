@@ -1,8 +1,8 @@
 //! The methods that are compared.
 
-use crate::scene::{Gradient, Scene, Timing};
 use clap::ValueEnum;
 use powderline_baseline::{CmaEs, RandomSearch, Sac, Search};
+use powderline_simulator::scene::{Gradient, Scene, Timing};
 use serde::{Deserialize, Serialize};
 
 /// A way to search for a skill.

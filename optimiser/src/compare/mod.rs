@@ -18,7 +18,8 @@ mod summary;
 pub use method::Method;
 pub use summary::{Row, summarise};
 
-use crate::{optim::EpochRecord, rollout::Evaluation, skill::Theta};
+use crate::optim::EpochRecord;
+use powderline_simulator::{rollout::Evaluation, skill::Theta};
 use serde::{Deserialize, Serialize};
 
 /// What an adjoint takes, in rollouts, beside the rollout that it is the adjoint of.

@@ -2,17 +2,19 @@
 
 use super::{ADJOINT_ROLLOUTS, Try};
 use crate::{
-    mpm::PHYSICS_VERSION,
     optim::{
         initial_theta, is_loss,
         steps::{StepRule, StepSearch},
     },
     report::sealed::{Seal, StateError},
+};
+use powderline_shared::plan::Precision;
+use powderline_simulator::{
+    mpm::PHYSICS_VERSION,
     rollout::{Evaluation, Slope},
     scene::{Digest, Scene},
     skill::{SkillError, SkillMap},
 };
-use powderline_shared::plan::Precision;
 use serde::{Deserialize, Serialize};
 
 const SEAL: Seal = Seal { magic: *b"PLSTEPS\0", version: 1 };

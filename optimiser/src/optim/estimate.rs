@@ -29,7 +29,7 @@
 //!   outlier in RMSprop's running mean would stop the component for dozens of epochs.
 //! - If alpha is below [`USELESS_WEIGHT`] in all components that take part, no adjoint is computed, g is g0.
 
-use crate::{
+use powderline_simulator::{
     scene::{self, Gradient},
     skill::Theta,
 };

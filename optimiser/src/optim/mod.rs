@@ -16,7 +16,7 @@ pub use rmsprop::{GradientError, Pace, RmsProp, RmsPropState};
 pub(crate) use search::is_loss;
 pub use search::{EpochRecord, Method, Request, Search, SearchError};
 
-use crate::skill::Theta;
+use powderline_simulator::skill::Theta;
 use rand_chacha::{
     ChaCha8Rng,
     rand_core::{Rng, SeedableRng},

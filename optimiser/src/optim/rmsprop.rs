@@ -22,11 +22,11 @@
 //! sign has gone too far and halves its steps, and lengthens them again while it goes on in one direction. That is the rule
 //! of Rprop (Riedmiller and Braun 1993), which RMSprop descends from.
 
-use crate::{
+use powderline_shared::plan::SKILL_PARAMETERS;
+use powderline_simulator::{
     scene,
     skill::{Theta, check_theta},
 };
-use powderline_shared::plan::SKILL_PARAMETERS;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 

@@ -4,7 +4,7 @@
 use super::{
     Estimate, Estimator, EstimatorState, Findings, GradientError, Place, Probe, RmsProp, RmsPropState,
 };
-use crate::{
+use powderline_simulator::{
     rollout::Evaluation,
     scene,
     skill::{Theta, check_theta},
@@ -272,7 +272,7 @@ impl Search {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::Gradient;
+    use powderline_simulator::scene::Gradient;
 
     const METHOD: Method = Method {
         rule: RmsProp { beta: 0.9, learning_rate: 0.05, epsilon: 1e-8, curriculum_epochs: 4 },

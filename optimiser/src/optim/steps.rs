@@ -20,12 +20,12 @@
 //! As in the search for skills, nothing here simulates, reads a clock or touches a file.
 
 use super::{Pace, RmsProp, search::is_loss};
-use crate::{
+use powderline_shared::displacement::Displacement;
+use powderline_simulator::{
     rollout::Slope,
     scene::Scene,
     skill::{Control, displacement},
 };
-use powderline_shared::displacement::Displacement;
 use serde::{Deserialize, Serialize};
 
 /// Learning rate, in units of w: of 0.001, 0.003, 0.01, 0.03 and 0.1 that with the lowest loss after ten epochs of

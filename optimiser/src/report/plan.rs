@@ -1,11 +1,11 @@
 //! From a skill to the bytes of a plan.
 
-use crate::{
+use powderline_shared::plan::{PlanError, PlanHeader, PlanWriter, Precision, StartPose, Version, WriteError};
+use powderline_simulator::{
     rollout::Evaluation,
     scene::Scene,
     skill::{LSB, Quantised, SkillMap, Theta},
 };
-use powderline_shared::plan::{PlanError, PlanHeader, PlanWriter, Precision, StartPose, Version, WriteError};
 use std::convert::Infallible;
 
 /// What a plan is made of.

@@ -2,8 +2,9 @@
 
 use super::sealed::Seal;
 pub use super::sealed::StateError;
-use crate::{mpm::PHYSICS_VERSION, optim::Search, scene::Digest};
+use crate::optim::Search;
 use powderline_shared::plan::Precision;
+use powderline_simulator::{mpm::PHYSICS_VERSION, scene::Digest};
 use serde::{Deserialize, Serialize};
 
 const SEAL: Seal = Seal { magic: *b"PLSTATE\0", version: 6 };

@@ -1,13 +1,13 @@
 //! What a run found, in words.
 
 use super::words::{grouped, parameter};
-use crate::{
-    optim::EpochRecord,
+use crate::optim::EpochRecord;
+use powderline_shared::plan::SKILL_PARAMETERS;
+use powderline_simulator::{
     rollout::Evaluation,
     scene::figures::about,
     skill::{SkillMap, Theta},
 };
-use powderline_shared::plan::SKILL_PARAMETERS;
 use std::fmt::Write;
 
 /// What the words are about.
@@ -93,7 +93,7 @@ impl Finding<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::Scene;
+    use powderline_simulator::scene::Scene;
 
     fn record(epoch: u32, loss: f64) -> EpochRecord {
         EpochRecord {

@@ -1,7 +1,7 @@
 //! A scene as pictures, pages and exports show it.
 
-use crate::scene::{Container, ContainerShape, Scene, Tool, ToolShape};
 use nalgebra::{Isometry3, Vector3};
+use powderline_simulator::scene::{Container, ContainerShape, Scene, Tool, ToolShape};
 use powderline_view::{Bench, Role, mesh::Mesh};
 
 /// What stands and moves in a scene, for so many particles and frames.
@@ -48,7 +48,7 @@ fn tool(tool: &Tool) -> Mesh {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::EMBEDDED_SCENES;
+    use powderline_simulator::scene::EMBEDDED_SCENES;
 
     #[test]
     fn every_shipped_scene_is_drawn_within_its_volume() {

@@ -1,6 +1,7 @@
 //! Numbers in words.
 
 use powderline_shared::plan::SKILL_PARAMETERS;
+pub(crate) use powderline_simulator::scene::figures::grouped;
 
 /// A duration to the precision that a waiting person needs.
 pub(crate) fn duration(seconds: f64) -> String {
@@ -10,19 +11,6 @@ pub(crate) fn duration(seconds: f64) -> String {
         60..3600 => format!("{} min", (whole + 30) / 60),
         _ => format!("{} h {:02} min", whole / 3600, whole % 3600 / 60),
     }
-}
-
-/// A whole number with its thousands set apart.
-pub(crate) fn grouped(number: i64) -> String {
-    let digits = number.unsigned_abs().to_string();
-    let mut text = String::new();
-    for (position, digit) in digits.chars().enumerate() {
-        if position > 0 && (digits.len() - position).is_multiple_of(3) {
-            text.push(',');
-        }
-        text.push(digit);
-    }
-    if number < 0 { format!("-{text}") } else { text }
 }
 
 /// A physical skill parameter as people say it: millimetres and degrees.
@@ -47,7 +35,6 @@ mod tests {
         assert_eq!(duration(12.4), "12 s");
         assert_eq!(duration(100.0), "2 min");
         assert_eq!(duration(7260.0), "2 h 01 min");
-        assert_eq!(["0", "999", "1,000", "-12,345,678"], [0, 999, 1000, -12_345_678].map(grouped)[..]);
         assert_eq!(parameter(0, 0.0123), "12.3 mm");
         assert_eq!(parameter(4, 1.0), "57.3 deg");
         assert_eq!(hex(&[0, 255]), "00ff");

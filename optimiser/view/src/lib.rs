@@ -11,6 +11,7 @@ pub mod page;
 pub mod picture;
 
 use powderline_shared::pose::Pose;
+pub use powderline_simulator::rollout::Destination;
 
 use mesh::Mesh;
 
@@ -57,19 +58,6 @@ pub enum Role {
     Target,
     /// Neither.
     Bystander,
-}
-
-/// Where a particle is when all is over.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Destination {
-    /// In the source, or a bystander.
-    Left,
-    /// In the target.
-    Target,
-    /// On the tool.
-    Tool,
-    /// In no container and not on the tool.
-    Spilled,
 }
 
 /// One moment.

@@ -5,7 +5,7 @@
 
 use libfuzzer_sys::fuzz_target;
 use powderline_fuzz::{assert_sentence, plant};
-use powderline_optimiser::scene::{EMBEDDED_SCENES, Scene, embedded_scene};
+use powderline_simulator::scene::{EMBEDDED_SCENES, Scene, embedded_scene};
 
 fuzz_target!(init: plant(seeds()), |bytes: &[u8]| {
     // Files that are no text are refused before.

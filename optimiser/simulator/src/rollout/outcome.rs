@@ -2,7 +2,19 @@
 
 use crate::scene::{Container, ContainerShape, Scene, ToolShape};
 use powderline_shared::pose::Pose;
-use powderline_view::Destination;
+
+/// Where a particle is when all is over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Destination {
+    /// In the source, or a bystander.
+    Left,
+    /// In the target.
+    Target,
+    /// On the tool.
+    Tool,
+    /// In no container and not on the tool.
+    Spilled,
+}
 
 /// Particles by where they are at the end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -2,7 +2,6 @@
 
 use powderline_shared::displacement::Displacement;
 use powderline_shared::pose::Pose;
-use powderline_view::Destination;
 
 use crate::memory::{BRANCHES, STANDING_STATES, fixed_bytes, grown};
 use crate::mpm::Model;
@@ -16,7 +15,8 @@ use crate::rollout::branches::{self, Family};
 use crate::rollout::path::{Path, resting};
 use crate::rollout::schedule::{Action, advances, schedule};
 use crate::rollout::{
-    Evaluate, Evaluation, Look, Progress, RolloutError, Shot, Slope, Take, loss, outcome, thread_pool,
+    Destination, Evaluate, Evaluation, Look, Progress, RolloutError, Shot, Slope, Take, loss, outcome,
+    thread_pool,
 };
 use crate::scene::Scene;
 use crate::skill::{Control, SkillMap, Theta, displacement};

@@ -1,6 +1,6 @@
 //! Initial particle positions.
 
-use powderline_optimiser::scene::Scene;
+use powderline_simulator::scene::Scene;
 use proptest::prelude::*;
 
 #[test]

@@ -1,6 +1,6 @@
 //! Rules about places, with turned and round containers and the box scoop.
 
-use powderline_optimiser::scene::{ContainerShape, Scene, SceneError, ToolShape};
+use powderline_simulator::scene::{ContainerShape, Scene, SceneError, ToolShape};
 
 fn bench() -> Scene {
     Scene::load("bench").unwrap()

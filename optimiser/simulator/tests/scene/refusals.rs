@@ -1,6 +1,6 @@
 //! Every bad scene is refused with one sentence that names the file, the field, its value and what would be right.
 
-use powderline_optimiser::scene::{Profile, Scene};
+use powderline_simulator::scene::{Profile, Scene};
 
 /// The valid scene that every case spoils in one place.
 const BASE: &str = include_str!("base.toml");

@@ -7,7 +7,7 @@
 use std::time::Duration;
 
 use criterion::{Criterion, Throughput, criterion_group, criterion_main};
-use powderline_optimiser::bench::{Bench, Elementary, STAGES};
+use powderline_simulator::bench::{Bench, Elementary, STAGES};
 
 const PARTICLES: usize = 20_000;
 

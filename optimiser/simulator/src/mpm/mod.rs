@@ -33,7 +33,7 @@ pub(crate) mod substep;
 mod tests;
 
 /// Raised with every change of what a substep computes: a run is not resumed by another physics.
-pub(crate) const PHYSICS_VERSION: u32 = 4;
+pub const PHYSICS_VERSION: u32 = 4;
 
 use std::marker::PhantomData;
 

@@ -8,7 +8,7 @@ mod canonical;
 mod derived;
 mod embedded;
 mod error;
-pub(crate) mod figures;
+pub mod figures;
 mod packing;
 mod parse;
 mod path;

@@ -5,9 +5,9 @@ pub const DEFAULT_SCENE: &str = "bench";
 
 /// Names and TOML texts of the embedded scenes.
 pub const EMBEDDED_SCENES: [(&str, &str); 3] = [
-    ("bench", include_str!("../../scenes/bench.toml")),
-    ("bench-small", include_str!("../../scenes/bench-small.toml")),
-    ("bench-fine", include_str!("../../scenes/bench-fine.toml")),
+    ("bench", include_str!("../../../scenes/bench.toml")),
+    ("bench-small", include_str!("../../../scenes/bench-small.toml")),
+    ("bench-fine", include_str!("../../../scenes/bench-fine.toml")),
 ];
 
 /// TOML text of the embedded scene called `name`.

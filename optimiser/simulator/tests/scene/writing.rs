@@ -1,6 +1,6 @@
 //! Writing and identifying scenes.
 
-use powderline_optimiser::scene::{
+use powderline_simulator::scene::{
     Aim, Amount, ContainerShape, EMBEDDED_SCENES, Observation, Scene, ToolShape,
 };
 use proptest::prelude::*;

@@ -10,6 +10,7 @@ mod simulator;
 #[cfg(test)]
 mod tests;
 
+pub use outcome::Destination;
 pub(crate) use simulator::Moment;
 pub use simulator::Simulator;
 
@@ -18,7 +19,6 @@ use crate::real::Real;
 use crate::scene::Scene;
 use crate::skill::{Control, SkillError, Theta};
 use powderline_shared::{displacement::Displacement, plan::Precision, pose::Pose};
-use powderline_view::Destination;
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 

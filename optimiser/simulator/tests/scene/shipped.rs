@@ -1,6 +1,6 @@
 //! The scenes that come with the program.
 
-use powderline_optimiser::scene::{EMBEDDED_SCENES, Scene};
+use powderline_simulator::scene::{EMBEDDED_SCENES, Scene};
 
 #[test]
 fn shipped_scenes_are_valid_and_round_trip() {

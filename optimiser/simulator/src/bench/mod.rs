@@ -99,7 +99,7 @@
 //!
 //! ```text
 //! cargo run --release --bin optimise -- bench --particles 20000 --threads 1 --precision f32
-//! cargo bench -p powderline-optimiser
+//! cargo bench -p powderline-simulator
 //! ```
 //!
 //! The second one times each stage with criterion and compares with its own last run.
@@ -111,8 +111,8 @@ mod problem;
 
 use thiserror::Error;
 
-use crate::report::words::grouped;
 use crate::rollout::RolloutError;
+use crate::scene::figures::grouped;
 
 pub use crate::mpm::laps::Stage;
 pub use counted::Elementary;

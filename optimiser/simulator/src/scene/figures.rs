@@ -1,7 +1,7 @@
 //! Numbers in messages.
 
 /// A number as a person would write it into the file.
-pub(crate) fn plain(value: f64) -> String {
+pub fn plain(value: f64) -> String {
     let magnitude = value.abs();
     if value.is_nan() {
         "nan".to_owned()
@@ -13,17 +13,17 @@ pub(crate) fn plain(value: f64) -> String {
 }
 
 /// Numbers as a list in TOML.
-pub(crate) fn list(values: &[f64]) -> String {
+pub fn list(values: &[f64]) -> String {
     format!("[{}]", values.iter().map(|value| plain(*value)).collect::<Vec<_>>().join(", "))
 }
 
 /// A computed number, to `digits` significant digits.
-pub(crate) fn about(value: f64, digits: usize) -> String {
+pub fn about(value: f64, digits: usize) -> String {
     plain(format!("{value:.*e}", digits.saturating_sub(1)).parse().unwrap_or(value))
 }
 
 /// A computed upper limit, rounded down to three significant digits so that it may be taken as it stands.
-pub(crate) fn at_most(value: f64) -> String {
+pub fn at_most(value: f64) -> String {
     if value <= 0.0 || !value.is_finite() {
         return plain(value);
     }
@@ -32,9 +32,27 @@ pub(crate) fn at_most(value: f64) -> String {
     about((value / unit + 1e-6).floor() * unit, 3)
 }
 
+/// A whole number with its thousands set apart.
+pub fn grouped(number: i64) -> String {
+    let digits = number.unsigned_abs().to_string();
+    let mut text = String::new();
+    for (position, digit) in digits.chars().enumerate() {
+        if position > 0 && (digits.len() - position).is_multiple_of(3) {
+            text.push(',');
+        }
+        text.push(digit);
+    }
+    if number < 0 { format!("-{text}") } else { text }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn thousands_are_set_apart() {
+        assert_eq!(["0", "999", "1,000", "-12,345,678"], [0, 999, 1000, -12_345_678].map(grouped)[..]);
+    }
 
     #[test]
     fn numbers_read_like_those_in_a_file() {

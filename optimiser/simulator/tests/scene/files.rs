@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use powderline_optimiser::scene::{Scene, embedded_scene};
+use powderline_simulator::scene::{Scene, embedded_scene};
 
 fn refusal(path: &Path) -> String {
     Scene::load(path.to_str().unwrap()).expect_err("the file should be refused").to_string()
