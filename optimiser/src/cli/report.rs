@@ -6,14 +6,13 @@ use super::{
     film::Film,
     inspect::read_plan,
     motion::{Motion, MotionArgs, Task},
-    options::precision_name,
 };
 use crate::{
     compare::{Comparison, Row},
     optim::EpochRecord,
     report::{
         folder::{COMPARISON, METRICS, PLAN},
-        words::{duration, grouped, parameter},
+        words::{duration, grouped, parameter, precision_name},
     },
 };
 use clap::Args;

@@ -61,7 +61,10 @@ impl Ends {
         let loss = 1.0 + error.iter().map(|x| x * x).sum::<f64>();
         let transported = (200.0 / loss) as u32;
         let indicator = 200 - i64::from(transported);
-        (Evaluation { loss, indicator, transported, spilled: 7, gradient: None }, error.map(|x| 2.0 * x))
+        (
+            Evaluation { loss, indicator, transported, spilled: 7, on_tool: 0, gradient: None },
+            error.map(|x| 2.0 * x),
+        )
     }
 }
 

@@ -3,8 +3,8 @@
 use super::checker::{Checked, Checker, Range};
 use crate::scene::figures::plain;
 use crate::scene::{
-    Amount, Container, ContainerShape, Domain, Limits, Objective, Observation, Optimiser, Powder, Scene,
-    Skill, Time, Tool, ToolShape,
+    Container, ContainerShape, Domain, Limits, Objective, Observation, Optimiser, Powder, Scene,
+    Skill, Time, Tool, ToolShape, Wanted,
 };
 use powderline_shared::plan::{PERIOD_US_MAX, PERIOD_US_MIN};
 
@@ -144,9 +144,10 @@ fn limits(checker: &Checker<'_>, limits: &Limits) -> Checked {
 
 fn objective(checker: &Checker<'_>, objective: &Objective) -> Checked {
     checker.vector("objective.p_target_m", &objective.p_target_m, WORLD_M)?;
-    if let Amount::MassKg(mass_kg) = objective.amount {
+    if let Wanted::MassKg(mass_kg) = objective.amount.wanted {
         checker.number("objective.amount.mass_kg", mass_kg, Range::above(0.0, 1e6))?;
     }
+    checker.number("objective.amount.tolerance", objective.amount.tolerance, Range::closed(0.0, 1.0))?;
     if let Observation::VisibleFromAbove { pixel_m } = objective.observation {
         checker.number("objective.observation.pixel_m", pixel_m, Range::closed(1e-4, 0.1))?;
     }

@@ -206,7 +206,7 @@ pub(super) fn inside_domain(
 
 /// Source, target, target point and amount.
 pub(super) fn check_objective(checker: &Checker<'_>, scene: &Scene) -> Checked {
-    use crate::scene::{Aim, Amount, Observation};
+    use crate::scene::{Aim, Observation, Wanted};
     let objective = &scene.objective;
     named_container(checker, scene, "objective.source", &objective.source)?;
     named_container(checker, scene, "objective.target", &objective.target)?;
@@ -237,16 +237,16 @@ pub(super) fn check_objective(checker: &Checker<'_>, scene: &Scene) -> Checked {
     let particles = |field: &str, particles: u32| {
         checker.count(field, particles, 1, u32::try_from(count).unwrap_or(u32::MAX))
     };
-    match objective.amount {
-        Amount::Particles(wanted) => particles("objective.amount.particles", wanted)?,
-        Amount::MassKg(wanted_kg) if wanted_kg > whole_kg * (1.0 + 1e-9) => {
+    match objective.amount.wanted {
+        Wanted::Particles(wanted) => particles("objective.amount.particles", wanted)?,
+        Wanted::MassKg(wanted_kg) if wanted_kg > whole_kg * (1.0 + 1e-9) => {
             return Err(checker.invalid(
                 "objective.amount.mass_kg",
                 plain(wanted_kg),
                 format!("the scene holds no more than {} kg of powder", about(whole_kg, 4)),
             ));
         }
-        Amount::MassKg(_) => {}
+        Wanted::MassKg(_) => {}
     }
     match objective.observation {
         Observation::Subsample { particles: size } => particles("objective.observation.particles", size),
