@@ -257,12 +257,16 @@ impl Run {
     fn write_curves(&self) -> Result<(), CliError> {
         let search = &self.state.search;
         let best = self.best().ok();
+        let passed_over =
+            best.iter().filter_map(|best| best.passed_over.as_ref()).map(|(epoch, _)| epoch.epoch);
         let curves = Curves {
             title: &format!("{}, seed {}", self.scene.name, self.state.seed),
             history: search.history(),
             epochs: search.epochs(),
             curriculum_epochs: self.method.rule.curriculum_epochs,
-            best: best.as_ref().map(|best| &best.epoch),
+            shipped: best.as_ref().map(|best| best.epoch.epoch),
+            passed_over: &passed_over.collect::<Vec<_>>(),
+            map: &self.map,
         };
         let svg = curves.to_svg().map_err(|error| CliError::Failed(error.to_string()))?;
         Ok(self.folder.replace(CURVES, svg.as_bytes())?)
