@@ -18,7 +18,7 @@ use crate::{
 use clap::Args;
 use powderline_shared::plan::{PlanReader, SKILL_PARAMETERS};
 use powderline_simulator::{rollout::Evaluation, skill::Theta};
-use powderline_view::page::{Chart, Page, Recorder, Series, Table};
+use powderline_view::page::{Chart, Figure, Page, Recorder, Series, Table};
 use std::{
     fs,
     path::{Path, PathBuf},
@@ -76,7 +76,7 @@ pub(super) fn execute(arguments: &ReportArgs, context: &mut Context<'_>) -> Resu
         let mut recorder = Recorder::new(&film.bench());
         let found = film.shoot(&mut recorder, context)?;
         page.replay = recorder.into_replay();
-        page.summary.extend(outcome(&task, &found));
+        page.figures.extend(outcome(&task, &found));
     }
     let usual = || if of.is_dir() { of.join(REPORT) } else { of.with_file_name(REPORT) };
     let path = arguments.out.clone().unwrap_or_else(usual);
@@ -132,7 +132,7 @@ impl ReportArgs {
         let mut tables = plan.tables;
         tables.push(epochs(&history));
         Ok((
-            Page { title: scene, summary: progress(&history), charts: run_charts(&history), tables, ..plan },
+            Page { title: scene, figures: progress(&history), charts: run_charts(&history), tables, ..plan },
             task,
         ))
     }
@@ -161,19 +161,19 @@ impl ReportArgs {
 }
 
 /// What came of the motion that is replayed.
-fn outcome(task: &Task, found: &Evaluation) -> Vec<(String, String)> {
+fn outcome(task: &Task, found: &Evaluation) -> Vec<Figure> {
     let whose = match task.motion {
         Motion::Executed { .. } => "as executed",
         Motion::Plan { .. } | Motion::Skill(_) => "as replayed",
     };
     let target = found.indicator + i64::from(found.transported);
     vec![
-        (
-            format!("Arrived, {whose}"),
-            format!("{} of {}", grouped(found.transported.into()), grouped(target)),
+        Figure::new(
+            &format!("Arrived, {whose}"),
+            &format!("{} of {}", grouped(found.transported.into()), grouped(target)),
         ),
-        ("Spilled".into(), grouped(found.spilled.into())),
-        ("Loss".into(), format!("{:.3} m", found.loss)),
+        Figure::new("Spilled", &grouped(found.spilled.into())),
+        Figure::new("Loss", &format!("{:.3} m", found.loss)),
     ]
 }
 
@@ -190,7 +190,7 @@ fn parameters(plan: &PlanReader<'_>) -> Table {
     Table {
         title: "Skill".into(),
         columns: ["parameter", "value", "theta"].map(String::from).into(),
-        rows: (0..SKILL_PARAMETERS.len()).map(row).collect(),
+        rows: (0..SKILL_PARAMETERS.len()).map(row).map(Into::into).collect(),
     }
 }
 
@@ -210,13 +210,13 @@ pub(super) fn read_history(path: &Path) -> Result<Vec<EpochRecord>, CliError> {
 }
 
 /// What a run achieved.
-fn progress(history: &[EpochRecord]) -> Vec<(String, String)> {
+fn progress(history: &[EpochRecord]) -> Vec<Figure> {
     let Some(best) = history.iter().min_by(|a, b| a.loss.total_cmp(&b.loss)) else { return Vec::new() };
     let seconds: f64 = history.iter().map(|record| record.seconds).sum();
     vec![
-        ("Lowest loss".into(), format!("{:.3} m, epoch {}", best.loss, best.epoch)),
-        ("First loss".into(), format!("{:.3} m", history[0].loss)),
-        ("Epochs".into(), format!("{}, in {}", history.len(), duration(seconds))),
+        Figure::new("Lowest loss", &format!("{:.3} m, epoch {}", best.loss, best.epoch)),
+        Figure::new("First loss", &format!("{:.3} m", history[0].loss)),
+        Figure::new("Epochs", &format!("{}, in {}", history.len(), duration(seconds))),
     ]
 }
 
@@ -270,7 +270,7 @@ fn epochs(history: &[EpochRecord]) -> Table {
     Table {
         title: "Epochs".into(),
         columns: columns.map(String::from).into(),
-        rows: history.iter().map(row).collect(),
+        rows: history.iter().map(row).map(Into::into).collect(),
     }
 }
 
@@ -280,6 +280,7 @@ fn comparison_charts(comparison: &Comparison) -> Vec<Chart> {
             name: band.name,
             points: band.points.iter().map(|[x, mean, _]| [*x, *mean]).collect(),
             band: Some(band.points.iter().map(|[_, mean, spread]| [mean - spread, mean + spread]).collect()),
+            colour: None,
         });
         Chart::new(title, panel.x_name, panel.y_name, series.collect())
     };
@@ -293,6 +294,6 @@ fn summary(experiment: &Experiment, comparison: &Comparison) -> Table {
     Table {
         title: "Summary".into(),
         columns: Row::headings(comparison.budget.epochs).into(),
-        rows: experiment.rows(comparison).iter().map(|row| row.cells().into()).collect(),
+        rows: experiment.rows(comparison).iter().map(|row| Vec::from(row.cells()).into()).collect(),
     }
 }

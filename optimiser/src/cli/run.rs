@@ -308,7 +308,9 @@ impl Run {
             history: search.history(),
             epochs: search.epochs(),
             curriculum_epochs: self.method.rule.curriculum_epochs,
-            best: finding.epoch.map(|epoch| &search.history()[epoch as usize]),
+            shipped: finding.epoch,
+            passed_over: &finding.passed_over.iter().map(|passed| passed.epoch).collect::<Vec<_>>(),
+            map: &self.record.map,
         };
         let svg = curves.to_svg().map_err(|error| CliError::Failed(error.to_string()))?;
         Ok(self.folder.replace(CURVES, svg.as_bytes())?)

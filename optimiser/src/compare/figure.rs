@@ -1,12 +1,8 @@
 //! The figure of a comparison: indicator against epoch as in the paper, and loss against rollouts.
 
 use super::{Comparison, Curve, summary::spread};
-use crate::report::ink::{self, COLOURS, FAINT, FONT, INK, decimals, padded};
-use plotters::{
-    backend::DrawingBackend,
-    coord::{Shift, types::RangedCoordf64},
-    prelude::*,
-};
+use crate::report::ink::{self, Axis, COLOURS, Chart, Drawn, FONT, INK};
+use plotters::{backend::DrawingBackend, coord::Shift, prelude::*};
 use thiserror::Error;
 
 /// Width and height, pixels.
@@ -19,9 +15,6 @@ const LEGEND_LINE: i32 = 20;
 #[derive(Debug, Error)]
 #[error("the figure cannot be drawn: {0}")]
 pub struct FigureError(String);
-
-type Drawn<B> = Result<(), DrawingAreaErrorKind<<B as DrawingBackend>::ErrorType>>;
-type Chart<'a, B> = ChartContext<'a, B, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 
 /// Mean and spread over the seeds along a curve.
 pub(crate) struct Band {
@@ -37,6 +30,7 @@ pub(crate) struct Band {
 pub(crate) struct Panel {
     pub(crate) x_name: &'static str,
     pub(crate) y_name: &'static str,
+    pub(crate) log_if_wide: bool,
     pub(crate) bands: Vec<Band>,
 }
 
@@ -113,6 +107,7 @@ impl Comparison {
         Panel {
             x_name: "epoch",
             y_name: "wanted powder that is missing (g)",
+            log_if_wide: false,
             bands: self.bands(&|curve| points(curve).collect()),
         }
     }
@@ -135,6 +130,7 @@ impl Comparison {
         Panel {
             x_name: "rollouts",
             y_name: "lowest loss (m)",
+            log_if_wide: true,
             bands: self.bands(&|curve| points(curve).collect()),
         }
     }
@@ -166,30 +162,22 @@ fn point(x: f64, values: Option<Vec<f64>>) -> Option<[f64; 3]> {
 
 fn draw_panel<B: DrawingBackend>(area: &DrawingArea<B, Shift>, panel: &Panel) -> Drawn<B> {
     let points = || panel.bands.iter().flat_map(|band| &band.points);
-    let values = padded(points().flat_map(|[_, mean, spread]| [mean - spread, mean + spread]), 1.0);
-    let end = points().map(|point| point[0]).fold(1.0, f64::max);
+    let values = match panel.log_if_wide {
+        // What lies a deviation below the mean may have no logarithm: the means decide.
+        true => Axis::log_if_wide(points().map(|point| point[1])),
+        false => {
+            Axis::around(points().flat_map(|[_, mean, spread]| [mean - spread, mean + spread]), 1.0, true)
+        }
+    };
+    let y_name = format!("{}{}", panel.y_name, values.note());
+    let along = Axis::from_zero(points().map(|point| point[0]).fold(1.0, f64::max), 8, true);
     let mut chart = ChartBuilder::on(area)
         .margin_left(6)
         .margin_right(16)
         .x_label_area_size(40)
         .y_label_area_size(70)
-        .build_cartesian_2d(0.0..end, values.clone())?;
-    let decimals = decimals(&values);
-    chart
-        .configure_mesh()
-        .disable_x_mesh()
-        .bold_line_style(FAINT)
-        .light_line_style(TRANSPARENT)
-        .axis_style(INK)
-        .x_desc(panel.x_name)
-        .y_desc(panel.y_name)
-        .x_labels((end as usize + 1).min(8))
-        .x_label_formatter(&|x| format!("{x:.0}"))
-        .y_labels(7)
-        .y_label_formatter(&|y| format!("{y:.decimals$}"))
-        .axis_desc_style((FONT, 14).into_font().color(&INK))
-        .label_style((FONT, 12).into_font().color(&INK))
-        .draw()?;
+        .build_cartesian_2d(along, values)?;
+    ink::draw_axes(&mut chart, [panel.x_name, &y_name])?;
     for band in &panel.bands {
         draw_band(&mut chart, band)?;
     }

@@ -1,20 +1,25 @@
-//! `curves.svg`: loss, indicator and theta against the epoch, one above the other.
+//! `curves.svg`: loss, indicator and skill against the epoch, one above the other.
 
-use super::ink::{self, COLOURS, FAINT, FONT, INK, decimals, padded};
+use super::ink::{self, Axis, COLOURS, FONT, INK};
 use crate::optim::EpochRecord;
 use plotters::{
-    coord::{Shift, types::RangedCoordf64},
+    coord::{Shift, ranged1d::Ranged},
     prelude::*,
 };
 use powderline_shared::plan::SKILL_PARAMETERS;
+use powderline_simulator::skill::SkillMap;
 use std::ops::Range;
 use thiserror::Error;
 
-const SIZE: (u32, u32) = (960, 960);
+const SIZE: (u32, u32) = (960, 1120);
 /// Width of the column beside the panels.
 const SIDE: u32 = 190;
-const CURRICULUM: RGBColor = RGBColor(246, 243, 234);
-const BEST: RGBColor = RGBColor(190, 60, 50);
+/// Height of the lines below the panels.
+const LEGEND: u32 = 62;
+const CURRICULUM: RGBColor = RGBColor(240, 234, 214);
+/// More epochs than this are counted, not listed.
+const MAX_LISTED: usize = 6;
+
 /// The curves could not be drawn.
 #[derive(Debug, Error)]
 #[error("the curves cannot be drawn: {0}")]
@@ -31,12 +36,16 @@ pub struct Curves<'a> {
     pub epochs: u32,
     /// Epochs in which only depth, angle and lift change.
     pub curriculum_epochs: u32,
-    /// The epoch of the lowest loss whose motion the arm may perform.
-    pub best: Option<&'a EpochRecord>,
+    /// The epoch whose skill is the plan: of those that the arm may perform, the best.
+    pub shipped: Option<u32>,
+    /// Better epochs whose skill the arm may not perform.
+    pub passed_over: &'a [u32],
+    /// What theta means in metres and radians.
+    pub map: &'a SkillMap,
 }
 
 type Area<'s> = DrawingArea<SVGBackend<'s>, Shift>;
-type Chart<'a, 's> = ChartContext<'a, SVGBackend<'s>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
+type Chart<'a, 's> = ink::Chart<'a, SVGBackend<'s>>;
 type Drawn = Result<(), Box<dyn std::error::Error>>;
 
 /// One line of a panel, and what stands beside the panel in its colour.
@@ -48,7 +57,7 @@ struct Line {
 
 struct Panel {
     caption: &'static str,
-    values: Range<f64>,
+    values: Axis,
     lines: Vec<Line>,
     epoch_axis: bool,
 }
@@ -69,16 +78,17 @@ impl Curves<'_> {
         let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();
         root.fill(&WHITE)?;
         let body = root.margin(12, 6, 0, 0).titled(self.title, (FONT, 20).into_font().color(&INK))?;
-        let (upper, theta) = body.split_vertically(556);
-        let (loss, indicator) = upper.split_vertically(286);
-        let loss_note = self.best.map(|best| format!("lowest: {:.3} m", best.loss)).unwrap_or_default();
-        let indicator_note =
-            self.best.map(|best| format!("at lowest loss: {}", best.indicator)).unwrap_or_default();
-        self.panel(&loss, &self.single("loss (m)", COLOURS[0], loss_note, 0.0, |record| record.loss))?;
-        let missing = |record: &EpochRecord| record.indicator as f64;
-        let caption = "indicator (particles still missing)";
-        self.panel(&indicator, &self.single(caption, COLOURS[1], indicator_note, 1.0, missing))?;
-        self.panel(&theta, &self.theta())?;
+        let (mut rest, legend) = body.split_vertically(body.dim_in_pixel().1 - LEGEND);
+        let panels = [self.loss(), self.indicator(), self.skill("mm"), self.skill("deg")];
+        let height = (rest.dim_in_pixel().1 - 16) / panels.len() as u32;
+        for panel in &panels {
+            // The last one has the axis' name below it, and all that is left.
+            let height = if panel.epoch_axis { rest.dim_in_pixel().1 } else { height };
+            let (area, below) = rest.split_vertically(height);
+            self.panel(&area, panel)?;
+            rest = below;
+        }
+        self.legend(&legend)?;
         root.present()?;
         Ok(())
     }
@@ -87,109 +97,156 @@ impl Curves<'_> {
         self.history.iter().map(|record| (f64::from(record.epoch), value(record))).collect()
     }
 
-    fn single(
-        &self,
-        caption: &'static str,
-        colour: RGBColor,
-        note: String,
-        least_margin: f64,
-        value: impl Fn(&EpochRecord) -> f64,
-    ) -> Panel {
-        let points = self.points(value);
-        let values = padded(points.iter().map(|point| point.1), least_margin);
-        Panel { caption, values, lines: vec![Line { note, colour, points }], epoch_axis: false }
+    fn shipped(&self) -> Option<&EpochRecord> {
+        self.history.iter().find(|record| Some(record.epoch) == self.shipped)
     }
 
-    fn theta(&self) -> Panel {
+    fn note(&self, value: impl Fn(&EpochRecord) -> String) -> String {
+        self.shipped().map(|record| format!("shipped: {}", value(record))).unwrap_or_default()
+    }
+
+    fn loss(&self) -> Panel {
+        let points = self.points(|record| record.loss);
+        let values = Axis::log_if_wide(points.iter().map(|point| point.1));
+        let note = self.note(|record| format!("{:.3} m", record.loss));
+        let lines = vec![Line { note, colour: COLOURS[0], points }];
+        Panel { caption: "loss (m)", values, lines, epoch_axis: false }
+    }
+
+    fn indicator(&self) -> Panel {
+        let points = self.points(|record| record.indicator as f64);
+        let values = Axis::around(points.iter().map(|point| point.1), 1.0, true);
+        let note = self.note(|record| record.indicator.to_string());
+        let lines = vec![Line { note, colour: COLOURS[1], points }];
+        Panel { caption: "indicator (wanted particles that are missing)", values, lines, epoch_axis: false }
+    }
+
+    /// The parameters of one unit.
+    fn skill(&self, unit: &str) -> Panel {
+        let (caption, factor) = match unit {
+            "mm" => ("skill: lengths (mm)", 1e3),
+            _ => ("skill: angles (deg)", 1f64.to_degrees()),
+        };
+        let is_here = |k: &usize| (SKILL_PARAMETERS[*k].1 == "rad") == (unit == "deg");
         let line = |k: usize| Line {
             note: SKILL_PARAMETERS[k].0.into(),
             colour: COLOURS[k],
-            points: self.points(|record| record.theta[k]),
+            points: self.points(|record| factor * self.map.parameters(&record.theta)[k]),
         };
-        Panel { caption: "theta", values: -1.08..1.08, lines: (0..5).map(line).collect(), epoch_axis: true }
+        let lines: Vec<Line> = (0..SKILL_PARAMETERS.len()).filter(is_here).map(line).collect();
+        let values = lines.iter().flat_map(|line| &line.points).map(|point| point.1);
+        Panel { caption, values: Axis::around(values, 1.0, false), lines, epoch_axis: unit == "deg" }
     }
 
     fn panel(&self, area: &Area<'_>, panel: &Panel) -> Drawn {
         let (plot, side) = area.split_horizontally(SIZE.0 - SIDE);
+        let epochs = Axis::from_zero(f64::from(self.epochs), 15, true);
+        let caption = format!("{}{}", panel.caption, panel.values.note());
         let mut chart = ChartBuilder::on(&plot)
-            .caption(panel.caption, (FONT, 15).into_font().color(&INK))
+            .caption(caption, (FONT, 15).into_font().color(&INK))
             .margin_left(12)
             .margin_right(10)
             .margin_bottom(6)
             .x_label_area_size(if panel.epoch_axis { 42 } else { 26 })
             .y_label_area_size(64)
-            .build_cartesian_2d(0.0..f64::from(self.epochs.max(1)), panel.values.clone())?;
+            .build_cartesian_2d(epochs, panel.values.clone())?;
         self.background(&mut chart, panel)?;
-        let decimals = decimals(&panel.values);
-        chart
-            .configure_mesh()
-            .disable_x_mesh()
-            .bold_line_style(FAINT)
-            .light_line_style(TRANSPARENT)
-            .axis_style(INK)
-            .x_desc(if panel.epoch_axis { "epoch" } else { "" })
-            .x_labels(self.epochs.clamp(1, 15) as usize + 1)
-            .x_label_formatter(&|x| format!("{x:.0}"))
-            .y_labels(6)
-            .y_label_formatter(&|y| format!("{y:.decimals$}"))
-            .label_style((FONT, 13).into_font().color(&INK))
-            .draw()?;
+        let x_name = if panel.epoch_axis { "epoch" } else { "" };
+        ink::draw_axes(&mut chart, [x_name, ""])?;
         for line in &panel.lines {
-            draw_line(&mut chart, line)?;
+            self.line(&mut chart, line)?;
         }
-        self.notes(&side, panel)
+        notes(&side, panel)
     }
 
-    /// The curriculum's epochs shaded, the best epoch marked.
+    /// The curriculum's epochs shaded, a line at the epoch that is shipped.
     fn background(&self, chart: &mut Chart<'_, '_>, panel: &Panel) -> Drawn {
-        let Range { start, end } = panel.values;
+        let Range { start, end } = panel.values.range();
         let curriculum = f64::from(self.curriculum_epochs.min(self.epochs));
-        chart.draw_series([Rectangle::new([(0.0, start), (curriculum, end)], CURRICULUM.filled())])?;
-        if let Some(best) = self.best {
-            let epoch = f64::from(best.epoch);
-            chart.draw_series([PathElement::new([(epoch, start), (epoch, end)], BEST.mix(0.7))])?;
+        if curriculum > 0.0 {
+            chart.draw_series([Rectangle::new([(0.0, start), (curriculum, end)], CURRICULUM.filled())])?;
+        }
+        if let Some(shipped) = self.shipped() {
+            let epoch = f64::from(shipped.epoch);
+            chart.draw_series([PathElement::new([(epoch, start), (epoch, end)], INK.mix(0.35))])?;
         }
         Ok(())
     }
 
-    /// What the colours mean, beside the panel.
-    fn notes(&self, side: &Area<'_>, panel: &Panel) -> Drawn {
-        let font = || (FONT, 13).into_font();
-        let mut y = 44;
-        for line in &panel.lines {
-            side.draw(&PathElement::new([(0, y + 6), (18, y + 6)], line.colour.stroke_width(3)))?;
-            side.draw(&Text::new(line.note.clone(), (26, y), font().color(&INK)))?;
-            y += 22;
-        }
-        if panel.epoch_axis {
-            side.draw(&Rectangle::new([(0, y + 12), (18, y + 26)], CURRICULUM.filled()))?;
-            side.draw(&Text::new("only depth, angle, lift", (26, y + 14), font().color(&INK)))?;
-            side.draw(&PathElement::new([(9, y + 36), (9, y + 50)], BEST.mix(0.7)))?;
-            side.draw(&Text::new(self.best_note(), (26, y + 38), font().color(&INK)))?;
+    /// A line with its points: a ring about the one that is shipped, crosses over those passed over.
+    fn line(&self, chart: &mut Chart<'_, '_>, line: &Line) -> Drawn {
+        let points = || line.points.iter().copied();
+        chart.draw_series(LineSeries::new(points(), line.colour.stroke_width(2)))?;
+        chart.draw_series(points().map(|point| Circle::new(point, 2, line.colour.filled())))?;
+        for (record, point) in self.history.iter().zip(points()) {
+            if Some(record.epoch) == self.shipped {
+                chart.draw_series([Circle::new(point, 6, INK.stroke_width(2))])?;
+            } else if self.passed_over.contains(&record.epoch) {
+                chart.draw_series([Cross::new(point, 5, INK.stroke_width(2))])?;
+            }
         }
         Ok(())
     }
 
-    fn best_note(&self) -> String {
-        self.best.map_or_else(String::new, |best| format!("lowest loss: epoch {}", best.epoch))
+    /// What the signs mean, below the panels.
+    fn legend(&self, area: &Area<'_>) -> Drawn {
+        const LINE: i32 = 24;
+        let font = || (FONT, 13).into_font().color(&INK);
+        let (mut x, mut y) = (76, 10);
+        if let Some(shipped) = self.shipped() {
+            area.draw(&Circle::new((x + 9, y + 7), 6, INK.stroke_width(2)))?;
+            area.draw(&Text::new(format!("shipped: epoch {}", shipped.epoch), (x + 26, y), font()))?;
+            x += 190;
+        }
+        if !self.passed_over.is_empty() {
+            area.draw(&Cross::new((x + 9, y + 7), 5, INK.stroke_width(2)))?;
+            area.draw(&Text::new(self.passed_over_note(), (x + 26, y), font()))?;
+        }
+        if self.curriculum_epochs > 0 {
+            (x, y) = (76, y + LINE);
+            let words = format!(
+                "until epoch {} only scooping depth, scooping angle and lift height change",
+                self.curriculum_epochs
+            );
+            area.draw(&Rectangle::new([(x, y), (x + 18, y + 14)], CURRICULUM.filled()))?;
+            area.draw(&Text::new(words, (x + 26, y), font()))?;
+        }
+        Ok(())
+    }
+
+    fn passed_over_note(&self) -> String {
+        const WHY: &str = "the arm may not perform it";
+        match self.passed_over {
+            [one] => format!("passed over, as {WHY}: epoch {one}"),
+            some if some.len() <= MAX_LISTED => {
+                let list: Vec<String> = some.iter().map(u32::to_string).collect();
+                format!("passed over, as {WHY}: epochs {}", list.join(", "))
+            }
+            many => format!("passed over, as {WHY}: {} epochs", many.len()),
+        }
     }
 }
 
-fn draw_line(chart: &mut Chart<'_, '_>, line: &Line) -> Drawn {
-    chart.draw_series(LineSeries::new(line.points.iter().copied(), line.colour.stroke_width(2)))?;
-    chart.draw_series(line.points.iter().map(|&point| Circle::new(point, 2, line.colour.filled())))?;
+/// What the colours mean, beside the panel.
+fn notes(side: &Area<'_>, panel: &Panel) -> Drawn {
+    for (y, line) in (44..).step_by(22).zip(&panel.lines).filter(|(_, line)| !line.note.is_empty()) {
+        side.draw(&PathElement::new([(0, y + 6), (18, y + 6)], line.colour.stroke_width(3)))?;
+        side.draw(&Text::new(line.note.clone(), (26, y), (FONT, 13).into_font().color(&INK)))?;
+    }
     Ok(())
 }
 
 #[cfg(test)]
 mod tests {
+    use super::ink::tests::{assert_straight, numbers};
     use super::*;
+    use powderline_simulator::scene::Scene;
 
-    fn record(epoch: u32) -> EpochRecord {
-        let fall = 0.9f64.powi(epoch as i32);
+    fn record(epoch: u32, from: f64) -> EpochRecord {
+        let fall = 0.8f64.powi(epoch as i32);
         EpochRecord {
             epoch,
-            loss: 1100.0 + 100.0 * fall,
+            loss: 1.5 + from * fall,
             indicator: (800.0 * fall) as i64,
             transported: 10,
             spilled: 1,
@@ -199,19 +256,27 @@ mod tests {
         }
     }
 
-    fn svg(epochs: u32) -> String {
-        let history: Vec<_> = (0..epochs).map(record).collect();
-        let best = history.last();
-        let curves =
-            Curves { title: "bench, seed 1", history: &history, epochs: 30, curriculum_epochs: 15, best };
+    fn svg(evaluated: u32, epochs: u32, from: f64) -> String {
+        let history: Vec<_> = (0..evaluated).map(|epoch| record(epoch, from)).collect();
+        let map = SkillMap::new(&Scene::load("bench").unwrap());
+        let curves = Curves {
+            title: "bench, seed 1",
+            history: &history,
+            epochs,
+            curriculum_epochs: 2,
+            shipped: evaluated.checked_sub(2),
+            passed_over: if evaluated > 0 { &[evaluated - 1] } else { &[] },
+            map: &map,
+        };
         curves.to_svg().unwrap()
     }
 
     #[test]
     fn draws_all_panels_at_any_time() {
         for epochs in [0, 1, 2, 31] {
-            let svg = svg(epochs);
-            for text in ["bench, seed 1", "loss (m)", "indicator", "theta", "pouring angle", "epoch"] {
+            let svg = svg(epochs, 30, 1100.0);
+            for text in ["bench, seed 1", "loss (m)", "indicator", "(mm)", "(deg)", "pouring angle", "epoch"]
+            {
                 assert!(svg.contains(text), "{text} after {epochs} epochs");
             }
             assert!(svg.trim_end().ends_with("</svg>") && !svg.contains("NaN"));
@@ -220,6 +285,53 @@ mod tests {
 
     #[test]
     fn same_history_gives_the_same_bytes() {
-        assert_eq!(svg(31), svg(31));
+        assert_eq!(svg(31, 30, 1100.0), svg(31, 30, 1100.0));
+    }
+
+    #[test]
+    fn what_stands_out_is_said_and_marked_in_every_curve() {
+        let svg = svg(31, 30, 1100.0);
+        for text in [
+            "shipped: epoch 29",
+            "passed over, as the arm may not perform it: epoch 30",
+            "until epoch 2 only",
+        ] {
+            assert!(svg.contains(text), "{text}");
+        }
+        // Seven curves and the legend.
+        assert_eq!(svg.matches("r=\"6\"").count(), 8);
+    }
+
+    /// Each axis' numbers, from the lowest: those of the epochs have one height, those of the values one place.
+    #[test]
+    fn marks_stand_where_their_numbers_say() {
+        for (epochs, from) in [(5, 8.0), (5, 100.0), (10, 1.0), (30, 1100.0)] {
+            let svg = svg(epochs + 1, epochs, from);
+            let numbers = numbers(&svg);
+            let is_log = svg.contains("logarithmic");
+            assert_eq!(is_log, from > 50.0);
+            let left = numbers.iter().map(|number| number.0).fold(f64::INFINITY, f64::min);
+            let mut upwards: Vec<(f64, f64)> =
+                numbers.iter().filter(|it| it.0 <= left + 1.0).map(|it| (it.1, it.2)).collect();
+            upwards.sort_by(|a, b| b.0.total_cmp(&a.0));
+            let is_new = |pair: &&[(f64, f64)]| pair.len() > 1;
+            // From the bottom, a panel begins where the numbers fall, or where there is a gap.
+            let panels: Vec<&[(f64, f64)]> =
+                upwards.chunk_by(|a, b| b.1 > a.1 && a.0 - b.0 < 90.0).filter(is_new).collect();
+            assert_eq!(panels.len(), 4, "{upwards:?}");
+            for (index, panel) in panels.iter().enumerate() {
+                let is_log = is_log && index == 3;
+                let panel: Vec<_> = panel
+                    .iter()
+                    .map(|(px, value)| (*px, if is_log { value.log10() } else { *value }))
+                    .collect();
+                assert_straight(&panel);
+            }
+            let lowest = numbers.iter().map(|number| number.1).fold(f64::NEG_INFINITY, f64::max);
+            let along: Vec<_> =
+                numbers.iter().filter(|it| it.1 > lowest - 1.0).map(|it| (it.0, it.2)).collect();
+            assert_straight(&along);
+            assert!(along.iter().all(|(_, epoch)| epoch.fract().abs() < 1e-12), "{along:?}");
+        }
     }
 }

@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use powderline_shared::pose::Pose;
 use powderline_view::mesh::Mesh;
-use powderline_view::page::{Chart, Page, Recorder, Series, Table};
+use powderline_view::page::{Chart, Figure, Mark, Page, Recorder, Row, Scale, Series, Table, Tone};
 use powderline_view::{Bench, Container, Destination, Frame, Role, Sink, ViewError};
 
 const PARTICLES: usize = 12_500;
@@ -43,16 +43,18 @@ fn replay(path: &Path) -> Result<(), ViewError> {
     recorder.finish(&(0..PARTICLES).map(destination).collect::<Vec<_>>())?;
     let page = Page {
         title: "Scoop & pour, as the arm executed it".into(),
-        summary: entries(&[
-            ("Scene", "made up"),
-            ("Loss", "1218.9 m"),
-            ("In the target", "1,389 of 1,200"),
-            ("Spilled", "12"),
-            ("Wall time", "14 min 20 s"),
-        ]),
+        verdict: Some((Tone::Bad, "Misses the wanted amount by 7 %.".into())),
+        figures: vec![
+            Figure::new("Wanted", "9.60 g").with_note("1,200 particles"),
+            Figure::new("Arrives", "8.93 g").with_note("1,116 particles"),
+            Figure::new("Error", "-7 %").toned(Tone::Bad),
+            Figure::new("Spilled", "0.10 g").with_note("12 particles"),
+        ],
         replay: recorder.into_replay(),
-        charts: charts(),
-        tables: vec![table()],
+        replay_shows: "The plan as the arm executed it, and the planned motion as a drawing: epoch 26, seed 1.".into(),
+        charts: run_charts(),
+        tables: vec![skill(), epochs()],
+        facts: facts(),
         notes: vec![
             "The powder of this page is no simulation: its particles follow formulas, so that a test can tell whether \
              the page shows them where they are."
@@ -67,16 +69,17 @@ fn replay(path: &Path) -> Result<(), ViewError> {
 fn curves(path: &Path) -> Result<(), ViewError> {
     let page = Page {
         title: "Methods compared".into(),
-        summary: entries(&[("Scene", "made up"), ("Seeds", "5"), ("Simulations", "30 each")]),
-        charts: charts(),
-        tables: vec![table()],
+        figures: vec![
+            Figure::new("Scene", "made up"),
+            Figure::new("Seeds", "5"),
+            Figure::new("Simulations", "30 each"),
+            Figure::new("Best method's error", "+0.2 %").toned(Tone::Good),
+        ],
+        charts: comparison_charts(),
+        tables: vec![methods()],
         ..Page::default()
     };
     page.write(path)
-}
-
-fn entries(texts: &[(&str, &str)]) -> Vec<(String, String)> {
-    texts.iter().map(|(name, value)| ((*name).into(), (*value).into())).collect()
 }
 
 fn bench() -> Bench {
@@ -195,25 +198,66 @@ fn fallen(particle: usize, from: Vector3<f64>, seconds: f64) -> Vector3<f64> {
     Vector3::new(across.x, across.y, from.z - (from.z - to.z) * share * share)
 }
 
-fn charts() -> Vec<Chart> {
-    let curve = |from: f64, to: f64, rate: f64| -> Vec<[f64; 2]> {
-        (0..=30).map(f64::from).map(|x| [x, to + (from - to) * (-rate * x).exp()]).collect()
+/// From one value to another, ever slower, over 30 epochs.
+fn curve(from: f64, to: f64, rate: f64) -> Vec<[f64; 2]> {
+    (0..=30).map(f64::from).map(|x| [x, to + (from - to) * (-rate * x).exp()]).collect()
+}
+
+fn marked(chart: Chart) -> Chart {
+    let handle = "the tool's handle would pass through container \"beaker\" at 3.21 s";
+    let speed = "angular velocity 1.62 rad/s in tick 301, more than the limit of 1.57 rad/s";
+    chart
+        .marked(26.0, Mark::shipped())
+        .marked(28.0, Mark::passed_over(handle))
+        .marked(29.0, Mark::passed_over(speed))
+        .shaded(0.0, 15.0, "only depth, angle and lift change")
+}
+
+fn run_charts() -> Vec<Chart> {
+    let transported: Vec<_> = curve(15.0, 1120.0, 0.15).into_iter().map(|[x, y]| [x, y.round()]).collect();
+    let parameter = |index: usize, name: &str, from: f64, to: f64| {
+        Series::new(name, curve(from, to, 0.12)).coloured(index)
     };
+    let lengths = vec![
+        parameter(0, "scooping depth", 12.0, 14.25),
+        parameter(2, "lift height", 61.0, 68.0),
+        parameter(3, "transport displacement", 230.0, 222.5),
+    ];
+    let angles = vec![parameter(1, "scooping angle", 55.0, 71.0), parameter(4, "pouring angle", 80.0, 110.0)];
+    let mut gap = curve(0.3, -0.62, 0.1);
+    gap[12][1] = f64::NAN;
+    let charts = vec![
+        Chart::new("Loss", "epoch", "loss, m", vec![Series::new("loss", curve(95.5, 3.4, 0.25))])
+            .scaled(Scale::LogIfWide),
+        Chart::new("Arriving", "epoch", "particles", vec![Series::new("arriving", transported)]),
+        Chart::new("Skill: lengths", "epoch", "mm", lengths),
+        Chart::new("Skill: angles", "epoch", "degrees", angles),
+        Chart::new(
+            "Weight of the adjoint",
+            "epoch",
+            "weight, 0 to 1",
+            vec![Series::new("with a gap", gap), Series::new("another", curve(0.0, 0.004, 0.3))],
+        ),
+    ];
+    charts.into_iter().map(marked).collect()
+}
+
+fn comparison_charts() -> Vec<Chart> {
     let banded = |name: &str, points: Vec<[f64; 2]>, half: f64| Series {
         name: name.into(),
         band: Some(
             points.iter().map(|[x, y]| [y - half * (1.0 + x / 30.0), y + half * (1.0 + x / 20.0)]).collect(),
         ),
         points,
+        colour: None,
     };
-    let transported: Vec<_> = curve(194.0, 1389.0, 0.15).into_iter().map(|[x, y]| [x, y.round()]).collect();
-    let mut gap = curve(0.3, -0.62, 0.1);
-    gap[12][1] = f64::NAN;
-    let theta =
-        ["depth", "angle", "lift", "displacement", "pouring angle"].iter().zip([0.1, -0.7, 0.4, 0.9, -0.2]);
-    let mut skill: Vec<_> = theta.map(|(name, to)| Series::new(name, curve(0.0, to, 0.12))).collect();
-    skill.push(Series::new("with a gap", gap));
-    skill.push(Series::new("a seventh", curve(-0.8, -0.5, 0.2)));
+    let by_rollouts = |points: Vec<[f64; 2]>| points.iter().map(|[x, y]| [x * 3.63, *y]).collect();
+    let names =
+        ["gradient", "gradient-no-curriculum", "gradient-adjoint", "sac", "cma-es", "random", "a seventh"];
+    let many = (0_u8..).zip(names).map(|(index, name)| {
+        let index = f64::from(index);
+        banded(name, by_rollouts(curve(95.0, 1.5 + 3.0 * index, 0.25 - 0.02 * index)), 1.2 + index)
+    });
     vec![
         Chart::new(
             "Loss by method",
@@ -221,29 +265,68 @@ fn charts() -> Vec<Chart> {
             "loss, m",
             vec![
                 banded("gradient", curve(1344.6, 1218.9, 0.2), 6.0),
-                banded("CMA-ES", curve(1344.6, 1236.0, 0.09), 14.0),
+                banded("cma-es", curve(1344.6, 1236.0, 0.09), 14.0),
                 Series::new("random", curve(1344.6, 1290.0, 0.05)),
             ],
         ),
-        Chart::new(
-            "Particles in the target",
-            "epoch",
-            "particles",
-            vec![Series::new("transported", transported)],
-        ),
-        Chart::new("Skill parameters", "epoch", "share of the range", skill),
+        Chart::new("Lowest loss so far", "rollouts", "loss, m", many.collect()).scaled(Scale::LogIfWide),
     ]
 }
 
-fn table() -> Table {
-    let row = |texts: &[&str]| texts.iter().map(|text| (*text).into()).collect();
+fn texts(texts: &[&str]) -> Vec<String> {
+    texts.iter().map(|text| (*text).into()).collect()
+}
+
+fn methods() -> Table {
+    let row = |cells: &[&str]| Row::from(texts(cells));
     Table {
         title: "Methods, median of 5 seeds".into(),
-        columns: row(&["Method", "Loss, m", "In the target", "Spilled", "Seconds", "Remark"]),
+        columns: texts(&["Method", "Loss, m", "In the target", "Spilled", "Seconds", "Remark"]),
         rows: vec![
-            row(&["gradient", "1218.9", "1,389", "12", "860", "one adjoint an update"]),
-            row(&["CMA-ES", "1236.0", "1,102", "31", "1,410", "population of 8"]),
+            row(&["gradient", "1218.9", "1,389", "12", "860", "one adjoint an update"])
+                .marked(Some(Mark::replayed())),
+            row(&["cma-es", "1236.0", "1,102", "31", "1,410", "population of 8"]),
             row(&["random", "1290.2", "512", "4", "1,395", "–"]),
         ],
     }
+}
+
+fn skill() -> Table {
+    let rows = [["scooping depth", "14.2 mm", "0.1245"], ["scooping angle", "71.0 deg", "-0.7000"]];
+    Table {
+        title: "Skill".into(),
+        columns: texts(&["parameter", "value", "theta"]),
+        rows: rows.map(|row| texts(&row).into()).into(),
+    }
+}
+
+fn epochs() -> Table {
+    let (loss, arrived) = (curve(95.5, 3.4, 0.25), curve(15.0, 1120.0, 0.15));
+    let mark = |epoch: f64| {
+        run_charts()[0].marks.iter().find(|(x, _)| (x - epoch).abs() < 0.5).map(|(_, mark)| mark.clone())
+    };
+    let row = |([epoch, loss], [_, arrived]): (&[f64; 2], &[f64; 2])| {
+        let cells = vec![epoch.to_string(), format!("{loss:.3}"), format!("{arrived:.0}"), "12".into()];
+        Row::from(cells).marked(mark(*epoch))
+    };
+    Table {
+        title: "Epochs".into(),
+        columns: texts(&["epoch", "loss, m", "arrived", "spilled"]),
+        rows: loss.iter().zip(&arrived).map(row).collect(),
+    }
+}
+
+fn facts() -> Vec<(String, String)> {
+    let facts = [
+        ("Scene", "a made-up bench, seed 1, f32"),
+        ("Powder", "12,500 particles of 0.008 g; friction angle 35 deg, no cohesion"),
+        (
+            "Limits used",
+            "linear velocity 85 %, acceleration 81 %, jerk 64 %; angular velocity 90 %, jerk 32 %",
+        ),
+        ("Plan's digest", "3f1c9a5be0d24476a1c83b90d5f7e62248aa0b1dc5f3e79a6b4d2210f8c7e591"),
+        ("Made by", "optimise 0.1.0"),
+        ("Date", "2024-05-01 12:00 UTC"),
+    ];
+    facts.map(|(name, value)| (name.into(), value.into())).into()
 }

@@ -47,7 +47,9 @@ impl TryFrom<Table> for Amount {
         let wanted = match (table.mass_kg, table.particles) {
             (Some(mass_kg), None) => Wanted::MassKg(mass_kg),
             (None, Some(particles)) => Wanted::Particles(particles),
-            (None, None) => return Err("neither `mass_kg` nor `particles` is given; one of them would be right"),
+            (None, None) => {
+                return Err("neither `mass_kg` nor `particles` is given; one of them would be right");
+            }
             (Some(_), Some(_)) => {
                 return Err("both `mass_kg` and `particles` are given; one of them would be right");
             }

@@ -46,7 +46,9 @@ impl Scene {
             .map(|scoop_deg| (self.tool.start_pitch_deg - scoop_deg).to_radians());
         let steps = ((least - most) / PITCH_STEP_RAD).ceil().max(1.0);
         (0..=steps as u32)
-            .map(|step| self.tool.shape.heaped_m3(most + f64::from(step) / steps * (least - most), repose_rad))
+            .map(|step| {
+                self.tool.shape.heaped_m3(most + f64::from(step) / steps * (least - most), repose_rad)
+            })
             .fold(0.0, f64::max)
     }
 }

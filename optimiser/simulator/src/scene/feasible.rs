@@ -166,7 +166,10 @@ mod tests {
         let error = scene.check_feasible().unwrap_err();
         assert!(matches!(error, Infeasible::TooMuch { trips: 3, .. }), "{error:?}");
         let text = error.to_string();
-        assert!(text.starts_with("objective.amount is 30 g, but the tool carries at most about 11."), "{text}");
+        assert!(
+            text.starts_with("objective.amount is 30 g, but the tool carries at most about 11."),
+            "{text}"
+        );
         assert!(text.contains("3 trips of 10 g each") && text.contains("{ mass_kg = 0.01 }"), "{text}");
         // Each part is feasible, and so is as much as can be had.
         scene.objective.amount = Amount::new(Wanted::MassKg(0.010));

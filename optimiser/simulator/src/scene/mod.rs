@@ -26,12 +26,12 @@ use serde::{Deserialize, Serialize};
 
 pub use amount::{Amount, DEFAULT_TOLERANCE, Wanted};
 pub use canonical::{DIGEST_VERSION, Digest};
+pub use capacity::Capacity;
 pub use derived::{
     BLOCK_CELLS, MAX_CELLS, MAX_CFL, MAX_PARTICLES, MAX_SUBSTEPS, MAX_VISCOUS_LOSS, PADDING_BLOCKS,
 };
 pub use embedded::{DEFAULT_SCENE, EMBEDDED_SCENES, embedded_scene};
 pub use error::SceneError;
-pub use capacity::Capacity;
 pub use feasible::Infeasible;
 pub use powderline_shared::limits::Limits;
 pub use read::MAX_SCENE_BYTES;
@@ -295,7 +295,6 @@ pub struct Objective {
     /// Which particles the loss sees.
     pub observation: Observation,
 }
-
 
 /// What the loss asks for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -1,7 +1,7 @@
 //! Writing and identifying scenes.
 
 use powderline_simulator::scene::{
-    Aim, Amount, Wanted, ContainerShape, EMBEDDED_SCENES, Observation, Scene, ToolShape,
+    Aim, Amount, ContainerShape, EMBEDDED_SCENES, Observation, Scene, ToolShape, Wanted,
 };
 use proptest::prelude::*;
 

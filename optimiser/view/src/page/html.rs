@@ -7,7 +7,7 @@ use base64::Engine as _;
 use flate2::{Compression, write::ZlibEncoder};
 use serde::Serialize;
 
-use super::{Page, Replay, Table};
+use super::{Figure, Mark, MarkKind, Page, Replay, Row, Table, Tone};
 
 const STYLE: &str = include_str!("../../assets/page/style.css");
 const CHARTS_SCRIPT: &str = include_str!("../../assets/page/charts.js");
@@ -35,17 +35,18 @@ pub(super) fn page(page: &Page) -> String {
          <meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n\
          <meta name=\"color-scheme\" content=\"light dark\">\n\
          <title>{title}</title>\n<link rel=\"icon\" href=\"data:,\">\n<style>\n{STYLE}</style>\n</head>\n<body>\n\
-         <header>\n<h1>{title}</h1>\n{}</header>\n<main>\n",
-        summary(&page.summary),
+         <header>\n<h1>{title}</h1>\n{}{}</header>\n<main>\n",
+        page.verdict.as_ref().map(verdict).unwrap_or_default(),
+        figures(&page.figures),
     );
     if page.replay.is_some() {
-        html += REPLAY_SECTION;
+        html += &REPLAY_SECTION.replace("{shows}", &escaped(&page.replay_shows));
     }
     if !page.charts.is_empty() {
         html += "<section id=\"charts\" class=\"charts\" aria-label=\"Charts\">\
                  <noscript>Curves and replay need JavaScript.</noscript></section>\n";
     }
-    html.extend(page.tables.iter().map(table));
+    html += &tables(page);
     if !page.notes.is_empty() {
         let paragraphs: String =
             page.notes.iter().map(|note| format!("<p>{}</p>\n", escaped(note))).collect();
@@ -72,14 +73,58 @@ fn replay_parts(replay: &Replay) -> String {
         + &script(&format!("{POWDER_SCRIPT}\n{VIEWER_SCRIPT}"))
 }
 
-fn summary(entries: &[(String, String)]) -> String {
-    if entries.is_empty() {
+fn verdict((tone, text): &(Tone, String)) -> String {
+    format!("<p class=\"verdict {}\">{}</p>\n", tone_class(*tone), escaped(text))
+}
+
+fn tone_class(tone: Tone) -> &'static str {
+    match tone {
+        Tone::Good => "good",
+        Tone::Bad => "bad",
+        Tone::Plain => "plain",
+    }
+}
+
+fn figures(figures: &[Figure]) -> String {
+    if figures.is_empty() {
+        return String::new();
+    }
+    let note = |note: &str| match note {
+        "" => String::new(),
+        note => format!("<dd class=\"small\">{}</dd>", escaped(note)),
+    };
+    let entry = |figure: &Figure| {
+        format!(
+            "<div class=\"{}\"><dt>{}</dt><dd>{}</dd>{}</div>\n",
+            tone_class(figure.tone),
+            escaped(&figure.name),
+            escaped(&figure.value),
+            note(&figure.note)
+        )
+    };
+    format!("<dl class=\"figures\">\n{}</dl>\n", figures.iter().map(entry).collect::<String>())
+}
+
+fn tables(page: &Page) -> String {
+    let tables: String = page.tables.iter().map(table).collect();
+    if tables.is_empty() && page.facts.is_empty() {
+        return String::new();
+    }
+    format!("<div class=\"tables\">\n{tables}{}</div>\n", facts(&page.facts))
+}
+
+fn facts(facts: &[(String, String)]) -> String {
+    if facts.is_empty() {
         return String::new();
     }
     let entry = |(name, value): &(String, String)| {
         format!("<div><dt>{}</dt><dd>{}</dd></div>\n", escaped(name), escaped(value))
     };
-    format!("<dl class=\"summary\">\n{}</dl>\n", entries.iter().map(entry).collect::<String>())
+    format!(
+        "<section class=\"facts\" aria-labelledby=\"facts-title\">\n<h2 id=\"facts-title\">What this is</h2>\n\
+         <dl>\n{}</dl>\n</section>\n",
+        facts.iter().map(entry).collect::<String>()
+    )
 }
 
 fn table(table: &Table) -> String {
@@ -91,15 +136,38 @@ fn table(table: &Table) -> String {
         0 => format!("<th scope=\"row\">{}</th>", escaped(text)),
         _ => format!("<td{}>{}</td>", class(column), escaped(text)),
     };
-    let row =
-        |row: &Vec<String>| format!("<tr>{}</tr>\n", row.iter().enumerate().map(cell).collect::<String>());
+    let is_marked = table.rows.iter().any(|row| row.mark.is_some());
+    let row = |row: &Row| {
+        let cells: String = row.cells.iter().enumerate().map(cell).collect();
+        let remark = if is_marked { remark(row.mark.as_ref()) } else { String::new() };
+        format!("<tr{}>{cells}{remark}</tr>\n", row.mark.as_ref().map(mark_class).unwrap_or_default())
+    };
+    // Many columns need the whole width.
+    let width = if table.columns.len() + usize::from(is_marked) > 4 { " wide" } else { "" };
     format!(
-        "<section class=\"table\" tabindex=\"0\" aria-label=\"{title}\">\n<h2>{title}</h2>\n<table>\n\
-         <thead><tr>{}</tr></thead>\n<tbody>\n{}</tbody>\n</table>\n</section>\n",
+        "<section class=\"table{width}\" tabindex=\"0\" aria-label=\"{title}\">\n<h2>{title}</h2>\n<table>\n\
+         <thead><tr>{}{}</tr></thead>\n<tbody>\n{}</tbody>\n</table>\n</section>\n",
         table.columns.iter().enumerate().map(head).collect::<String>(),
+        if is_marked { "<th scope=\"col\">remark</th>" } else { "" },
         table.rows.iter().map(row).collect::<String>(),
         title = escaped(&table.title),
     )
+}
+
+fn mark_class(mark: &Mark) -> &'static str {
+    match mark.kind {
+        MarkKind::Chosen => " class=\"chosen\"",
+        MarkKind::PassedOver => " class=\"passed-over\"",
+    }
+}
+
+/// Why a row stands out, in the last column.
+fn remark(mark: Option<&Mark>) -> String {
+    let told = |mark: &Mark| {
+        let note = if mark.note.is_empty() { String::new() } else { format!(": {}", escaped(&mark.note)) };
+        format!("<b>{}</b>{note}", escaped(&mark.label))
+    };
+    format!("<td class=\"remark\">{}</td>", mark.map(told).unwrap_or_default())
 }
 
 /// Whether every cell begins like a number, or is empty or a dash.
@@ -108,7 +176,7 @@ fn is_numeric(table: &Table, column: usize) -> bool {
         let text = cell.trim_start_matches(['+', '-', '−', '–', '—', '±', '<', '>', '≈', ' ']);
         text.is_empty() || text.starts_with(|first: char| first.is_ascii_digit())
     };
-    column > 0 && table.rows.iter().filter_map(|row| row.get(column)).all(numeric)
+    column > 0 && table.rows.iter().filter_map(|row| row.cells.get(column)).all(numeric)
 }
 
 fn footer(with_library: bool) -> String {
@@ -174,14 +242,17 @@ mod tests {
         let chart = Chart::new(NASTY, NASTY, NASTY, vec![Series::new(NASTY, vec![[0.0, f64::NAN]])]);
         let nasty = Page {
             title: NASTY.into(),
-            summary: vec![(NASTY.into(), NASTY.into())],
+            verdict: Some((Tone::Bad, NASTY.into())),
+            figures: vec![Figure::new(NASTY, NASTY).with_note(NASTY)],
             replay: None,
-            charts: vec![chart],
+            replay_shows: NASTY.into(),
+            charts: vec![chart.marked(0.0, Mark::passed_over(NASTY)).shaded(0.0, 1.0, NASTY)],
             tables: vec![Table {
                 title: NASTY.into(),
                 columns: vec![NASTY.into()],
-                rows: vec![vec![NASTY.into(); 2]],
+                rows: vec![Row::from(vec![NASTY.into(); 2]).marked(Some(Mark::passed_over(NASTY)))],
             }],
+            facts: vec![(NASTY.into(), NASTY.into())],
             notes: vec![NASTY.into()],
         };
         let html = page(&nasty);
@@ -222,7 +293,7 @@ mod tests {
     #[test]
     fn numbers_stand_to_the_right() {
         let rows = [["CMA-ES", "12.5 m", "fast"], ["random", "−3", "-"], ["grid", "", "2"]];
-        let rows = rows.map(|row| row.map(String::from).to_vec()).to_vec();
+        let rows = rows.map(|row| Row::from(row.map(String::from).to_vec())).to_vec();
         let table = Table { rows, ..Table::default() };
         assert_eq!([0, 1, 2].map(|column| is_numeric(&table, column)), [false, true, false]);
     }

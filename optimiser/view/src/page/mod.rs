@@ -3,16 +3,27 @@
 //! It asks for nothing over a network and opens from disk. A page needs no replay.
 //!
 //! ```
-//! use powderline_view::page::{Chart, Page, Series};
+//! use powderline_view::page::{Chart, Figure, Mark, Page, Scale, Series, Tone};
 //!
 //! # fn main() -> Result<(), powderline_view::ViewError> {
 //! # let folder = tempfile::tempdir().expect("a folder");
 //! # let path = folder.path().join("report.html");
-//! let loss = Series::new("gradient", vec![[0.0, 1344.6], [1.0, 1301.2]]);
+//! let loss = Series::new("loss", vec![[0.0, 95.5], [1.0, 40.2], [2.0, 15.2], [3.0, 14.9]]);
+//! let chart = Chart::new("Loss", "epoch", "loss, m", vec![loss])
+//!     .scaled(Scale::LogIfWide)
+//!     .marked(2.0, Mark::shipped())
+//!     .marked(3.0, Mark::passed_over("the tool would pass through container \"target\" at 3.21 s"))
+//!     .shaded(0.0, 2.0, "only depth, angle and lift change");
 //! let page = Page {
 //!     title: "bench, seed 1".into(),
-//!     summary: vec![("Loss".into(), "1301.2 m".into())],
-//!     charts: vec![Chart::new("Loss", "epoch", "loss, m", vec![loss])],
+//!     verdict: Some((Tone::Bad, "Misses the wanted amount by 7 %.".into())),
+//!     figures: vec![
+//!         Figure::new("Wanted", "9.60 g"),
+//!         Figure::new("Arrives", "8.93 g").with_note("1,116 of 1,200 particles"),
+//!         Figure::new("Error", "-7 %").toned(Tone::Bad),
+//!     ],
+//!     charts: vec![chart],
+//!     facts: vec![("Scene".into(), "bench".into())],
 //!     ..Page::default()
 //! };
 //! page.write(&path)
@@ -22,6 +33,7 @@
 //! A replay comes from a [`Recorder`], which takes the frames like every other [`Sink`](crate::Sink):
 //! `page.replay = recorder.into_replay()`.
 
+mod chart;
 mod html;
 mod replay;
 
@@ -29,9 +41,8 @@ use std::fs;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
-use serde::Serialize;
-
 use crate::ViewError;
+pub use chart::{Chart, Mark, MarkKind, Scale, Series, Shade};
 pub use replay::{BUDGET_BYTES, Recorder, Replay};
 
 /// What a page shows, from top to bottom. Texts are texts: nothing in them is taken for HTML.
@@ -39,16 +50,67 @@ pub use replay::{BUDGET_BYTES, Recorder, Replay};
 pub struct Page {
     /// Heading, and name of the window.
     pub title: String,
-    /// What each number is, and the number with its unit; shown large.
-    pub summary: Vec<(String, String)>,
+    /// What is to be known before everything else, in one sentence, and whether it is good.
+    pub verdict: Option<(Tone, String)>,
+    /// Numbers shown large.
+    pub figures: Vec<Figure>,
     /// Powder and tool in motion.
     pub replay: Option<Replay>,
+    /// What is replayed: plan or motion as executed, epoch, method, seed. Shown above the replay.
+    pub replay_shows: String,
     /// Curves.
     pub charts: Vec<Chart>,
     /// More numbers.
     pub tables: Vec<Table>,
+    /// What all of it is about and comes from, each with its name: scene, powder, limits, digest, versions, date.
+    pub facts: Vec<(String, String)>,
     /// Paragraphs at the end.
     pub notes: Vec<String>,
+}
+
+/// Whether something is as it was wanted. Said by colour and by a sign, so that no reader depends on the colour.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Tone {
+    /// As wanted.
+    Good,
+    /// Not as wanted.
+    Bad,
+    /// Neither.
+    #[default]
+    Plain,
+}
+
+/// A number at the top of a page.
+#[derive(Clone, Debug, Default)]
+pub struct Figure {
+    /// What it is.
+    pub name: String,
+    /// The number with its unit.
+    pub value: String,
+    /// Small print below, or nothing.
+    pub note: String,
+    /// Whether it is a good one.
+    pub tone: Tone,
+}
+
+impl Figure {
+    /// A figure that is neither good nor bad, with nothing below.
+    #[must_use]
+    pub fn new(name: &str, value: &str) -> Self {
+        Self { name: name.into(), value: value.into(), ..Self::default() }
+    }
+
+    /// With small print below it.
+    #[must_use]
+    pub fn with_note(self, note: &str) -> Self {
+        Self { note: note.into(), ..self }
+    }
+
+    /// Shown as good or bad.
+    #[must_use]
+    pub fn toned(self, tone: Tone) -> Self {
+        Self { tone, ..self }
+    }
 }
 
 /// A table. Columns whose cells are all numbers, but the first column, stand to the right.
@@ -59,46 +121,30 @@ pub struct Table {
     /// Name of each column, with its unit.
     pub columns: Vec<String>,
     /// Cells, row by row; the first of each names its row.
-    pub rows: Vec<Vec<String>>,
+    pub rows: Vec<Row>,
 }
 
-/// Curves over one axis.
-#[derive(Clone, Debug, Default, Serialize)]
-pub struct Chart {
-    /// Heading.
-    pub title: String,
-    /// What x is, with its unit.
-    pub x_label: String,
-    /// What y is, with its unit.
-    pub y_label: String,
-    /// Curves, in the order of their colours; after six, colours come again, dashed.
-    pub series: Vec<Series>,
+/// A row of a table.
+#[derive(Clone, Debug, Default)]
+pub struct Row {
+    /// One for each column.
+    pub cells: Vec<String>,
+    /// What makes the row stand out; said in a last column of its own.
+    pub mark: Option<Mark>,
 }
 
-impl Chart {
-    /// A chart of what its fields say.
-    #[must_use]
-    pub fn new(title: &str, x_label: &str, y_label: &str, series: Vec<Series>) -> Self {
-        Self { title: title.into(), x_label: x_label.into(), y_label: y_label.into(), series }
+impl From<Vec<String>> for Row {
+    /// A row like any other.
+    fn from(cells: Vec<String>) -> Self {
+        Self { cells, mark: None }
     }
 }
 
-/// A curve.
-#[derive(Clone, Debug, Default, Serialize)]
-pub struct Series {
-    /// Its name in the legend.
-    pub name: String,
-    /// x and y, x ascending. A y that is not a number leaves a gap.
-    pub points: Vec<[f64; 2]>,
-    /// Lowest and highest y at each of the points, drawn as a band behind the curve.
-    pub band: Option<Vec<[f64; 2]>>,
-}
-
-impl Series {
-    /// A curve without a band.
+impl Row {
+    /// The row, marked, if there is a mark.
     #[must_use]
-    pub fn new(name: &str, points: Vec<[f64; 2]>) -> Self {
-        Self { name: name.into(), points, band: None }
+    pub fn marked(self, mark: Option<Mark>) -> Self {
+        Self { mark, ..self }
     }
 }
 

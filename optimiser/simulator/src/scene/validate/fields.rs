@@ -3,8 +3,8 @@
 use super::checker::{Checked, Checker, Range};
 use crate::scene::figures::plain;
 use crate::scene::{
-    Container, ContainerShape, Domain, Limits, Objective, Observation, Optimiser, Powder, Scene,
-    Skill, Time, Tool, ToolShape, Wanted,
+    Container, ContainerShape, Domain, Limits, Objective, Observation, Optimiser, Powder, Scene, Skill, Time,
+    Tool, ToolShape, Wanted,
 };
 use powderline_shared::plan::{PERIOD_US_MAX, PERIOD_US_MIN};
 
