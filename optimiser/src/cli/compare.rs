@@ -253,19 +253,26 @@ impl Experiment {
         Ok(comparison)
     }
 
-    /// The best skill of all, as a motion; none if no skill was evaluated. Motions that are no skill's are left out: they
+    /// The scene.
+    pub(super) fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// The best skill of all, as a motion, and whose it is; none if no skill was evaluated. Motions that are no skill's are left out: they
     /// keep no limit of the arm but its workspace and the speed along each axis.
-    pub(super) fn best_motion(&self, comparison: &Comparison) -> Option<Task> {
+    pub(super) fn best_motion(&self, comparison: &Comparison) -> Option<(Task, String)> {
         let skills = comparison
             .tracks
             .iter()
             .flat_map(|track| track.tries.iter().filter_map(move |one| Some((track, one.loss, one.theta?))));
         let (track, _, theta) = skills.min_by(|(_, a, _), (_, b, _)| a.total_cmp(b))?;
-        Some(Task {
+        let whose = format!("{}, seed {}", track.method.name(), track.seed);
+        let task = Task {
             scene: track.method.scene(&self.scene),
             settings: self.resources.settings(track.seed, self.plan.precision),
             motion: Motion::Skill(theta),
-        })
+        };
+        Some((task, whose))
     }
 
     /// The rows of the summary.

@@ -88,7 +88,7 @@ pub(super) fn execute(arguments: &InspectArgs, context: &mut Context<'_>) -> Res
 }
 
 /// What the run found in whose folder the plan lies, if that run made it.
-fn run_of(path: &Path, plan: &PlanReader<'_>) -> Option<Finding> {
+pub(super) fn run_of(path: &Path, plan: &PlanReader<'_>) -> Option<Finding> {
     let record = RunRecord::read(path.parent()?).ok()?;
     let header = plan.header();
     let made = record.shipped?.theta == header.theta

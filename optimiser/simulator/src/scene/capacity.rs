@@ -13,8 +13,8 @@
 use super::{Scene, ToolShape};
 use serde::Serialize;
 
-/// Columns along a side of the square that covers the tool, and samples along a column.
-const COLUMNS: usize = 48;
+/// Parts that the cavity's extent is cut into, along each axis.
+const PARTS: usize = 48;
 /// Points that stand for an edge.
 const EDGE_POINTS: usize = 96;
 /// Step between two pitches that are tried, radians.
@@ -30,6 +30,28 @@ pub struct Capacity {
     pub heaped_kg: f64,
     /// With a level surface.
     pub level_kg: f64,
+}
+
+/// An extent in equal parts.
+#[derive(Clone, Copy)]
+struct Ruler {
+    from_m: f64,
+    step_m: f64,
+}
+
+impl Ruler {
+    fn new([from_m, to_m]: [f64; 2]) -> Self {
+        Self { from_m, step_m: (to_m - from_m) / PARTS as f64 }
+    }
+
+    /// The middle of a part.
+    fn at(&self, index: usize) -> f64 {
+        self.from_m + (index as f64 + 0.5) * self.step_m
+    }
+
+    fn middles(self) -> impl Iterator<Item = f64> {
+        (0..PARTS).map(move |index| self.at(index))
+    }
 }
 
 impl Scene {
@@ -60,34 +82,44 @@ impl ToolShape {
         let upright = |[x, y, z]: Point| [x * cos + z * sin, y, z * cos - x * sin];
         let tilted = |[x, y, z]: Point| [x * cos - z * sin, y, x * sin + z * cos];
         let edge: Vec<Point> = self.edge().into_iter().map(upright).collect();
-        let half_m = self.half_extent_m();
-        let step_m = 2.0 * half_m / COLUMNS as f64;
-        let at = |index: usize| (index as f64 + 0.5) * step_m - half_m;
+        let [x, y, z] = self.extent_m(upright).map(Ruler::new);
         let slope = libm::tan(repose_rad);
         let mut sum_m = 0.0;
-        for (column, row) in (0..COLUMNS).flat_map(|column| (0..COLUMNS).map(move |row| (column, row))) {
-            let (x, y) = (at(column), at(row));
+        for (x_m, y_m) in x.middles().flat_map(|x_m| y.middles().map(move |y_m| (x_m, y_m))) {
             let surface_m = edge
                 .iter()
-                .map(|e| e[2] + slope * libm::hypot(x - e[0], y - e[1]))
+                .map(|e| e[2] + slope * libm::hypot(x_m - e[0], y_m - e[1]))
                 .fold(f64::INFINITY, f64::min);
-            let inside = |index: &usize| self.holds(tilted([x, y, at(*index)]));
-            let Some(bottom) = (0..COLUMNS).find(inside) else { continue };
-            let top = (bottom..COLUMNS).find(|index| !inside(index)).unwrap_or(COLUMNS);
+            let inside = |index: &usize| self.holds(tilted([x_m, y_m, z.at(*index)]));
+            let Some(bottom) = (0..PARTS).find(inside) else { continue };
+            let top = (bottom..PARTS).find(|index| !inside(index)).unwrap_or(PARTS);
             // Under a wall that leans over, powder ends there; in the open it goes on as a heap.
-            let ceiling_m =
-                if self.is_open_at(tilted([x, y, at(top)])) { f64::INFINITY } else { at(top) - 0.5 * step_m };
-            sum_m += (surface_m.min(ceiling_m) - (at(bottom) - 0.5 * step_m)).max(0.0);
+            let ceiling_m = if self.is_open_at(tilted([x_m, y_m, z.at(top)])) {
+                f64::INFINITY
+            } else {
+                z.at(top) - 0.5 * z.step_m
+            };
+            sum_m += (surface_m.min(ceiling_m) - (z.at(bottom) - 0.5 * z.step_m)).max(0.0);
         }
-        sum_m * step_m * step_m
+        sum_m * x.step_m * y.step_m
     }
 
-    /// Half the edge of a cube around the origin that holds the cavity at any pitch.
-    fn half_extent_m(&self) -> f64 {
+    /// Extent of the cavity along x, y, z once it is turned, metres.
+    fn extent_m(&self, upright: impl Fn(Point) -> Point) -> [[f64; 2]; 3] {
         match *self {
-            Self::Bowl { inner_radius_m } => inner_radius_m,
+            // Of the whole ball, which holds it at any pitch.
+            Self::Bowl { inner_radius_m } => [[-inner_radius_m, inner_radius_m]; 3],
             Self::BoxScoop { inner_size_m: [length, width, height] } => {
-                libm::hypot(libm::hypot(0.5 * length, 0.5 * width), height)
+                let corners: Vec<Point> = (0..8)
+                    .map(|corner| {
+                        let side = |bit: usize| if corner >> bit & 1 == 0 { -0.5 } else { 0.5 };
+                        upright([side(0) * length, side(1) * width, (side(2) - 0.5) * height])
+                    })
+                    .collect();
+                [0, 1, 2].map(|axis| {
+                    let along = || corners.iter().map(|corner| corner[axis]);
+                    [along().fold(f64::INFINITY, f64::min), along().fold(f64::NEG_INFINITY, f64::max)]
+                })
             }
         }
     }

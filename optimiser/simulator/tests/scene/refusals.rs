@@ -130,12 +130,12 @@ const STRUCTURE: &[Case] = &[
     (
         "amount = { particles = 850 }",
         "amount = { particles = 850, mass_kg = 1.0 }",
-        ": objective.amount at line 88: expected a table with exactly one key",
+        ": objective.amount at line 88: both `mass_kg` and `particles` are given; one of them would be right",
     ),
     (
         "amount = { particles = 850 }",
         "amount = { grains = 850 }",
-        ": objective.amount at line 88: unknown variant `grains`, expected `particles` or `mass_kg`",
+        ": objective.amount.grains at line 88: unknown field `grains`, expected one of `mass_kg`, `particles`, `tolerance`",
     ),
     (
         "[tool]",
