@@ -9,6 +9,7 @@ mod derived;
 mod embedded;
 mod error;
 pub mod figures;
+mod nearest;
 mod packing;
 mod parse;
 mod path;
@@ -27,6 +28,7 @@ pub use derived::{
 };
 pub use embedded::{DEFAULT_SCENE, EMBEDDED_SCENES, embedded_scene};
 pub use error::SceneError;
+pub use nearest::nearest;
 pub use powderline_shared::limits::Limits;
 pub use read::MAX_SCENE_BYTES;
 pub(crate) use tool_body::PlacedTool;
