@@ -20,7 +20,7 @@ use powderline_simulator::skill::{SkillMap, colliding_skill};
 /// Arguments of `optimise check`.
 #[derive(Debug, Args)]
 pub struct CheckArgs {
-    /// Name of an embedded scene (bench, bench-small, bench-fine) or path of a scene file.
+    /// Name of an embedded scene (bench, bench-small, bench-fine, vial) or path of a scene file.
     #[arg(default_value = DEFAULT_SCENE)]
     pub scene: String,
     /// Prints one JSON object instead of text.

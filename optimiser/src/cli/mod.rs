@@ -47,7 +47,7 @@ use std::{
 
 /// Optimises a skill that scoops, carries and pours powder, and writes it as a plan for an arm.
 #[derive(Debug, Parser)]
-#[command(name = "optimise", version, args_conflicts_with_subcommands = true)]
+#[command(name = "optimise", bin_name = "optimise", version, args_conflicts_with_subcommands = true)]
 #[command(
     after_help = "Without a command, `optimise [OPTIONS] [SCENE]` means `optimise run [OPTIONS] [SCENE]`."
 )]

@@ -55,6 +55,11 @@ pub fn grouped(number: i64) -> String {
     if number < 0 { format!("-{text}") } else { text }
 }
 
+/// A number of things, `noun` being one of them: `1 particle`, `1,200 particles`.
+pub fn count(number: i64, noun: &str) -> String {
+    format!("{} {noun}{}", grouped(number), if number == 1 { "" } else { "s" })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -68,6 +73,14 @@ mod tests {
     #[test]
     fn thousands_are_set_apart() {
         assert_eq!(["0", "999", "1,000", "-12,345,678"], [0, 999, 1000, -12_345_678].map(grouped)[..]);
+    }
+
+    #[test]
+    fn one_thing_is_no_plural() {
+        assert_eq!(
+            ["0 particles", "1 particle", "1,200 particles", "-1 particles"],
+            [0, 1, 1200, -1].map(|number| count(number, "particle"))[..]
+        );
     }
 
     #[test]

@@ -12,6 +12,7 @@ mod embedded;
 mod error;
 mod feasible;
 pub mod figures;
+mod nearest;
 mod packing;
 mod parse;
 mod path;
@@ -33,6 +34,7 @@ pub use derived::{
 pub use embedded::{DEFAULT_SCENE, EMBEDDED_SCENES, embedded_scene};
 pub use error::SceneError;
 pub use feasible::Infeasible;
+pub use nearest::nearest;
 pub use powderline_shared::limits::Limits;
 pub use read::MAX_SCENE_BYTES;
 pub(crate) use tool_body::PlacedTool;

@@ -1,6 +1,6 @@
 //! The range of every single field, as documented at the field.
 
-use super::checker::{Checked, Checker, Range};
+use super::checker::{Checked, Checker, Range, container_paths};
 use crate::scene::figures::plain;
 use crate::scene::{
     Container, ContainerShape, Domain, Limits, Objective, Observation, Optimiser, Powder, Scene, Skill, Time,
@@ -18,8 +18,8 @@ pub(super) fn check(checker: &Checker<'_>, scene: &Scene) -> Checked {
     domain(checker, &scene.domain)?;
     powder(checker, &scene.powder)?;
     time(checker, &scene.time)?;
-    for (index, one) in scene.container.iter().enumerate() {
-        container(checker, index, one, scene.domain.cell_m)?;
+    for (path, one) in container_paths(&scene.container).iter().zip(&scene.container) {
+        container(checker, path, one, scene.domain.cell_m)?;
     }
     tool(checker, &scene.tool, scene.domain.cell_m)?;
     skill(checker, &scene.skill)?;
@@ -56,8 +56,8 @@ fn time(checker: &Checker<'_>, time: &Time) -> Checked {
     checker.number("time.settle_s", time.settle_s, Range::closed(0.0, 60.0))
 }
 
-fn container(checker: &Checker<'_>, index: usize, container: &Container, cell_m: f64) -> Checked {
-    let field = |name: &str| format!("container[{index}].{name}");
+fn container(checker: &Checker<'_>, path: &str, container: &Container, cell_m: f64) -> Checked {
+    let field = |name: &str| format!("{path}.{name}");
     let inner = Range::closed(cell_m, 10.0);
     checker.name(&field("name"), &container.name)?;
     checker.vector(&field("position_m"), &container.position_m, WORLD_M)?;
