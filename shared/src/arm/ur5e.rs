@@ -27,10 +27,10 @@
 //! | w      | wrist's distance from joint 1, along e       | a2 c2 + a3 c23 + d5 s234                      |
 //! | p      | flange                                       | w e + (d1 + a2 s2 + a3 s23 - d5 c234) k + d4 n + d6 z5 |
 
-use std::f64::consts::{FRAC_PI_2, PI, TAU};
+use core::f64::consts::{FRAC_PI_2, PI, TAU};
 
+use crate::pose::{Pose, exp_so3, renormalised};
 use nalgebra::{Matrix6, Vector3};
-use powderline_shared::pose::{Pose, exp_so3, renormalised};
 
 /// Angles of the six joints, from the base to the flange, radians.
 pub type Joints = [f64; 6];
@@ -193,8 +193,8 @@ pub(super) fn signed_margins(joints: &Joints) -> [f64; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::pose::norm;
     use nalgebra::{Matrix4, Rotation3};
-    use powderline_shared::pose::norm;
     use proptest::prelude::*;
 
     /// Rz(q) Tz(d) Tx(a) Rx(alpha), written out.
