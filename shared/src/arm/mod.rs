@@ -89,13 +89,13 @@ impl ArmModel {
     #[must_use]
     pub fn jacobian(&self, joints: &Joints) -> Matrix6<f64> {
         let base_from_tool = ur5e::base_from_flange(joints).then(&self.flange_from_tool);
-        let mut jacobian = ur5e::jacobian(joints, &base_from_tool.position_m);
         let rotation = self.world_from_base.orientation.to_rotation_matrix();
-        for row in [0, 3] {
-            let rotated = rotation.matrix() * jacobian.fixed_view::<3, 6>(row, 0);
-            jacobian.fixed_view_mut::<3, 6>(row, 0).copy_from(&rotated);
-        }
-        jacobian
+        let columns = ur5e::twists(joints, &base_from_tool.position_m).map(|[vx, vy, vz, wx, wy, wz]| {
+            let [vx, vy, vz] = (rotation * Vector3::new(vx, vy, vz)).into();
+            let [wx, wy, wz] = (rotation * Vector3::new(wx, wy, wz)).into();
+            [vx, vy, vz, wx, wy, wz]
+        });
+        Matrix6::from(columns)
     }
 
     /// The joints that put the tool at a pose in the model's posture, each by whole turns as near to `near` as can be.
@@ -107,8 +107,7 @@ impl ArmModel {
         let base_from_flange = self.world_from_base.inverse().then(&world_from_flange);
         let joints = inverse::joints_of(&base_from_flange, self.posture)?;
         let joints = inverse::unwound(&joints, near);
-        self.check_margin(&joints)?;
-        self.check_range(&joints)?;
+        self.check_joints(&joints)?;
         Ok(joints)
     }
 
@@ -120,6 +119,15 @@ impl ArmModel {
         let joints = self.joints_near(from, world_from_tool)?;
         self.check_speed(from, &joints, dt_s.max(0.0))?;
         Ok(joints)
+    }
+
+    /// Checks joints that the arm is to stand at.
+    ///
+    /// # Errors
+    /// They are too near to a singularity, or one is beyond its range.
+    pub fn check_joints(&self, joints: &Joints) -> Result<(), ArmError> {
+        self.check_margin(joints)?;
+        self.check_range(joints)
     }
 
     fn check_margin(&self, joints: &Joints) -> Result<(), ArmError> {
@@ -141,7 +149,11 @@ impl ArmModel {
         Ok(())
     }
 
-    fn check_speed(&self, from: &Joints, to: &Joints, dt_s: f64) -> Result<(), ArmError> {
+    /// Checks that the joints can get from `from` to `to` in `dt_s` seconds.
+    ///
+    /// # Errors
+    /// A joint would have to turn faster than it may.
+    pub fn check_speed(&self, from: &Joints, to: &Joints, dt_s: f64) -> Result<(), ArmError> {
         for (((joint, from), to), bound_rad_s) in (1..).zip(from).zip(to).zip(self.joint_speed_rad_s) {
             let step_rad = (to - from).abs();
             let within = step_rad <= bound_rad_s * dt_s + ROUNDING_RAD;
