@@ -27,6 +27,7 @@ pub mod arm;
 pub mod displacement;
 pub mod fault;
 pub mod limits;
+pub mod mass;
 pub mod plan;
 pub mod pose;
 pub mod trajectory;

@@ -1,6 +1,7 @@
 //! The `optimise` command: arguments, progress, files, words.
 //!
-//! Exit codes: 0 success; 1 the command failed, or a plan did not reproduce; 2 the input makes no sense; 130 interrupted.
+//! Exit codes: 0 success; 1 the command failed, or a plan did not reproduce; 2 the input makes no sense, or asks for what cannot be
+//! done; 3 a run is finished and its plan written, but misses the wanted amount by more than the tolerance; 130 interrupted.
 //! Results go to standard output, progress and errors (one sentence) to standard error. With `--json` standard output
 //! holds one JSON object and nothing else.
 

@@ -36,12 +36,13 @@ impl Amounts {
 
     /// How far so many particles are off the wanted mass, relative: negative where powder is missing.
     pub fn miss(&self, particles: u32) -> f64 {
-        self.kg(particles) / self.wanted_kg - 1.0
+        // To a billionth: what is off by as much on either side, or just within the tolerance, is not parted by rounding.
+        ((self.kg(particles) / self.wanted_kg - 1.0) * 1e9).round() * 1e-9
     }
 
     /// Whether so many particles are the wanted amount, within the tolerance; none where as much as can be had is wanted.
     pub fn is_met(&self, particles: u32) -> Option<bool> {
-        self.tolerance.map(|tolerance| self.miss(particles).abs() <= tolerance)
+        self.tolerance.map(|tolerance| self.miss(particles).abs() <= tolerance * (1.0 + 1e-9))
     }
 
     /// Such as `9.584 g (1,198 particles)`.

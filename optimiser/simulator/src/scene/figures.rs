@@ -1,5 +1,7 @@
 //! Numbers in messages.
 
+use powderline_shared::mass::Mass;
+
 /// A number as a person would write it into the file.
 pub fn plain(value: f64) -> String {
     let magnitude = value.abs();
@@ -24,12 +26,7 @@ pub fn about(value: f64, digits: usize) -> String {
 
 /// A mass as people dose it, to four significant digits: grams, milligrams below one gram.
 pub fn mass(kg: f64) -> String {
-    let milligrams = about(1e6 * kg, 4);
-    // What rounds to a gram is one.
-    match milligrams.parse::<f64>() {
-        Ok(rounded) if rounded.abs() < 1e3 => format!("{milligrams} mg"),
-        _ => format!("{} g", about(1e3 * kg, 4)),
-    }
+    Mass(kg).to_string()
 }
 
 /// A computed upper limit, rounded down to three significant digits so that it may be taken as it stands.
@@ -63,12 +60,6 @@ pub fn count(number: i64, noun: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn masses_are_grams_or_milligrams() {
-        let shown = [0.0, 8e-6, 1.536e-4, 0.99999e-3, 0.009584, 0.0300001, 1.25].map(mass);
-        assert_eq!(shown, ["0 mg", "8 mg", "153.6 mg", "1 g", "9.584 g", "30 g", "1250 g"]);
-    }
 
     #[test]
     fn thousands_are_set_apart() {

@@ -162,14 +162,13 @@ fn in_plain_words(path: &str, message: &str) -> String {
         ("` as i128,", "`,"),
         ("floating-point number overflowed", "number too large, expected at most 1.79e308"),
         ("wanted string or table", A_CHOICE),
-        ("wanted exactly 1 element, more than 1 element", ONE_KEY),
     ];
     let plain = words.iter().fold(one_line(message), |text, (rust, plain)| text.replace(rust, plain));
     if let Some(question) = question(message) {
         return plain + &question;
     }
     let missing = plain.strip_prefix("missing field `").and_then(|rest| rest.strip_suffix('`'));
-    let wants_table = || [A_KIND, A_CHOICE, ONE_KEY].iter().any(|words| plain.contains(words));
+    let wants_table = || [A_KIND, A_CHOICE].iter().any(|words| plain.contains(words));
     let example = match missing {
         Some(key) => example(path, key),
         None => path.rsplit_once('.').filter(|_| wants_table()).and_then(|(table, key)| example(table, key)),
@@ -186,7 +185,6 @@ fn in_plain_words(path: &str, message: &str) -> String {
 
 const A_KIND: &str = "expected a table with a `kind`";
 const A_CHOICE: &str = "expected a name or a table";
-const ONE_KEY: &str = "expected a table with exactly one key";
 
 /// After an unknown key or choice: the question whether one of those that are possible there was meant, or the one table that
 /// the key belongs into.
