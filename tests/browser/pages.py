@@ -1,9 +1,10 @@
 """Opens reports in headless Chromium and checks what a reader would see: pages.py [--made-up] SCREENSHOTS REPORT...
 
-For each report: it asks for nothing but itself, says nothing in the console, fits 400 pixels, draws every chart and
-reads values out; a replay is not blank, plays, stops, is at the right frame after scrubbing and stepping, changes with
-colours, layers and points of view; without WebGL there is a sentence in its place. With --made-up, the first report is
-the package's example, whose particle 0 is where a formula says.
+For each report: it asks for nothing but itself, says nothing in the console, fits screens of 400, 800 and 1400 pixels,
+draws every chart, with marks of the axes exactly where their numbers say, and reads values out; a replay is not blank,
+plays, stops, is at the right frame after scrubbing and stepping, changes with colours, layers and points of view, and
+names its containers; without WebGL there is a sentence in its place. With --made-up, the first report is the package's
+example, whose particle 0 is where a formula says.
 """
 
 import base64
@@ -27,6 +28,40 @@ FLAGS = [
 WITH_WEBGL = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
 WITHOUT_WEBGL = ["--disable-3d-apis"]
 PATIENCE_S = 120
+WIDTHS = [400, 800, 1400]
+
+# What reaches beyond the screen and cannot be scrolled to in a box of its own.
+CUT_OFF = """
+const scrolls = (element) => element && (/auto|scroll/.test(getComputedStyle(element).overflowX) || scrolls(element.parentElement));
+return [...document.querySelectorAll('body *')].filter((element) => {
+  const { left, right, width } = element.getBoundingClientRect();
+  return width > 0 && (left < -0.5 || right > innerWidth + 0.5) && !scrolls(element) && !element.closest('.tip, #names, [hidden]');
+}).map((element) => `${element.tagName} ${element.id} ${element.className}`);
+"""
+
+# Controls less than 40 pixels high or 28 wide.
+SMALL = """
+return [...document.querySelectorAll('button, select, label, input[type=range], summary')].filter((element) => {
+  const { width, height } = element.getBoundingClientRect();
+  const inLabel = element.closest('label') && element.tagName !== 'LABEL';
+  return !inLabel && width > 0 && (height < 36 || width < 28);
+}).map((element) => `${element.tagName} ${element.id} ${element.textContent.trim()}`);
+"""
+
+# Colours in bytes: what the shader gives the powder, and the containers' style.
+COLOURS = """
+const bytes = (colour) => {
+  const context = Object.assign(document.createElement('canvas'), { width: 1, height: 1 }).getContext('2d');
+  context.fillStyle = colour;
+  context.fillRect(0, 0, 1, 1);
+  return [...context.getImageData(0, 0, 1, 1).data].slice(0, 3);
+};
+const style = getComputedStyle(document.documentElement);
+return {
+  powder: globalThis.powderline.stage.powderColours.map(bytes),
+  containers: ['--source', '--target', '--bystander'].map((name) => bytes(style.getPropertyValue(name))),
+};
+"""
 
 # In one task with the drawing, for the picture is gone afterwards.
 PIXELS = """
@@ -48,6 +83,11 @@ for (let i = 0; i < pixels.length; i += 4) {
 const count = pixels.length / 4;
 return { deviation: Math.sqrt(Math.max(squares / count - (sum / count) ** 2, 0)), tints: tints.size, hash };
 """
+
+
+def number(text):
+    """A number as an axis bears it."""
+    return float(text.replace(",", "").replace("\u2212", "-"))
 
 
 @contextlib.contextmanager
@@ -135,10 +175,63 @@ class Report:
         loud = [entry["message"] for entry in entries if "stall due to ReadPixels" not in entry["message"]]
         check(not loud, f"the console says {loud}")
 
-    def check_narrow(self):
+    def check_widths(self):
+        """Nothing is wider than the page, whatever the screen, and fingers find every control."""
+        for width in WIDTHS:
+            self.emulate(width, 900, "light")
+            wide = self.script("return document.documentElement.scrollWidth")
+            check(wide <= width, f"at {width} pixels the page is {wide} wide")
+            out = self.script(CUT_OFF)
+            check(not out, f"at {width} pixels there is something cut off: {out}")
+            self.check_axes()
         self.emulate(400, 900, "light")
-        width = self.script("return document.documentElement.scrollWidth")
-        check(width <= 400, f"at 400 pixels the page is {width} wide")
+        small = self.script(SMALL)
+        check(not small, f"at 400 pixels there are controls too small for fingers: {small}")
+
+    def check_axes(self):
+        """Numbers at an axis stand where they say, in a straight line or one of logarithms."""
+        for figure in self.find_all(".chart"):
+            title = figure.find_element(By.TAG_NAME, "h2").text
+            is_log = "logarithmic" in figure.find_element(By.CSS_SELECTOR, ".unit").text
+            for axis, place in [("along", "x"), ("up", "y")]:
+                marks = [(float(text), number(words)) for text, words in self.script(
+                    "return [...arguments[0].querySelectorAll('.tick.' + arguments[1])]"
+                    ".map((tick) => [tick.getAttribute(arguments[2]), tick.textContent]);", figure, axis, place)]
+                check(len(marks) >= 2, f"{title}: only {len(marks)} numbers {axis}")
+                straight = math.log10 if is_log and axis == "up" else float
+                (start, low), (end, high) = [(at, straight(value)) for at, value in (marks[0], marks[-1])]
+                for at, value in marks:
+                    expected = start + (end - start) * (straight(value) - low) / (high - low)
+                    check(abs(at - expected) < 0.6, f"{title}: {value} stands at {at}, not at {expected}")
+                if axis == "along" and self.script("return arguments[0].querySelector('.label').textContent",
+                                                   figure) == "epoch":
+                    check(all(value == int(value) for _, value in marks), f"{title}: epochs {marks}")
+
+    def check_marks(self, figure, chart):
+        """Every mark has its sign on every curve, its word in the legend, and its reason where one points."""
+        points = {kind: 0 for kind in ["chosen", "passed-over"]}
+        for x, mark in chart["marks"]:
+            for series in chart["series"]:
+                points[mark["kind"]] += sum(at == x and y is not None for at, y in series["points"])
+        for kind, count in points.items():
+            signs = figure.find_elements(By.CSS_SELECTOR, f".sign.{kind}")
+            check(len(signs) == count, f"{len(signs)} of {count} signs {kind} in {chart['title']}")
+        legend = self.script("return arguments[0].querySelector('.keys')?.textContent ?? ''", figure)
+        for x, mark in chart["marks"]:
+            check(mark["label"] in legend, f"no {mark['label']} in the legend of {chart['title']}")
+            self.read_out_at(figure, chart, x)
+            tip = figure.find_element(By.CSS_SELECTOR, ".tip").text
+            check(mark["label"] in tip and mark["note"] in tip, f"{mark} is not told at {x}: {tip}")
+        if chart["shade"]:
+            check(chart["shade"]["label"] in legend, f"no {chart['shade']['label']} in the legend")
+            check(figure.find_elements(By.CSS_SELECTOR, ".shade"), f"nothing shaded in {chart['title']}")
+
+    def read_out_at(self, figure, chart, x):
+        """Points at a place with the arrow keys."""
+        xs = sorted({at for series in chart["series"] for at, _ in series["points"] if at is not None})
+        picture = figure.find_element(By.TAG_NAME, "svg")
+        picture.send_keys(Keys.ESCAPE)
+        picture.send_keys(*[Keys.ARROW_RIGHT] * (xs.index(x) + 1))
 
     def check_charts(self):
         data = self.script("return JSON.parse(document.getElementById('charts-data')?.textContent ?? '[]')")
@@ -148,11 +241,12 @@ class Report:
             check(figure.find_element(By.TAG_NAME, "h2").text.strip() == chart["title"].strip(), "a chart's title")
             marks = figure.find_elements(By.CSS_SELECTOR, ".curve, .dot")
             drawn = {mark.get_attribute("class").split()[1] for mark in marks}
-            known = {f"c{i % 6}" for i, series in enumerate(chart["series"])
+            known = {f"c{(i if series['colour'] is None else series['colour']) % 6}" for i, series in enumerate(chart["series"])
                      if any(None not in point for point in series["points"])}
             check(drawn == known, f"curves {drawn} of {known} in {chart['title']}")
             if known:
                 self.check_readout(figure, chart)
+                self.check_marks(figure, chart)
 
     def check_readout(self, figure, chart):
         picture = figure.find_element(By.TAG_NAME, "svg")
@@ -202,6 +296,7 @@ class Report:
         self.check_playing()
         self.check_keys()
         self.check_settings()
+        self.check_colours()
         self.check_views()
 
     def check_frames(self):
@@ -290,17 +385,53 @@ class Report:
         self.click("#colours input[value=speed]")
         for box in self.find_all("#layers input"):
             layer = box.get_attribute("data-layer")
+            if layer == "names":
+                continue
             shown = self.pixels()["hash"]
             self.click(f"[data-layer={layer}]")
             check(self.pixels()["hash"] != shown, f"without {layer} the picture is the same")
             self.click(f"[data-layer={layer}]")
             check(self.pixels()["hash"] == shown, f"with {layer} again the picture is another")
 
+    def check_names(self):
+        """Every container has its name in the picture, until names are not wanted."""
+        given = self.script("return powderline.replay.about.containers")
+        told = self.script("return [...document.querySelectorAll('#names span')].map((name) => name.textContent)")
+        check(len(told) == len(given), f"{told} for {given}")
+        keys = self.find("#layers").text
+        for container, name in zip(given, told):
+            check(container["name"] in name and container["name"].lower() in keys.lower(), f"{name} for {container}")
+        stage = self.find("#stage").rect
+        boxes = [name.rect for name in self.find_all("#names span") if name.is_displayed()]
+        check(len(boxes) == len(given), f"only {len(boxes)} of {len(given)} names are shown")
+        for box in boxes:
+            inside = (stage["x"] <= box["x"] and box["x"] + box["width"] <= stage["x"] + stage["width"]
+                      and stage["y"] <= box["y"] and box["y"] + box["height"] <= stage["y"] + stage["height"])
+            check(inside, f"a name lies at {box}, outside of {stage}")
+        for one in boxes:
+            for other in boxes:
+                apart = (one is other or one["x"] + one["width"] <= other["x"] or other["x"] + other["width"] <= one["x"]
+                         or one["y"] + one["height"] <= other["y"] or other["y"] + other["height"] <= one["y"])
+                check(apart, f"names lie on each other: {one}, {other}")
+        self.click("[data-layer=names]")
+        check(not self.find("#names").is_displayed(), "names are still there")
+        self.click("[data-layer=names]")
+        check(self.find("#names").is_displayed(), "names do not come back")
+
+    def check_colours(self):
+        """No colour that powder may have is that of a container."""
+        told = self.script(COLOURS)
+        for powder in told["powder"]:
+            for container in told["containers"]:
+                apart = math.dist(powder, container)
+                check(apart > 60, f"powder may be {powder}, a container is {container}")
+
     def check_views(self):
         seen = set()
         for button in self.find_all("[data-view]"):
             self.click(f"[data-view={button.get_attribute('data-view')}]")
             seen.add(self.pixels()["hash"])
+            self.check_names()
         check(len(seen) == 4, "points of view are alike")
         self.click("[data-view=oblique]")
         still = self.pixels()["hash"]
@@ -326,13 +457,13 @@ class Report:
                 check(off_m < 0.5 * size_m[axis] / 65535 + 3e-6, f"particle 0 is {off_m} m off in frame {frame}")
 
     def take_screenshots(self):
-        for theme in ["light", "dark"]:
-            self.emulate(1280, 900, theme)
+        for width, theme in [*((width, "light") for width in WIDTHS), (1400, "dark")]:
+            self.emulate(width, 900, theme)
             if self.has_replay:
                 self.scrub(0.63 * self.end_s())
-            self.screenshot(theme)
+            self.screenshot(f"{width}-{theme}")
         if self.has_replay:
-            self.emulate(1280, 900, "light")
+            self.emulate(1400, 900, "light")
             for view, mode, share in [("front", "height", 0.5), ("top", "destination", 0.85), ("side", "speed", 1)]:
                 self.click(f"[data-view={view}]")
                 for button in self.find_all(f"#colours input[value={mode}]"):
@@ -340,8 +471,6 @@ class Report:
                 self.scrub(share * self.end_s())
                 self.find("#stage").screenshot(str(self.shots / f"{self.name}-{view}.png"))
             self.click("[data-view=oblique]")
-        self.emulate(400, 900, "light")
-        self.screenshot("narrow")
         self.driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
         pdf = self.driver.execute_cdp_cmd("Page.printToPDF", {"printBackground": False})["data"]
         (self.shots / f"{self.name}-print.pdf").write_bytes(base64.b64decode(pdf))
@@ -360,7 +489,7 @@ def check_report(driver, path, shots, made_up):
         told += f", replay of {particles} particles and {frames} frames, drawn {report.rate:.0f} times a second"
         if made_up:
             report.check_particle()
-    report.check_narrow()
+    report.check_widths()
     report.take_screenshots()
     report.check_quiet()
     print(f"{path.name}: {told}; {path.stat().st_size / 1e6:.2f} MB, no request, nothing in the console")

@@ -13,10 +13,10 @@ use thiserror::Error;
 
 const SIZE: (u32, u32) = (960, 1120);
 /// Width of the column beside the panels.
-const SIDE: u32 = 190;
+const SIDE: u32 = 200;
 /// Height of the lines below the panels.
 const LEGEND: u32 = 62;
-const CURRICULUM: RGBColor = RGBColor(240, 234, 214);
+const CURRICULUM: RGBColor = RGBColor(248, 243, 228);
 /// More epochs than this are counted, not listed.
 const MAX_LISTED: usize = 6;
 
@@ -77,7 +77,7 @@ impl Curves<'_> {
         ink::prepare();
         let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();
         root.fill(&WHITE)?;
-        let body = root.margin(12, 6, 0, 0).titled(self.title, (FONT, 20).into_font().color(&INK))?;
+        let body = root.margin(12, 6, 0, 0).titled(self.title, (FONT, 22).into_font().color(&INK))?;
         let (mut rest, legend) = body.split_vertically(body.dim_in_pixel().1 - LEGEND);
         let panels = [self.loss(), self.indicator(), self.skill("mm"), self.skill("deg")];
         let height = (rest.dim_in_pixel().1 - 16) / panels.len() as u32;
@@ -143,7 +143,7 @@ impl Curves<'_> {
         let epochs = Axis::from_zero(f64::from(self.epochs), 15, true);
         let caption = format!("{}{}", panel.caption, panel.values.note());
         let mut chart = ChartBuilder::on(&plot)
-            .caption(caption, (FONT, 15).into_font().color(&INK))
+            .caption(caption, (FONT, 17).into_font().color(&INK))
             .margin_left(12)
             .margin_right(10)
             .margin_bottom(6)
@@ -191,7 +191,7 @@ impl Curves<'_> {
     /// What the signs mean, below the panels.
     fn legend(&self, area: &Area<'_>) -> Drawn {
         const LINE: i32 = 24;
-        let font = || (FONT, 13).into_font().color(&INK);
+        let font = || (FONT, 15).into_font().color(&INK);
         let (mut x, mut y) = (76, 10);
         if let Some(shipped) = self.shipped() {
             area.draw(&Circle::new((x + 9, y + 7), 6, INK.stroke_width(2)))?;
@@ -229,16 +229,16 @@ impl Curves<'_> {
 
 /// What the colours mean, beside the panel.
 fn notes(side: &Area<'_>, panel: &Panel) -> Drawn {
-    for (y, line) in (44..).step_by(22).zip(&panel.lines).filter(|(_, line)| !line.note.is_empty()) {
+    for (y, line) in (44..).step_by(24).zip(&panel.lines).filter(|(_, line)| !line.note.is_empty()) {
         side.draw(&PathElement::new([(0, y + 6), (18, y + 6)], line.colour.stroke_width(3)))?;
-        side.draw(&Text::new(line.note.clone(), (26, y), (FONT, 13).into_font().color(&INK)))?;
+        side.draw(&Text::new(line.note.clone(), (26, y), (FONT, 15).into_font().color(&INK)))?;
     }
     Ok(())
 }
 
 #[cfg(test)]
 mod tests {
-    use super::ink::tests::{assert_straight, numbers};
+    use super::ink::tests::assert_straight;
     use super::*;
     use powderline_simulator::scene::Scene;
 
@@ -302,36 +302,28 @@ mod tests {
         assert_eq!(svg.matches("r=\"6\"").count(), 8);
     }
 
-    /// Each axis' numbers, from the lowest: those of the epochs have one height, those of the values one place.
     #[test]
     fn marks_stand_where_their_numbers_say() {
-        for (epochs, from) in [(5, 8.0), (5, 100.0), (10, 1.0), (30, 1100.0)] {
+        for (epochs, from) in [(5, 8.0), (20, 100.0), (10, 1.0), (30, 1100.0)] {
             let svg = svg(epochs + 1, epochs, from);
-            let numbers = numbers(&svg);
             let is_log = svg.contains("logarithmic");
             assert_eq!(is_log, from > 50.0);
+            let numbers = super::ink::tests::numbers(&svg);
             let left = numbers.iter().map(|number| number.0).fold(f64::INFINITY, f64::min);
-            let mut upwards: Vec<(f64, f64)> =
-                numbers.iter().filter(|it| it.0 <= left + 1.0).map(|it| (it.1, it.2)).collect();
-            upwards.sort_by(|a, b| b.0.total_cmp(&a.0));
-            let is_new = |pair: &&[(f64, f64)]| pair.len() > 1;
-            // From the bottom, a panel begins where the numbers fall, or where there is a gap.
-            let panels: Vec<&[(f64, f64)]> =
-                upwards.chunk_by(|a, b| b.1 > a.1 && a.0 - b.0 < 90.0).filter(is_new).collect();
-            assert_eq!(panels.len(), 4, "{upwards:?}");
-            for (index, panel) in panels.iter().enumerate() {
-                let is_log = is_log && index == 3;
-                let panel: Vec<_> = panel
-                    .iter()
-                    .map(|(px, value)| (*px, if is_log { value.log10() } else { *value }))
-                    .collect();
-                assert_straight(&panel);
+            let (upwards, along): (Vec<(f64, f64, f64)>, Vec<_>) = numbers.into_iter().partition(|number| number.0 < left + 2.0);
+            let mut top = 0.0;
+            let rows: Vec<_> = along.chunk_by(|a, b| (a.1 - b.1).abs() < 1.0).collect();
+            assert_eq!(rows.len(), 4, "{along:?}");
+            for (panel, row) in rows.iter().enumerate() {
+                let epochs: Vec<_> = row.iter().map(|(x, _, epoch)| (*x, *epoch)).collect();
+                assert_straight(&epochs);
+                assert!(epochs.iter().all(|(_, epoch)| epoch.fract().abs() < 1e-12), "{epochs:?}");
+                let bottom = row[0].1;
+                let here = upwards.iter().filter(|(_, y, _)| (top..bottom).contains(y));
+                let place = |value: f64| if is_log && panel == 0 { value.log10() } else { value };
+                assert_straight(&here.map(|(_, y, value)| (*y, place(*value))).collect::<Vec<_>>());
+                top = bottom;
             }
-            let lowest = numbers.iter().map(|number| number.1).fold(f64::NEG_INFINITY, f64::max);
-            let along: Vec<_> =
-                numbers.iter().filter(|it| it.1 > lowest - 1.0).map(|it| (it.0, it.2)).collect();
-            assert_straight(&along);
-            assert!(along.iter().all(|(_, epoch)| epoch.fract().abs() < 1e-12), "{along:?}");
         }
     }
 }

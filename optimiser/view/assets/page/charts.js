@@ -1,7 +1,9 @@
 // Curves as SVG, drawn anew for each width so that letters keep their size.
 
 const SVG = 'http://www.w3.org/2000/svg';
-const MARGIN = { top: 10, right: 14, bottom: 40, left: 58 };
+const MARGIN = { top: 10, right: 14, bottom: 42, left: 58 };
+/** More room at the top, where a mark's label stands. */
+const LABEL_TOP = 22;
 const COLOURS = 6;
 
 /** An SVG element with attributes and children. */
@@ -20,23 +22,53 @@ function html(name, className, ...children) {
   return made;
 }
 
-/** About `count` numbers that read easily, from low to high. */
-function ticks(low, high, count) {
-  const rough = (high - low) / count;
-  const power = 10 ** Math.floor(Math.log10(rough));
-  const step = [1, 2, 2.5, 5, 10].find((first) => first * power >= rough) * power;
-  const from = Math.ceil(low / step - 1e-6);
-  const to = Math.floor(high / step + 1e-6);
-  return Array.from({ length: Math.max(to - from + 1, 0) }, (_, i) => (from + i) * step);
+/** A mark of an axis: the number, and how it is written, which is no rounded one. */
+function mark(digit, power) {
+  // Read as text, for sums and products of binary numbers are not what they seem.
+  const value = Number(`${digit}e${power}`) || 0;
+  return { value, text: written(value, Math.max(-power, 0)) };
+}
+
+/** A number with so many decimals; far from one, by powers of ten. */
+function written(value, decimals) {
+  if (value !== 0 && (Math.abs(value) >= 1e7 || decimals > 6)) return String(Number(value.toPrecision(12)));
+  return value.toLocaleString('en', {
+    minimumFractionDigits: decimals, maximumFractionDigits: decimals, useGrouping: Math.abs(value) >= 1e4,
+  });
+}
+
+/** About `count` marks from low to high, 1, 2 or 5 times a power of ten apart; whole numbers, if all values are. */
+function linearMarks(low, high, count, whole) {
+  const rough = (high - low) / Math.max(count, 1);
+  let power = Math.floor(Math.log10(rough));
+  const share = rough / 10 ** power;
+  // Between two steps the border is their geometric mean.
+  let digit = [[1, Math.sqrt(2)], [2, Math.sqrt(10)], [5, Math.sqrt(50)]].find(([, below]) => share < below)?.[0];
+  if (!digit) [digit, power] = [1, power + 1];
+  if (whole && power < 0) [digit, power] = [1, 0];
+  const step = digit * 10 ** power;
+  const from = Math.ceil(low / step - 1e-9);
+  const to = Math.floor(high / step + 1e-9);
+  return Array.from({ length: Math.max(to - from + 1, 0) }, (_, i) => mark((from + i) * digit, power));
+}
+
+/** Marks at 1, 2 and 5 times powers of ten; only at those powers where there would be more than `most`. */
+function logMarks(low, high, most) {
+  const powers = [];
+  for (let power = Math.floor(Math.log10(low)); power <= Math.log10(high); power += 1) powers.push(power);
+  const at = (digits) => powers.flatMap((power) => digits.map((digit) => mark(digit, power)))
+    .filter(({ value }) => value >= low && value <= high);
+  const fine = at([1, 2, 5]);
+  return fine.length <= most ? fine : at([1]);
 }
 
 /** A number in few digits: enough to tell it from others `step` away. */
 function told(value, step) {
   if (value === null || !Number.isFinite(value)) return '–';
   if (value !== 0 && (Math.abs(value) >= 1e7 || Math.abs(value) < 1e-4)) return value.toExponential(2);
-  const digits = Math.min(Math.max(Math.ceil(-Math.log10(step) + 1e-9), 0), 8);
-  const rounded = Number(value.toFixed(digits + (step < 1 && (step * 10 ** digits) % 1 > 1e-6 ? 1 : 0)));
-  return (rounded || 0).toLocaleString('en', { maximumFractionDigits: 8, useGrouping: Math.abs(value) >= 1e4 });
+  const digits = Math.min(Math.max(Math.ceil(-Math.log10(step) - 1e-9), 0), 8);
+  const rounded = Number(value.toFixed(digits)) || 0;
+  return rounded.toLocaleString('en', { maximumFractionDigits: 8, useGrouping: Math.abs(value) >= 1e4 });
 }
 
 /** Lowest and highest of numbers, never the same. */
@@ -61,46 +93,120 @@ function stretches(points) {
 
 const line = (points) => `M${points.map(([x, y]) => `${x.toFixed(1)},${y.toFixed(1)}`).join('L')}`;
 
+const isNumber = (value) => value !== null && Number.isFinite(value);
+const isWhole = (values) => values.filter(isNumber).every(Number.isInteger);
+
+/** Whether y goes up by powers of ten: where it may, and where numbers above zero span more than one. */
+function isLog(chart) {
+  const ys = chart.series.flatMap((series) => series.points.map(([, y]) => y)).filter(isNumber);
+  const [low, high] = [ys.reduce((a, b) => Math.min(a, b), Infinity), ys.reduce((a, b) => Math.max(a, b), -Infinity)];
+  return chart.y_scale === 'log-if-wide' && low > 0 && high > 10 * low;
+}
+
+/** An axis up the picture: its ends, its marks, and the share of its length at which a number lies. */
+function upwards(chart, height) {
+  const ys = chart.series.flatMap((series) => series.points.map(([, y]) => y));
+  const most = Math.max(3, Math.floor((height - LABEL_TOP - MARGIN.bottom) / 24));
+  if (isLog(chart)) {
+    const [low, high] = rangeOf(ys.map((y) => (isNumber(y) ? Math.log10(y) : y)), 0.06);
+    // A band may reach below zero, where there are no logarithms.
+    const share = (y) => (Math.log10(Math.max(y, 10 ** low)) - low) / (high - low);
+    return { marks: logMarks(10 ** low, 10 ** high, most), share };
+  }
+  const [low, high] = rangeOf([...ys, ...chart.series.flatMap((series) => series.band ?? []).flat()], 0.06);
+  const marks = linearMarks(low, high, Math.min(most, 6), isWhole(ys));
+  return { marks, share: (y) => (y - low) / (high - low) };
+}
+
 /** Where numbers of a chart lie in a picture of a size. */
 function frameOf(chart, width, height) {
   const xs = chart.series.flatMap((series) => series.points.map(([x]) => x));
-  const ys = chart.series.flatMap((series) => [...series.points.map(([, y]) => y), ...(series.band ?? []).flat()]);
   const [xLow, xHigh] = rangeOf(xs, 0);
-  const [yLow, yHigh] = rangeOf(ys, 0.06);
   const [right, bottom] = [width - MARGIN.right, height - MARGIN.bottom];
+  const up = upwards(chart, height);
+  const top = chart.marks.some(([, { kind }]) => kind === 'chosen') ? LABEL_TOP : MARGIN.top;
   return {
-    right, bottom, width, height, xLow, xHigh, yLow, yHigh,
+    top, right, bottom, width, height, xLow, xHigh,
     x: (value) => MARGIN.left + ((value - xLow) / (xHigh - xLow)) * (right - MARGIN.left),
-    y: (value) => bottom - ((value - yLow) / (yHigh - yLow)) * (bottom - MARGIN.top),
-    xTicks: ticks(xLow, xHigh, Math.max(2, Math.floor(width / 90))),
-    yTicks: ticks(yLow, yHigh, 5),
+    y: (value) => bottom - up.share(value) * (bottom - top),
+    xMarks: linearMarks(xLow, xHigh, Math.min(Math.max(2, Math.floor(width / 60)), 10), isWhole(xs)),
+    yMarks: up.marks,
   };
 }
 
-const stepOf = (marks) => (marks.length > 1 ? marks[1] - marks[0] : Math.abs(marks[0]) || 1);
+/** What tells a number of this chart from the next. */
+const stepOf = (marks) => (marks.length > 1 ? marks[1].value - marks[0].value : Math.abs(marks[0]?.value) || 1);
 
 function axes(chart, frame) {
   const text = (className, x, y, anchor, words) =>
     svg('text', { class: className, x, y, 'text-anchor': anchor }, [words]);
-  const across = frame.yTicks.flatMap((value) => [
-    svg('line', { class: 'grid', x1: MARGIN.left, x2: frame.right, y1: frame.y(value), y2: frame.y(value) }),
-    text('tick', MARGIN.left - 8, frame.y(value) + 4, 'end', told(value, stepOf(frame.yTicks))),
-  ]);
-  const along = frame.xTicks.flatMap((value) => [
-    svg('line', { class: 'mark', x1: frame.x(value), x2: frame.x(value), y1: frame.bottom, y2: frame.bottom + 4 }),
-    text('tick', frame.x(value), frame.bottom + 17, 'middle', told(value, stepOf(frame.xTicks))),
-  ]);
+  const across = frame.yMarks.flatMap((mark) => {
+    const y = frame.y(mark.value);
+    return [
+      svg('line', { class: 'grid', x1: MARGIN.left, x2: frame.right, y1: y, y2: y }),
+      text('tick up', MARGIN.left - 8, y + 4, 'end', mark.text),
+    ];
+  });
+  const along = frame.xMarks.flatMap((mark) => {
+    const x = frame.x(mark.value);
+    return [
+      svg('line', { class: 'mark', x1: x, x2: x, y1: frame.bottom, y2: frame.bottom + 4 }),
+      text('tick along', x, frame.bottom + 17, 'middle', mark.text),
+    ];
+  });
   const base = svg('line', {
     class: 'axis', x1: MARGIN.left, x2: frame.right, y1: frame.bottom, y2: frame.bottom,
   });
-  const name = text('label', (MARGIN.left + frame.right) / 2, frame.height - 4, 'middle', chart.x_label);
+  const name = text('label', (MARGIN.left + frame.right) / 2, frame.height - 5, 'middle', chart.x_label);
   return [...across, ...along, base, name];
 }
+
+/** The shaded part of the x axis. */
+function shadeOf(chart, frame) {
+  if (!chart.shade) return [];
+  const within = (x) => frame.x(Math.min(Math.max(x, frame.xLow), frame.xHigh));
+  const [from, to] = [within(chart.shade.from), within(chart.shade.to)];
+  if (!(to > from)) return [];
+  return [svg('rect', {
+    class: 'shade', x: from, y: frame.top, width: to - from, height: frame.bottom - frame.top,
+  })];
+}
+
+/** A sign of a mark about the middle of its own coordinates: a ring or a cross. */
+function sign(kind) {
+  if (kind === 'chosen') return svg('circle', { class: 'sign', r: 5.5 });
+  return svg('path', { class: 'sign', d: 'M-4.5,-4.5L4.5,4.5M-4.5,4.5L4.5,-4.5' });
+}
+
+/** Signs on every curve at the x of each mark; what was chosen has a line and its label besides. */
+function signs(chart, frame) {
+  return chart.marks.filter(([x]) => x >= frame.xLow && x <= frame.xHigh).flatMap(([x, { kind, label }]) => {
+    const points = chart.series.flatMap(({ points }) => points.filter(([at, y]) => at === x && isNumber(y)));
+    const on = points.map(([, y]) => {
+      const placed = sign(kind);
+      placed.setAttribute('transform', `translate(${frame.x(x).toFixed(1)},${frame.y(y).toFixed(1)})`);
+      placed.classList.add(kind);
+      return placed;
+    });
+    if (kind !== 'chosen') return on;
+    const at = frame.x(x);
+    const share = (at - MARGIN.left) / (frame.right - MARGIN.left);
+    const anchor = share < 0.12 ? 'start' : share > 0.88 ? 'end' : 'middle';
+    return [
+      svg('line', { class: 'chosen-at', x1: at, x2: at, y1: frame.top, y2: frame.bottom }),
+      svg('text', { class: 'chosen-label', x: at, y: frame.top - 8, 'text-anchor': anchor }, [label]),
+      ...on,
+    ];
+  });
+}
+
+const colourOf = (series, index) => (series.colour ?? index) % COLOURS;
+const isAgain = (series, index) => (series.colour ?? index) >= COLOURS;
 
 /** A band with its curve on top; a point alone is a dot. */
 function curve(series, index, frame) {
   const place = ([x, y]) => [x === null ? null : frame.x(x), y === null ? null : frame.y(y)];
-  const classes = `c${index % COLOURS}${index >= COLOURS ? ' again' : ''}`;
+  const classes = `c${colourOf(series, index)}${isAgain(series, index) ? ' again' : ''}`;
   const parts = stretches(series.points.map(place)).map((points) => {
     if (points.length > 1) return svg('path', { class: `curve ${classes}`, d: line(points) });
     return svg('circle', { class: `dot ${classes}`, cx: points[0][0], cy: points[0][1], r: 3 });
@@ -132,24 +238,26 @@ function nearest(points, x) {
   return best;
 }
 
-/** What the reader points at: a line, a dot on each curve, and their numbers. */
+/** What the reader points at: a line, a dot on each curve, their numbers, and what there is to say of the place. */
 function readout(chart, frame, x) {
   const step = (marks) => stepOf(marks) / 100;
   const rows = chart.series.map((series, index) => {
     const at = nearest(series.points, x);
     if (at < 0 || series.points[at][0] !== x) return null;
-    return { series, index, y: series.points[at][1], band: series.band?.[at] };
+    return { series, colour: `c${colourOf(series, index)}`, y: series.points[at][1], band: series.band?.[at] };
   }).filter(Boolean);
-  const numbers = rows.map(({ series, index, y, band }) => {
-    const range = band ? ` (${told(band[0], step(frame.yTicks))} to ${told(band[1], step(frame.yTicks))})` : '';
-    const name = html('span', `key c${index % COLOURS}`, series.name);
-    return html('div', 'row', name, html('b', '', `${told(y, step(frame.yTicks))}${range}`));
+  const numbers = rows.map(({ series, colour, y, band }) => {
+    const range = band ? ` (${told(band[0], step(frame.yMarks))} to ${told(band[1], step(frame.yMarks))})` : '';
+    const name = html('span', `key ${colour}`, series.name);
+    return html('div', 'row', name, html('b', '', `${told(y, step(frame.yMarks))}${range}`));
   });
-  const dots = rows.filter(({ y }) => y !== null).map(({ index, y }) =>
-    svg('circle', { class: `dot c${index % COLOURS}`, cx: frame.x(x), cy: frame.y(y), r: 4 }));
-  const hair = svg('line', { class: 'hair', x1: frame.x(x), x2: frame.x(x), y1: MARGIN.top, y2: frame.bottom });
-  const head = html('div', 'head', `${chart.x_label} ${told(x, step(frame.xTicks))}`);
-  return { marks: [hair, ...dots], text: [head, ...numbers] };
+  const remarks = chart.marks.filter(([at]) => at === x).map(([, { label, note }]) =>
+    html('div', 'remark', html('b', '', label), note ? `: ${note}` : ''));
+  const dots = rows.filter(({ y }) => y !== null).map(({ colour, y }) =>
+    svg('circle', { class: `dot ${colour}`, cx: frame.x(x), cy: frame.y(y), r: 4 }));
+  const hair = svg('line', { class: 'hair', x1: frame.x(x), x2: frame.x(x), y1: frame.top, y2: frame.bottom });
+  const head = html('div', 'head', `${chart.x_label} ${told(x, step(frame.xMarks))}`);
+  return { marks: [hair, ...dots], text: [head, ...numbers, ...remarks] };
 }
 
 /** Draws a chart into its figure; calls of the returned function draw it again. */
@@ -198,7 +306,7 @@ function drawer(chart, host) {
     const picture = svg('svg', {
       viewBox: `0 0 ${frame.width} ${frame.height}`, width: frame.width, height: frame.height,
       role: 'img', tabindex: 0, 'aria-label': summaryOf(chart),
-    }, [...axes(chart, frame), ...curves, overlay]);
+    }, [...shadeOf(chart, frame), ...axes(chart, frame), ...curves, ...signs(chart, frame), overlay]);
     picture.addEventListener('pointermove', point);
     picture.addEventListener('pointerdown', point);
     picture.addEventListener('pointerleave', leave);
@@ -217,18 +325,34 @@ function summaryOf(chart) {
     const tell = (value) => Number(value.toPrecision(4));
     return `${name}: from ${tell(known[0][1])} to ${tell(known.at(-1)[1])}`;
   });
-  return `${chart.title}: ${chart.y_label} over ${chart.x_label}. ${ends.join('; ')}. Arrow keys read values.`;
+  const marks = chart.marks.map(([x, { label, note }]) => `${label}: ${chart.x_label} ${x}${note ? `, ${note}` : ''}`);
+  const told = [...ends, ...marks].join('; ');
+  return `${chart.title}: ${unitOf(chart)} over ${chart.x_label}. ${told}. Arrow keys read values.`;
 }
 
+const unitOf = (chart) => chart.y_label + (isLog(chart) ? ', logarithmic scale' : '');
+
+/** Names of several curves, what the signs mean and where they are, and what is shaded. */
 function legendOf(chart) {
-  const key = ({ name }, index) =>
-    html('span', `key c${index % COLOURS}${index >= COLOURS ? ' again' : ''}`, name);
-  return chart.series.length > 1 ? [html('div', 'keys', ...chart.series.map(key))] : [];
+  const curves = chart.series.map((series, index) =>
+    html('span', `key c${colourOf(series, index)}${isAgain(series, index) ? ' again' : ''}`, series.name));
+  const labels = [...new Set(chart.marks.map(([, { label }]) => label))];
+  const marks = labels.map((label) => {
+    const alike = chart.marks.filter(([, mark]) => mark.label === label);
+    const picture = svg('svg', { viewBox: '-8 -8 16 16', width: 15, height: 15, 'aria-hidden': true }, [
+      sign(alike[0][1].kind),
+    ]);
+    const where = alike.length > 6 ? `${alike.length} times` : alike.map(([x]) => x).join(', ');
+    return html('span', 'mark-key', picture, `${label}: ${chart.x_label} ${where}`);
+  });
+  const shade = chart.shade ? [html('span', 'shade-key', chart.shade.label)] : [];
+  const keys = [...(curves.length > 1 ? curves : []), ...marks, ...shade];
+  return keys.length ? [html('div', 'keys', ...keys)] : [];
 }
 
 function showChart(chart) {
   const plot = html('div', 'plot');
-  const figure = html('figure', 'chart', html('h2', '', chart.title), html('div', 'unit', chart.y_label));
+  const figure = html('figure', 'chart', html('h2', '', chart.title), html('div', 'unit', unitOf(chart)));
   figure.append(...legendOf(chart), plot);
   const draw = drawer(chart, plot);
   let width = 0;

@@ -1,17 +1,20 @@
 // The replay: powder, tool and containers in 3-D, played by time. Needs `powder.js` in front of it.
 
-/** Colours along a scale, from its low end to its high end; even steps of lightness. */
+/**
+ * Colours along a scale, from its low end to its high end, ever darker. All are warm: blue and grey are what the powder
+ * is poured from and into, which all kinds of eyes tell apart.
+ */
 const RAMPS = {
-  speed: ['#4658a9', '#7b46a8', '#b4458f', '#e06166', '#f6954d', '#fbd350'],
-  height: ['#440154', '#46327e', '#365c8d', '#277f8e', '#1fa187', '#4ac16d', '#a0da39', '#fde725'],
+  speed: ['#d9c7a0', '#e6a93c', '#de7a18', '#c9471d', '#9c1f2e'],
+  height: ['#eddcae', '#dcb45c', '#bd8430', '#8f5a20', '#5f3716'],
 };
 
 /** Where particles end, by the digit the page stores; colours that colour-blind readers tell apart. */
 const DESTINATIONS = [
-  ['left behind', '#8d99a8'],
-  ['in the target', '#2f86d1'],
+  ['left behind', '#b3a68c'],
+  ['in the target', '#009e73'],
   ['on the tool', '#e69f00'],
-  ['spilled', '#d5482a'],
+  ['spilled', '#d55e00'],
 ];
 
 /** Directions to look from; z is up. */
@@ -215,6 +218,58 @@ function powder(THREE, replay) {
   return { points, uniforms, show };
 }
 
+/** Names under the containers: `place(camera, width, height)` puts each where its container is seen lowest. */
+function nameTags(THREE, containers, host) {
+  const tags = containers.map(({ name, role, mesh }) => {
+    const tag = document.createElement('span');
+    tag.className = `of-${role}`;
+    tag.textContent = role === 'bystander' || name === role ? name : `${name} (${role})`;
+    const box = new THREE.Box3().setFromArray(mesh.points_m);
+    const pick = (corner, axis) => (corner & (1 << axis) ? box.max : box.min).getComponent(axis);
+    const corners = Array.from({ length: 8 }, (_, i) => new THREE.Vector3(pick(i, 0), pick(i, 1), pick(i, 2)));
+    return { tag, corners };
+  });
+  host.replaceChildren(...tags.map(({ tag }) => tag));
+  const seen = new THREE.Vector3();
+  /** The rectangle in which a container is seen; nothing if some of it is behind the eye, or all of it out of sight. */
+  const rectangle = (corners, camera, width, height) => {
+    const ends = { left: Infinity, right: -Infinity, top: Infinity, bottom: -Infinity };
+    for (const corner of corners) {
+      seen.copy(corner).project(camera);
+      if (seen.z > 1) return null;
+      const [x, y] = [(0.5 + 0.5 * seen.x) * width, (0.5 - 0.5 * seen.y) * height];
+      [ends.left, ends.right] = [Math.min(ends.left, x), Math.max(ends.right, x)];
+      [ends.top, ends.bottom] = [Math.min(ends.top, y), Math.max(ends.bottom, y)];
+    }
+    return ends.right < 0 || ends.left > width || ends.bottom < 0 || ends.top > height ? null : ends;
+  };
+  const names = {
+    get visible() { return !host.hidden; },
+    set visible(on) { host.hidden = !on; },
+    place(camera, width, height) {
+      if (host.hidden) return;
+      const taken = [];
+      tags.forEach(({ tag, corners }) => {
+        const ends = rectangle(corners, camera, width, height);
+        tag.hidden = !ends;
+        if (!ends) return;
+        const [wide, tall] = [tag.offsetWidth, tag.offsetHeight];
+        const clamped = (value, most) => Math.max(2, Math.min(value, most - 2));
+        const left = clamped(0.5 * (ends.left + ends.right) - 0.5 * wide, width - wide);
+        let top = clamped(ends.bottom + 3, height - tall);
+        // Names do not lie on each other: the next one goes below, or above where there is no room.
+        const hit = () => taken.find((other) => left < other.left + other.wide && other.left < left + wide
+          && top < other.top + tall && other.top < top + tall);
+        for (let other = hit(); other && top + tall < height; other = hit()) top = other.top + tall + 1;
+        for (let other = hit(); other && top > 0; other = hit()) top = other.top - tall - 1;
+        taken.push({ left, top, wide });
+        tag.style.transform = `translate(${left.toFixed(1)}px, ${top.toFixed(1)}px)`;
+      });
+    },
+  };
+  return names;
+}
+
 // ---- The stage ----
 
 /** Everything on the stage, and how to light, look at and draw it. */
@@ -226,13 +281,15 @@ function makeStage({ THREE, OrbitControls }, replay, host) {
   camera.up.set(0, 0, 1);
   const grid = floorGrid(THREE, about.size_m);
   const layers = {
-    containers: new THREE.Group(),
+    source: new THREE.Group(),
+    target: new THREE.Group(),
+    bystander: new THREE.Group(),
     tool: glass(THREE, about.tool, '--tool', 0.5, 0.9),
     planned: new THREE.Group(),
     path: path(THREE, about.poses, 0.1 * about.cell_m, '--executed'),
   };
   for (const { mesh, role } of about.containers) {
-    layers.containers.add(glass(THREE, mesh, `--${role}`, 0.16, 0.8));
+    layers[role].add(glass(THREE, mesh, `--${role}`, role === 'target' ? 0.2 : 0.16, 0.85));
   }
   const plannedTool = ghost(THREE, about.tool);
   const plannedPoses = about.planned.filter((pose) => pose);
@@ -253,6 +310,7 @@ function makeStage({ THREE, OrbitControls }, replay, host) {
   const controls = new OrbitControls(camera, canvas);
   controls.zoomToCursor = true;
   const extent = extentOf(THREE, about);
+  const names = nameTags(THREE, about.containers, element('names'));
 
   const place = (group, a, b, share) => {
     const [p, q] = [a, b].map((pose) => new THREE.Vector3(pose[0], pose[1], pose[2]));
@@ -262,7 +320,8 @@ function makeStage({ THREE, OrbitControls }, replay, host) {
   };
 
   return {
-    canvas, camera, controls, layers, gridStep: grid.step,
+    canvas, camera, controls, powderColours: [...Object.values(RAMPS).flat(), ...DESTINATIONS.map(([, colour]) => colour)],
+    layers: { ...layers, names }, gridStep: grid.step,
     show(time) {
       const at = replay.at(time);
       grains.show(at);
@@ -299,6 +358,7 @@ function makeStage({ THREE, OrbitControls }, replay, host) {
     },
     draw() {
       renderer.render(scene, camera);
+      names.place(camera, host.clientWidth, host.clientHeight);
       canvas.dataset.drawn = String(Number(canvas.dataset.drawn) + 1);
     },
   };
@@ -410,6 +470,7 @@ function showLegend(mode, replay) {
   const legend = element('legend');
   if (mode === 'destination') {
     const digits = [...replay.about.destinations].map(Number);
+    legend.setAttribute('aria-label', 'Where the powder ends');
     legend.replaceChildren(...DESTINATIONS.map(([name, colour], kind) => {
       const count = digits.filter((digit) => digit === kind).length;
       const entry = span('kind', `${name} ${count.toLocaleString('en')}`);
@@ -491,6 +552,16 @@ function bindKeys(replay, clock) {
   });
 }
 
+/** The containers' names beside their colours; no colour of what is not there. */
+function showRoles(containers) {
+  document.querySelectorAll('[data-of]').forEach((word) => {
+    const role = word.dataset.of;
+    const names = containers.filter((container) => container.role === role).map(({ name }) => name);
+    if (!names.length) word.closest('label').remove();
+    else if (names.join() !== role) word.textContent += `: ${names.join(', ')}`;
+  });
+}
+
 function bindSettings(replay, stage, changed) {
   const { about } = replay;
   const colour = (mode) => {
@@ -500,6 +571,7 @@ function bindSettings(replay, stage, changed) {
   };
   element('colours').addEventListener('change', (event) => colour(event.target.value));
   if (about.destinations === null) document.querySelector('[value=destination]').closest('label').remove();
+  showRoles(about.containers);
   if (!about.planned.some((pose) => pose)) document.querySelector('[data-planned]').remove();
   colour('speed');
   element('layers').addEventListener('change', (event) => {
@@ -512,10 +584,13 @@ function bindSettings(replay, stage, changed) {
   }));
 }
 
-/** The wheel scrolls the page until the reader has clicked the stage. */
+/** Wheel and finger scroll the page until the reader has clicked the stage. */
 function bindStage(stage, changed) {
   const host = element('stage');
-  const zoomable = (on) => () => { stage.controls.enableZoom = on; };
+  const zoomable = (on) => () => {
+    stage.controls.enableZoom = on;
+    stage.canvas.style.touchAction = on ? 'none' : 'pan-y';
+  };
   zoomable(false)();
   host.addEventListener('focusin', zoomable(true));
   host.addEventListener('focusout', zoomable(false));
