@@ -310,7 +310,8 @@ mod tests {
             assert_eq!(is_log, from > 50.0);
             let numbers = super::ink::tests::numbers(&svg);
             let left = numbers.iter().map(|number| number.0).fold(f64::INFINITY, f64::min);
-            let (upwards, along): (Vec<(f64, f64, f64)>, Vec<_>) = numbers.into_iter().partition(|number| number.0 < left + 2.0);
+            let (upwards, along): (Vec<(f64, f64, f64)>, Vec<_>) =
+                numbers.into_iter().partition(|number| number.0 < left + 2.0);
             let mut top = 0.0;
             let rows: Vec<_> = along.chunk_by(|a, b| (a.1 - b.1).abs() < 1.0).collect();
             assert_eq!(rows.len(), 4, "{along:?}");
