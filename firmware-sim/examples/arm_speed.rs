@@ -5,8 +5,9 @@ use std::hint::black_box;
 use std::time::Instant;
 
 use nalgebra::Vector3;
+use powderline_firmware_sim::arm::Arm;
 use powderline_firmware_sim::arm::servo::Lag;
-use powderline_firmware_sim::arm::{Arm, ArmError, ArmModel};
+use powderline_shared::arm::{ArmError, ArmModel};
 use powderline_shared::pose::{Pose, exp_so3};
 
 const STEPS: u32 = 1_000_000;
@@ -32,9 +33,8 @@ fn measure(name: &str, mut arm: Arm, way: &[Pose]) -> Result<(), ArmError> {
 
 fn main() -> Result<(), ArmError> {
     let way: Vec<Pose> = (0..1_000).map(|step| pose(TAU * f64::from(step) / 1_000.0)).collect();
-    let lagging = ArmModel::bench();
-    let exact = ArmModel { lag: Lag { time_constant_s: 0.0 }, ..lagging };
+    let arm = |lag| Arm::new(ArmModel::bench(), lag, pose(0.0));
     measure("ideal", Arm::ideal(pose(0.0)), &way)?;
-    measure("without lag", Arm::new(exact, pose(0.0))?, &way)?;
-    measure("with lag", Arm::new(lagging, pose(0.0))?, &way)
+    measure("without lag", arm(Lag::NONE)?, &way)?;
+    measure("with lag", arm(Lag::default())?, &way)
 }

@@ -17,6 +17,7 @@
 use std::collections::VecDeque;
 
 use nalgebra::Vector3;
+use powderline_shared::arm::{ArmError, ArmModel};
 use powderline_shared::displacement::{Displacement, Setpoint, pose_at};
 use powderline_shared::fault::{Fault, FaultCode, Side};
 use powderline_shared::limits::{Limits, Motion, PeakUse, Violation};
@@ -27,7 +28,8 @@ use powderline_shared::wire::message::{
 };
 use powderline_shared::wire::state::{Command, Phase, State};
 
-use crate::arm::{Arm, ArmError, ArmModel};
+use crate::arm::Arm;
+use crate::arm::servo::Lag;
 use crate::buffer::Refused;
 use crate::interpolator::Interpolator;
 use crate::session::{self, Anchored, Session};
@@ -102,7 +104,7 @@ impl ArmConfig {
     /// # Errors
     /// It cannot stand there.
     pub fn ur5e(pose: Pose) -> Result<Self, ArmError> {
-        Ok(Self { arm: Arm::new(ArmModel::bench(), pose)?, ..Self::ideal(pose) })
+        Ok(Self { arm: Arm::new(ArmModel::bench(), Lag::default(), pose)?, ..Self::ideal(pose) })
     }
 }
 

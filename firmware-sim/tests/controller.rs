@@ -1,11 +1,13 @@
 //! The controller on its own, driven by hand: no line of the executor is involved.
 
 use nalgebra::Vector3;
-use powderline_firmware_sim::arm::{Arm, ArmModel};
+use powderline_firmware_sim::arm::Arm;
+use powderline_firmware_sim::arm::servo::Lag;
 use powderline_firmware_sim::controller::{
     ArmConfig, Controller, DEFAULT_WATCHDOG_US, EXTRAPOLATION_TICKS, LONGEST_PERIOD_US,
 };
 use powderline_firmware_sim::stop::GENTLE_STOP_US;
+use powderline_shared::arm::ArmModel;
 use powderline_shared::displacement::{Displacement, Lsb, Setpoint, pose_at};
 use powderline_shared::fault::FaultCode;
 use powderline_shared::limits::{Limits, Motion};
@@ -902,7 +904,7 @@ fn an_arm_with_joints_that_lag_settles_on_the_last_setpoint_before_it_says_so() 
 fn what_the_joints_cannot_do_stops_the_arm_with_their_reason() {
     let turned = |length_m, angle_rad, ticks: u32, joint_speed_rad_s: f64| {
         let model = ArmModel { joint_speed_rad_s: [joint_speed_rad_s; 6], ..ArmModel::bench() };
-        let arm = Arm::new(model, over_the_bench()).unwrap();
+        let arm = Arm::new(model, Lag::default(), over_the_bench()).unwrap();
         let mut bench = Bench::new();
         bench.arm = Controller::new(ArmConfig { arm, ..ArmConfig::ideal(over_the_bench()) });
         let wide = Limits {

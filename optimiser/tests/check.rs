@@ -41,7 +41,7 @@ fn a_bad_scene_is_one_sentence_on_standard_error_and_exit_code_2() {
         assert_eq!(text(&output.stdout), "");
         assert_eq!(
             text(&output.stderr),
-            "there is no scene and no file called `bnch`; the embedded scenes are bench, bench-small, bench-fine\n"
+            "there is no scene and no file called `bnch`; the embedded scenes are bench, bench-small, bench-fine, vial\n"
         );
     }
 }

@@ -3,7 +3,7 @@
 //! The optimiser writes a [`plan`], the executor plays it, the arm's controller performs it. What the three must agree
 //! on, to the last bit, lives here and only here: rotations ([`pose`]), quantised cumulative setpoints
 //! ([`displacement`]), motion limits ([`limits`]), fault codes ([`fault`]), the plan file ([`plan`]), what executor and arm
-//! say to each other ([`wire`]) and the motion that the arm has made ([`trajectory`]).
+//! say to each other ([`wire`]), the motion that the arm has made ([`trajectory`]) and which joints put its tool at a pose ([`arm`]).
 //!
 //! No `std`, no allocation, no unsafe code: the same crate runs on the host and on a microcontroller, and `libm` gives both
 //! the same bits. Nothing here is meant to panic; the lints below keep out what can be seen to, which is no proof.
@@ -23,9 +23,11 @@
 #[cfg(test)]
 extern crate std;
 
+pub mod arm;
 pub mod displacement;
 pub mod fault;
 pub mod limits;
+pub mod mass;
 pub mod plan;
 pub mod pose;
 pub mod trajectory;

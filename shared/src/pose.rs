@@ -52,6 +52,21 @@ impl Pose {
         }
     }
 
+    /// a_from_c of `self` = a_from_b and b_from_c.
+    #[must_use]
+    pub fn then(&self, b_from_c: &Self) -> Self {
+        Self {
+            position_m: self.world_from_tool(&b_from_c.position_m),
+            orientation: renormalised(self.orientation * b_from_c.orientation),
+        }
+    }
+
+    /// b_from_a of `self` = a_from_b.
+    #[must_use]
+    pub fn inverse(&self) -> Self {
+        Self { position_m: self.tool_from_world(&Vector3::zeros()), orientation: self.orientation.inverse() }
+    }
+
     /// World coordinates of a point given in tool coordinates, metres.
     #[must_use]
     pub fn world_from_tool(&self, point_m: &Vector3<f64>) -> Vector3<f64> {

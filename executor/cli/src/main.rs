@@ -43,6 +43,8 @@ const PRIORITY: u8 = 49;
 /// Plays a plan on an arm and says where the arm ended.
 #[derive(Debug, Parser)]
 #[command(
+    name = "execute",
+    bin_name = "execute",
     version,
     after_help = "Exit codes:\n  \
     0  the arm performed the whole plan and stands at its end\n  \

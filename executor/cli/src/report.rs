@@ -7,6 +7,7 @@ use powderline_host::jitter::JitterSummary;
 use powderline_shared::displacement::{Axis, Lsb, Setpoint};
 use powderline_shared::fault::{Fault, FaultCode};
 use powderline_shared::limits::PeakUse;
+use powderline_shared::mass::Mass;
 use powderline_shared::plan::{PlanReader, Precision, SKILL_PARAMETERS, StartPose};
 use serde::Serialize;
 
@@ -264,12 +265,11 @@ impl fmt::Display for PlanFacts {
         )?;
         writeln!(
             f,
-            "  predicts  {} particles ({:.2} g) transported, {} spilled, indicator {}, loss {:.6}",
+            "  predicts  {} arrive ({} of {} wanted particles), {} spill",
+            Mass(self.predicted_transported_kg),
             self.predicted_transported_count,
-            self.predicted_transported_kg * 1e3,
-            self.predicted_spilled_count,
-            self.predicted_indicator,
-            self.predicted_loss
+            self.predicted_indicator.saturating_add(self.predicted_transported_count.into()),
+            self.predicted_spilled_count
         )
     }
 }

@@ -24,7 +24,8 @@ use powderline_shared::wire::frame::Dialect;
 
 /// The simulated arm controller: on a wire, or on a simulated one that has every fault
 #[derive(Debug, Parser)]
-#[command(version, args_conflicts_with_subcommands = true, arg_required_else_help = true)]
+#[command(name = "firmware-sim", bin_name = "firmware-sim", version)]
+#[command(args_conflicts_with_subcommands = true, arg_required_else_help = true)]
 struct Arguments {
     #[command(subcommand)]
     command: Option<Command>,

@@ -15,7 +15,7 @@
 //!
 //! which is stable for any dt, splits into shorter intervals without a change, and is u1 itself where there is no lag.
 
-use super::ur5e::Joints;
+use powderline_shared::arm::Joints;
 
 /// First-order lag of the joints' drives.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,7 +24,17 @@ pub struct Lag {
     pub time_constant_s: f64,
 }
 
+impl Default for Lag {
+    /// 10 ms.
+    fn default() -> Self {
+        Self { time_constant_s: 0.010 }
+    }
+}
+
 impl Lag {
+    /// Joints that are where they are told to be.
+    pub const NONE: Self = Self { time_constant_s: 0.0 };
+
     /// Where joints that stand at `real` are after `dt_s`, while the command goes from `from` to `to`.
     ///
     /// A step is a command that goes from `to` to `to`. A time below zero is taken as zero.

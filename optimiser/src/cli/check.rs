@@ -7,16 +7,20 @@ use clap::Args;
 use serde::Serialize;
 
 use super::CliError;
+use crate::report::{
+    amounts::{Amounts, percent},
+    words::grouped,
+};
 use powderline_shared::plan::Precision;
 use powderline_simulator::memory::{Need, memory_needs};
-use powderline_simulator::scene::figures::about;
-use powderline_simulator::scene::{DEFAULT_SCENE, MAX_CFL, Scene};
+use powderline_simulator::scene::figures::{about, mass};
+use powderline_simulator::scene::{Capacity, DEFAULT_SCENE, MAX_CFL, Scene};
 use powderline_simulator::skill::{SkillMap, colliding_skill};
 
 /// Arguments of `optimise check`.
 #[derive(Debug, Args)]
 pub struct CheckArgs {
-    /// Name of an embedded scene (bench, bench-small, bench-fine) or path of a scene file.
+    /// Name of an embedded scene (bench, bench-small, bench-fine, vial) or path of a scene file.
     #[arg(default_value = DEFAULT_SCENE)]
     pub scene: String,
     /// Prints one JSON object instead of text.
@@ -33,10 +37,12 @@ pub struct CheckReport {
     pub digest: String,
     /// Particles.
     pub particles: usize,
-    /// Mass of one particle, kilogram.
-    pub particle_mass_kg: f64,
-    /// Particles wanted in the target container.
-    pub target_particles: usize,
+    /// What is wanted in the target container, in kilogram and in particles, and how near is near enough.
+    pub amounts: Amounts,
+    /// What the tool carries at most.
+    pub tool_capacity: Capacity,
+    /// Why no motion within the bounds can bring the wanted amount, and what would be right; nothing if nothing stands against it.
+    pub infeasible: Option<String>,
     /// Edge of a grid cell, metres.
     pub cell_m: f64,
     /// Cells along x, y, z, without padding.
@@ -83,14 +89,15 @@ pub struct MemoryRow {
 /// # Errors
 /// A bad scene, or `out` refuses.
 pub(super) fn run(args: &CheckArgs, out: &mut dyn Write) -> Result<(), CliError> {
-    let report = CheckReport::new(&Scene::load(&args.scene)?);
+    let scene = Scene::load(&args.scene)?;
+    let report = CheckReport::new(&scene);
     if args.json {
         serde_json::to_writer(&mut *out, &report).map_err(std::io::Error::from)?;
         writeln!(out)?;
     } else {
         write!(out, "{report}")?;
     }
-    Ok(())
+    Ok(scene.check_feasible().map_err(|error| CliError::Input(format!("{}: {error}", args.scene)))?)
 }
 
 impl CheckReport {
@@ -100,8 +107,9 @@ impl CheckReport {
             scene: scene.name.clone(),
             digest: scene.digest().iter().map(|byte| format!("{byte:02x}")).collect(),
             particles: scene.particle_count(),
-            particle_mass_kg: scene.particle_mass_kg(),
-            target_particles: scene.target_count(),
+            amounts: scene.into(),
+            tool_capacity: scene.tool_capacity(),
+            infeasible: scene.check_feasible().err().map(|error| error.to_string()),
             cell_m: scene.domain.cell_m,
             cells: scene.cell_counts(),
             blocks: scene.block_counts(),
@@ -148,15 +156,25 @@ impl fmt::Display for CheckReport {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let [cells_x, cells_y, cells_z] = self.cells;
         let [blocks_x, blocks_y, blocks_z] = self.blocks;
-        let powder_kg = self.particles as f64 * self.particle_mass_kg;
-        writeln!(f, "{} is a valid scene.", self.scene)?;
+        let Self { amounts, tool_capacity, .. } = self;
+        match &self.infeasible {
+            None => writeln!(f, "{} is a valid scene.", self.scene)?,
+            Some(_) => writeln!(f, "{} is a valid scene, but what it wants cannot be done.", self.scene)?,
+        }
         writeln!(
             f,
-            "particles      {} of {} mg, {} g of powder; {} wanted in the target",
-            self.particles,
-            about(1e6 * self.particle_mass_kg, 4),
-            about(1e3 * powder_kg, 4),
-            self.target_particles
+            "wanted         {}, within {}; the tool carries about {} heaped, {} level",
+            amounts.wanted(),
+            amounts.tolerance.map_or("no tolerance: as much as can be had".into(), percent),
+            mass(tool_capacity.heaped_kg),
+            mass(tool_capacity.level_kg)
+        )?;
+        writeln!(
+            f,
+            "powder         {} in {} particles of {}",
+            mass(self.particles as f64 * amounts.particle_mass_kg),
+            grouped(self.particles as i64),
+            mass(amounts.particle_mass_kg)
         )?;
         writeln!(
             f,

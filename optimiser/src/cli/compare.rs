@@ -10,6 +10,7 @@ use super::{
 };
 use crate::{
     compare::{Budget, Comparison, Method, Row, Track, Try, summarise},
+    report::amounts::Amounts,
     report::folder::{COMPARISON, CURVES, METRICS, RunFolder, SCENE},
     report::words::{duration, hex},
 };
@@ -145,6 +146,7 @@ impl Experiment {
     fn start(arguments: &CompareArgs) -> Result<Self, CliError> {
         let name = arguments.scene.as_deref().unwrap_or(DEFAULT_SCENE);
         let scene = Scene::load(name)?;
+        scene.check_feasible().map_err(|error| CliError::Input(format!("{name}: {error}")))?;
         let plan = Plan {
             scene: scene.digest(),
             precision: arguments.precision.map_or(DEFAULT_PRECISION, Precision::from),
@@ -218,7 +220,12 @@ impl Experiment {
     }
 
     fn empty(&self) -> Comparison {
-        Comparison { scene: self.scene.name.clone(), budget: self.plan.budget, tracks: Vec::new() }
+        Comparison {
+            scene: self.scene.name.clone(),
+            amounts: (&self.scene).into(),
+            budget: self.plan.budget,
+            tracks: Vec::new(),
+        }
     }
 
     fn folder_of(&self, method: Method, seed: u64) -> PathBuf {
@@ -246,19 +253,26 @@ impl Experiment {
         Ok(comparison)
     }
 
-    /// The best skill of all, as a motion; none if no skill was evaluated. Motions that are no skill's are left out: they
+    /// The scene.
+    pub(super) fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// The best skill of all, as a motion, and whose it is; none if no skill was evaluated. Motions that are no skill's are left out: they
     /// keep no limit of the arm but its workspace and the speed along each axis.
-    pub(super) fn best_motion(&self, comparison: &Comparison) -> Option<Task> {
+    pub(super) fn best_motion(&self, comparison: &Comparison) -> Option<(Task, String)> {
         let skills = comparison
             .tracks
             .iter()
             .flat_map(|track| track.tries.iter().filter_map(move |one| Some((track, one.loss, one.theta?))));
         let (track, _, theta) = skills.min_by(|(_, a, _), (_, b, _)| a.total_cmp(b))?;
-        Some(Task {
+        let whose = format!("{}, seed {}", track.method.name(), track.seed);
+        let task = Task {
             scene: track.method.scene(&self.scene),
             settings: self.resources.settings(track.seed, self.plan.precision),
             motion: Motion::Skill(theta),
-        })
+        };
+        Some((task, whose))
     }
 
     /// The rows of the summary.
@@ -307,6 +321,7 @@ impl Experiment {
             resources: self.resources,
             out: Some(path.into()),
             resume: None,
+            json: false,
         };
         let history = run::completed(&arguments, context)?;
         Ok(Track::of_epochs(method, seed, &history))
@@ -503,20 +518,20 @@ impl Tracing {
             self.folder.append(TRIES, lines.as_bytes())?;
             self.tell(&tries);
         }
-        progress.line(&self.outcome());
+        progress.line(&self.outcome(&scene.into()));
         Ok(())
     }
 
-    fn outcome(&self) -> String {
+    fn outcome(&self, amounts: &Amounts) -> String {
         let tries = &self.track.tries;
         let Some(best) = tries.iter().min_by(|a, b| a.loss.total_cmp(&b.loss)) else { return String::new() };
         let seconds = tries.last().map_or(0.0, |last| last.seconds);
         format!(
-            "{}, seed {}: lowest loss {:.3} m (indicator {}) after {} of {} rollouts, {}",
+            "{}, seed {}: lowest loss {:.3} m ({} arrive) after {} of {} rollouts, {}",
             self.track.method.name(),
             self.track.seed,
             best.loss,
-            best.indicator,
+            amounts.powder(best.transported),
             best.rollouts,
             tries.len(),
             duration(seconds)
@@ -545,17 +560,17 @@ fn read_tries(folder: &RunFolder) -> Result<Vec<Try>, CliError> {
 /// Every try of every track.
 fn table(comparison: &Comparison) -> String {
     let mut text = String::from(
-        "method,seed,try,rollouts,seconds,loss_m,indicator,transported,spilled,theta_0,theta_1,theta_2,theta_3,theta_4\n",
+        "method,seed,try,rollouts,seconds,loss_m,indicator,transported,spilled,on_tool,theta_0,theta_1,theta_2,theta_3,theta_4\n",
     );
     for track in &comparison.tracks {
         for (index, one) in track.tries.iter().enumerate() {
-            let Try { loss, indicator, transported, spilled, rollouts, seconds, theta } = one;
+            let Try { loss, indicator, transported, spilled, on_tool, rollouts, seconds, theta } = one;
             // Five cells, empty where the motion is no skill's.
             let theta = theta.map_or(",".repeat(4), |theta| theta.map(|value| value.to_string()).join(","));
             // Writing to a string does not fail.
             let _ = writeln!(
                 text,
-                "{},{},{index},{rollouts},{seconds:.3},{loss},{indicator},{transported},{spilled},{theta}",
+                "{},{},{index},{rollouts},{seconds:.3},{loss},{indicator},{transported},{spilled},{on_tool},{theta}",
                 track.method.name(),
                 track.seed
             );

@@ -1,6 +1,6 @@
 //! What a command ends with when it does not succeed.
 
-use crate::report::folder::FolderError;
+use crate::report::{folder::FolderError, record::RecordError};
 use powderline_simulator::{rollout::RolloutError, scene::SceneError, skill::SkillError};
 use std::{fmt, io, process::ExitCode};
 
@@ -11,6 +11,8 @@ pub enum CliError {
     Input(String),
     /// It made sense, and failed: exit code 1.
     Failed(String),
+    /// It was done, and the plan misses the wanted amount by more than the tolerance: exit code 3.
+    Missed(String),
     /// Stopped by the person: exit code 130.
     Interrupted(String),
 }
@@ -26,6 +28,7 @@ impl CliError {
         match self {
             Self::Failed(_) => 1,
             Self::Input(_) => 2,
+            Self::Missed(_) => 3,
             Self::Interrupted(_) => 130,
         }
     }
@@ -35,6 +38,7 @@ impl CliError {
         match self {
             Self::Input(text) => Self::Input(format!("{text}; {remark}")),
             Self::Failed(text) => Self::Failed(format!("{text}; {remark}")),
+            Self::Missed(text) => Self::Missed(format!("{text}; {remark}")),
             Self::Interrupted(text) => Self::Interrupted(format!("{text}; {remark}")),
         }
     }
@@ -42,7 +46,7 @@ impl CliError {
 
 impl fmt::Display for CliError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (Self::Input(text) | Self::Failed(text) | Self::Interrupted(text)) = self;
+        let (Self::Input(text) | Self::Failed(text) | Self::Missed(text) | Self::Interrupted(text)) = self;
         f.write_str(text)
     }
 }
@@ -77,6 +81,15 @@ impl From<FolderError> for CliError {
         match error {
             FolderError::Taken { .. } | FolderError::NoRun { .. } => Self::Input(error.to_string()),
             _ => Self::Failed(error.to_string()),
+        }
+    }
+}
+
+impl From<RecordError> for CliError {
+    fn from(error: RecordError) -> Self {
+        match error {
+            RecordError::Folder(error) => error.into(),
+            error => Self::Input(error.to_string()),
         }
     }
 }

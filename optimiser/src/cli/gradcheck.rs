@@ -1,9 +1,7 @@
 //! `optimise gradcheck`: the adjoint's gradient against finite differences.
 
-use super::{
-    CliError, Context, Interrupt, Progress, Resources,
-    options::{PrecisionArg, precision_name},
-};
+use super::{CliError, Context, Interrupt, Progress, Resources, options::PrecisionArg};
+use crate::report::words::precision_name;
 use clap::Args;
 use powderline_shared::plan::{Precision, SKILL_PARAMETERS};
 use powderline_simulator::real::Real;

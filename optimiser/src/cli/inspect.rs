@@ -1,12 +1,18 @@
 //! `optimise inspect`: what a plan holds.
 
-use super::{CliError, Context, options::precision_name};
-use crate::report::words::{duration, grouped, hex, parameter};
+use super::{CliError, Context};
+use crate::report::{
+    amounts::counted,
+    finding::Finding,
+    record::RunRecord,
+    words::{grouped, hex, parameter, precision_name},
+};
 use clap::Args;
 use powderline_shared::{
     limits::{Limits, PeakUse},
     plan::{MAX_FILE_BYTES, PlanHeader, PlanReader, SKILL_PARAMETERS, StartPose},
 };
+use powderline_simulator::scene::figures::mass;
 use serde::Serialize;
 use std::{
     fmt::Write as _,
@@ -52,6 +58,8 @@ struct Report {
     predicted_transported: u32,
     predicted_transported_kg: f64,
     predicted_spilled: u32,
+    /// What the run that made it found, where the plan still lies in its folder.
+    run: Option<Finding>,
 }
 
 #[derive(Serialize)]
@@ -71,12 +79,22 @@ pub(super) fn execute(arguments: &InspectArgs, context: &mut Context<'_>) -> Res
     let path = arguments.plan.display();
     let plan = PlanReader::new(&bytes)
         .map_err(|error| CliError::Input(format!("{path} is no usable plan: {error}")))?;
-    let report = Report::new(&plan);
+    let report = Report::new(&plan, run_of(&arguments.plan, &plan));
     if arguments.json {
         return context.json(&report);
     }
     write!(context.out, "{}", report.text())?;
     Ok(())
+}
+
+/// What the run found in whose folder the plan lies, if that run made it.
+pub(super) fn run_of(path: &Path, plan: &PlanReader<'_>) -> Option<Finding> {
+    let record = RunRecord::read(path.parent()?).ok()?;
+    let header = plan.header();
+    let made = record.shipped?.theta == header.theta
+        && record.state.scene == header.scene_digest
+        && record.state.seed == header.seed;
+    record.finding().filter(|_| made)
 }
 
 /// Bytes of a plan file, at most as many as a plan can have and one more.
@@ -89,7 +107,7 @@ pub(super) fn read_plan(path: &Path) -> Result<Vec<u8>, CliError> {
 }
 
 impl Report {
-    fn new(plan: &PlanReader<'_>) -> Self {
+    fn new(plan: &PlanReader<'_>, run: Option<Finding>) -> Self {
         let header = plan.header();
         let checked = plan.check_limits();
         let version = header.optimiser_version;
@@ -116,6 +134,7 @@ impl Report {
             predicted_transported: header.predicted_transported_count,
             predicted_transported_kg: header.predicted_transported_kg,
             predicted_spilled: header.predicted_spilled_count,
+            run,
         }
     }
 
@@ -127,6 +146,7 @@ impl Report {
     }
 
     fn write_text(&self, text: &mut String) -> std::fmt::Result {
+        self.write_prediction(text)?;
         writeln!(
             text,
             "Plan {}, made by optimise {} with seed {} in {}",
@@ -135,28 +155,39 @@ impl Report {
         writeln!(text, "for the scene with digest {}.\n", self.scene_digest)?;
         writeln!(
             text,
-            "{} steps of {} us: {:.2} s ({}); one count is {} nm or {} nrad.",
+            "{} steps of {} us: {:.2} s; one count is {} nm or {} nrad.\n",
             grouped(self.step_count.into()),
             self.control_period_us,
             self.duration_s,
-            duration(self.duration_s),
             self.translation_lsb_nm,
             self.rotation_lsb_nrad
-        )?;
-        writeln!(
-            text,
-            "Predicted: loss {} m, indicator {}, {} particles ({:.3} g) arrive, {} spill.\n",
-            self.predicted_loss,
-            self.predicted_indicator,
-            grouped(self.predicted_transported.into()),
-            1e3 * self.predicted_transported_kg,
-            grouped(self.predicted_spilled.into())
         )?;
         for (index, parameter_) in self.parameters.iter().enumerate() {
             let value = parameter(index, parameter_.value);
             writeln!(text, "{:<24}{value:>12}   theta {:>8.4}", parameter_.name, parameter_.theta)?;
         }
         self.write_motion(text)
+    }
+
+    /// What it brings, in the words of the run that made it where that is at hand.
+    fn write_prediction(&self, text: &mut String) -> std::fmt::Result {
+        if let Some(finding) = &self.run {
+            writeln!(text, "{}", finding.headline())?;
+            for sentence in finding.sentences() {
+                writeln!(text, "{sentence}")?;
+            }
+            return writeln!(text);
+        }
+        let wanted = self.predicted_indicator + i64::from(self.predicted_transported);
+        writeln!(
+            text,
+            "The plan brings {} ({}) of the {} wanted; {} spill. Its loss is {:.3} m.\n",
+            mass(self.predicted_transported_kg),
+            counted(self.predicted_transported),
+            grouped(wanted),
+            counted(self.predicted_spilled),
+            self.predicted_loss
+        )
     }
 
     fn write_motion(&self, text: &mut String) -> std::fmt::Result {

@@ -1,6 +1,7 @@
 //! The `optimise` command: arguments, progress, files, words.
 //!
-//! Exit codes: 0 success; 1 the command failed, or a plan did not reproduce; 2 the input makes no sense; 130 interrupted.
+//! Exit codes: 0 success; 1 the command failed, or a plan did not reproduce; 2 the input makes no sense, or asks for what cannot be
+//! done; 3 a run is finished and its plan written, but misses the wanted amount by more than the tolerance; 130 interrupted.
 //! Results go to standard output, progress and errors (one sentence) to standard error. With `--json` standard output
 //! holds one JSON object and nothing else.
 
@@ -47,7 +48,7 @@ use std::{
 
 /// Optimises a skill that scoops, carries and pours powder, and writes it as a plan for an arm.
 #[derive(Debug, Parser)]
-#[command(name = "optimise", version, args_conflicts_with_subcommands = true)]
+#[command(name = "optimise", bin_name = "optimise", version, args_conflicts_with_subcommands = true)]
 #[command(
     after_help = "Without a command, `optimise [OPTIONS] [SCENE]` means `optimise run [OPTIONS] [SCENE]`."
 )]

@@ -32,14 +32,6 @@ impl From<Precision> for PrecisionArg {
     }
 }
 
-/// A precision as the person writes it.
-pub(super) fn precision_name(precision: Precision) -> &'static str {
-    match precision {
-        Precision::F32 => "f32",
-        Precision::F64 => "f64",
-    }
-}
-
 /// Precision when none is given.
 pub(super) const DEFAULT_PRECISION: Precision = Precision::F32;
 

@@ -1,7 +1,10 @@
 //! Live progress on standard error: a line that is redrawn on a terminal, one line per epoch elsewhere.
 
 use crate::optim::EpochRecord;
-use crate::report::words::{duration, grouped};
+use crate::report::{
+    amounts::{Amounts, percent},
+    words::{duration, grouped},
+};
 use std::{
     io::Write,
     time::{Duration, Instant},
@@ -107,7 +110,7 @@ impl<'a> Progress<'a> {
     }
 
     /// Reports an epoch that is done.
-    pub fn epoch(&mut self, record: &EpochRecord, epochs: u32, history: &[EpochRecord]) {
+    pub fn epoch(&mut self, record: &EpochRecord, amounts: &Amounts, epochs: u32, history: &[EpochRecord]) {
         let mean_s = history.iter().map(|record| record.seconds).sum::<f64>() / history.len().max(1) as f64;
         let left_s = mean_s * f64::from(epochs - record.epoch);
         let left = match record.epoch < epochs {
@@ -115,12 +118,12 @@ impl<'a> Progress<'a> {
             false => String::new(),
         };
         self.line(&format!(
-            "epoch {:>3}/{epochs}  loss {:>10.3} m  indicator {:>6}  transported {:>6}  spilled {:>4}  {:>6.1} s{left}",
+            "epoch {:>3}/{epochs}  {:>9} arrive ({:>7})  {:>9} spill  loss {:>9.3} m {:>6.1} s{left}",
             record.epoch,
+            amounts.mass(record.transported),
+            signed(amounts.miss(record.transported)),
+            amounts.mass(record.spilled),
             record.loss,
-            grouped(record.indicator),
-            grouped(record.transported.into()),
-            grouped(record.spilled.into()),
             record.seconds,
         ));
     }
@@ -138,6 +141,16 @@ impl<'a> Progress<'a> {
             let _ = write!(self.out, "\r\x1b[2K");
             let _ = self.out.flush();
         }
+    }
+}
+
+/// A relative miss in per cent, with its sign.
+fn signed(miss: f64) -> String {
+    let share = percent(miss.abs());
+    match miss {
+        _ if share == "0 %" => share,
+        miss if miss < 0.0 => format!("-{share}"),
+        _ => format!("+{share}"),
     }
 }
 
@@ -185,17 +198,23 @@ mod tests {
         }
     }
 
+    fn amounts() -> Amounts {
+        Amounts { wanted_kg: 0.016, wanted_particles: 2000, tolerance: Some(0.02), particle_mass_kg: 8e-6 }
+    }
+
     #[test]
     fn without_a_terminal_there_is_one_line_per_epoch() {
         let mut out = Vec::new();
         let mut progress = Progress::new(&mut out, false);
         progress.begin("epoch 0/30", 30, &[]);
         progress.tick(1, 2);
-        progress.epoch(&record(0), 30, &[record(0)]);
+        progress.epoch(&record(0), &amounts(), 30, &[record(0)]);
         let text = String::from_utf8(out).unwrap();
         assert_eq!(text.lines().count(), 1, "{text}");
         assert!(
-            text.contains("1158.940") && text.contains("1,854") && text.contains("about 1 min left"),
+            text.contains("1158.940")
+                && text.contains("14.83 g arrive (  -7.3 %)")
+                && text.contains("about 1 min left"),
             "{text}"
         );
     }

@@ -4,22 +4,33 @@ use super::{
     CliError, Context, Resources,
     compare::Experiment,
     film::Film,
-    inspect::read_plan,
+    inspect::{read_plan, run_of},
     motion::{Motion, MotionArgs, Task},
-    options::precision_name,
 };
 use crate::{
     compare::{Comparison, Row},
     optim::EpochRecord,
     report::{
-        folder::{COMPARISON, METRICS, PLAN},
-        words::{duration, grouped, parameter},
+        amounts::{Amounts, counted, percent},
+        finding::{Finding, Judged, Outcome},
+        folder::{COMPARISON, PLAN, STATE},
+        record::RunRecord,
+        words::{duration, hex, parameter, precision_name},
     },
 };
 use clap::Args;
 use powderline_shared::plan::{PlanReader, SKILL_PARAMETERS};
-use powderline_simulator::{rollout::Evaluation, skill::Theta};
-use powderline_view::page::{Chart, Figure, Page, Recorder, Series, Table};
+use powderline_simulator::{
+    scene::{
+        Scene,
+        figures::{about, mass},
+    },
+    skill::Theta,
+};
+use powderline_view::page::{
+    Chart, Figure, Mark, Page, Recorder, Row as PageRow, Scale, Series, Table, Tone,
+};
+use serde::Serialize;
 use std::{
     fs,
     path::{Path, PathBuf},
@@ -33,6 +44,24 @@ const REPORT: &str = "report.html";
 
 /// A longer file of metrics is not from a run, bytes.
 const MAX_METRICS_BYTES: u64 = 64 << 20;
+
+/// What `--json` prints.
+#[derive(Serialize)]
+struct Report<'a> {
+    page: &'a Path,
+    /// Of a run, and of a plan in its run's folder.
+    run: Option<Finding>,
+    /// What the replay showed, where there is one.
+    replayed: Option<Outcome>,
+}
+
+/// What a page is made of.
+struct Draft {
+    page: Page,
+    /// What is to be replayed.
+    task: Option<Task>,
+    finding: Option<Finding>,
+}
 
 /// Arguments of `optimise report`.
 #[derive(Clone, Debug, Args)]
@@ -49,6 +78,9 @@ pub(super) struct ReportArgs {
     /// Only curves and tables, no replay: nothing is simulated
     #[arg(long)]
     pub no_replay: bool,
+    /// Print what the page says as one JSON object
+    #[arg(long)]
+    pub json: bool,
     /// Threads and memory.
     #[command(flatten)]
     pub resources: Resources,
@@ -60,28 +92,40 @@ pub(super) struct ReportArgs {
 /// One sentence.
 pub(super) fn execute(arguments: &ReportArgs, context: &mut Context<'_>) -> Result<(), CliError> {
     let of = &arguments.of;
-    let (mut page, task) = if of.join(COMPARISON).exists() {
+    let Draft { mut page, task, finding } = if of.join(COMPARISON).exists() {
         arguments.comparison()?
-    } else if of.join(METRICS).exists() {
+    } else if of.join(STATE).exists() {
         arguments.run()?
     } else if of.is_dir() {
         return Err(CliError::Input(format!(
-            "{} holds neither a run ({METRICS}) nor a comparison ({COMPARISON})",
+            "{} holds neither a run ({STATE}) nor a comparison ({COMPARISON})",
             of.display()
         )));
     } else {
         arguments.plan(of)?
     };
+    let mut replayed = None;
     if let Some(task) = task.filter(|_| !arguments.no_replay) {
         let film = Film::new(&task, PERIOD_S)?;
         let mut recorder = Recorder::new(&film.bench());
         let found = film.shoot(&mut recorder, context)?;
         page.replay = recorder.into_replay();
-        page.figures.extend(outcome(&task, &found));
+        let amounts = Amounts::from(&task.scene);
+        let outcome = Outcome::of_evaluation(&amounts, &found);
+        if !matches!(task.motion, Motion::Plan { .. }) || page.figures.is_empty() {
+            show_outcome(&mut page, &task, &amounts, &outcome);
+        }
+        replayed = Some(outcome);
     }
     let usual = || if of.is_dir() { of.join(REPORT) } else { of.with_file_name(REPORT) };
     let path = arguments.out.clone().unwrap_or_else(usual);
     page.write(&path)?;
+    if arguments.json {
+        return context.json(&Report { page: &path, run: finding, replayed });
+    }
+    if let Some(finding) = finding {
+        writeln!(context.out, "{}", finding.headline())?;
+    }
     writeln!(context.out, "The page is {}: open it in a browser.", path.display())?;
     Ok(())
 }
@@ -101,44 +145,64 @@ impl ReportArgs {
         motion.task()
     }
 
-    fn plan(&self, path: &Path) -> Result<(Page, Option<Task>), CliError> {
+    fn plan(&self, path: &Path) -> Result<Draft, CliError> {
         let bytes = read_plan(path)?;
         let plan = PlanReader::new(&bytes)
             .map_err(|error| CliError::Input(format!("{} is no usable plan: {error}", path.display())))?;
         let task = self.task(path)?;
+        let finding = run_of(path, &plan);
+        let amounts = Amounts::from(&task.scene);
+        let outcome = Outcome::of_plan(&amounts, plan.header());
+        let mut facts = scene_facts(&task.scene);
+        facts.extend(plan_facts(&plan));
         let page = Page {
             title: format!("{}: a plan", task.scene.name),
+            verdict: Some(verdict(&amounts, &outcome)),
+            figures: figures(&amounts, &outcome),
+            replay_shows: shows(&task, finding.as_ref().and_then(|finding| finding.epoch)),
             tables: vec![parameters(&plan)],
+            facts,
+            notes: finding.iter().flat_map(Finding::sentences).collect(),
             ..Page::default()
         };
-        Ok((page, Some(task)))
+        Ok(Draft { page, task: Some(task), finding })
     }
 
-    fn run(&self) -> Result<(Page, Option<Task>), CliError> {
-        let history = read_history(&self.of.join(METRICS))?;
-        let path = self.of.join(PLAN);
-        let plan = path.exists().then(|| self.plan(&path)).transpose()?;
-        let (plan, task) = plan.map_or((Page::default(), None), |(page, task)| (page, task));
-        let scene = task.as_ref().map_or_else(
-            || self.of.file_name().unwrap_or_default().to_string_lossy().into_owned(),
-            |task| {
-                format!(
-                    "{}, seed {}, {}",
-                    task.scene.name,
-                    task.settings.seed,
-                    precision_name(task.settings.precision)
-                )
-            },
+    fn run(&self) -> Result<Draft, CliError> {
+        let record = RunRecord::read(&self.of)?;
+        let finding = record.finding();
+        let title = format!(
+            "{}, seed {}, {}",
+            record.scene.name,
+            record.state.seed,
+            precision_name(record.state.precision)
         );
-        let mut tables = plan.tables;
-        tables.push(epochs(&history));
-        Ok((
-            Page { title: scene, figures: progress(&history), charts: run_charts(&history), tables, ..plan },
-            task,
-        ))
+        let mut draft = match record.shipped {
+            Some(_) => self.plan(&self.of.join(PLAN))?,
+            None => {
+                let page = Page {
+                    verdict: Some((Tone::Plain, "The run is not finished: there is no plan yet.".into())),
+                    facts: scene_facts(&record.scene),
+                    ..Page::default()
+                };
+                Draft { page, task: None, finding: None }
+            }
+        };
+        draft.page.title = title;
+        if let Some(finding) = &finding {
+            draft.page.charts = run_charts(&record, finding);
+            draft.page.tables.push(epochs(&record.epochs, finding));
+            draft.page.notes = finding.sentences();
+            draft
+                .page
+                .notes
+                .extend(finding.advice.iter().map(|advice| format!("What could help: {advice}.")));
+            draft.page.facts.extend(run_facts(&record));
+        }
+        Ok(Draft { finding, ..draft })
     }
 
-    fn comparison(&self) -> Result<(Page, Option<Task>), CliError> {
+    fn comparison(&self) -> Result<Draft, CliError> {
         if self.executed.is_some() {
             return Err(CliError::Input(
                 "--executed goes with a plan or a run, not with a comparison".into(),
@@ -146,36 +210,79 @@ impl ReportArgs {
         }
         let experiment = Experiment::open(&self.of, self.resources)?;
         let comparison = experiment.so_far()?;
-        let task = experiment.best_motion(&comparison);
+        let best = experiment.best_motion(&comparison);
+        let (task, whose) = best.map_or((None, None), |(task, whose)| (Some(task), Some(whose)));
         let page = Page {
             title: format!("{}: comparison of methods", comparison.scene),
+            replay_shows: whose
+                .map(|whose| format!("The skill with the lowest loss of all: {whose}."))
+                .unwrap_or_default(),
             charts: comparison_charts(&comparison),
             tables: vec![summary(&experiment, &comparison)],
-            notes: vec![format!(
-                "Curves are means over the seeds of the best motion found so far, bands one standard deviation.{}",
-                if task.is_some() { " The replay shows the best skill of all." } else { "" }
-            )],
+            facts: scene_facts(experiment.scene()),
+            notes: vec![
+                "Curves are means over the seeds of the best motion found so far, bands one standard deviation.".into(),
+            ],
             ..Page::default()
         };
-        Ok((page, task))
+        Ok(Draft { page, task, finding: None })
     }
 }
 
-/// What came of the motion that is replayed.
-fn outcome(task: &Task, found: &Evaluation) -> Vec<Figure> {
-    let whose = match task.motion {
-        Motion::Executed { .. } => "as executed",
-        Motion::Plan { .. } | Motion::Skill(_) => "as replayed",
+/// What is replayed, above the replay.
+fn shows(task: &Task, epoch: Option<u32>) -> String {
+    let skill = epoch.map(|epoch| format!(", the skill of epoch {epoch}")).unwrap_or_default();
+    match task.motion {
+        Motion::Executed { .. } => {
+            format!("The motion that the arm made of the plan{skill}; the plan's own is drawn over it.")
+        }
+        Motion::Plan { .. } => format!("The plan as shipped{skill}."),
+        Motion::Skill(_) => "One skill.".into(),
+    }
+}
+
+/// Whether an outcome is what was asked for.
+fn verdict(amounts: &Amounts, outcome: &Outcome) -> (Tone, String) {
+    let off = amounts.off(outcome.particles);
+    match amounts.is_met(outcome.particles) {
+        Some(true) => {
+            (Tone::Good, format!("Brings the wanted amount: {off}, within {}.", amounts.tolerance()))
+        }
+        Some(false) => {
+            (Tone::Bad, format!("Misses the wanted amount: {off}, more than {}.", amounts.tolerance()))
+        }
+        None => (Tone::Plain, "As much as can be had was wanted.".into()),
+    }
+}
+
+fn figures(amounts: &Amounts, outcome: &Outcome) -> Vec<Figure> {
+    let tone = match amounts.is_met(outcome.particles) {
+        Some(true) => Tone::Good,
+        Some(false) => Tone::Bad,
+        None => Tone::Plain,
     };
-    let target = found.indicator + i64::from(found.transported);
+    let sign = if outcome.miss < 0.0 { "-" } else { "+" };
     vec![
-        Figure::new(
-            &format!("Arrived, {whose}"),
-            &format!("{} of {}", grouped(found.transported.into()), grouped(target)),
-        ),
-        Figure::new("Spilled", &grouped(found.spilled.into())),
-        Figure::new("Loss", &format!("{:.3} m", found.loss)),
+        Figure::new("Wanted", &mass(amounts.wanted_kg)).with_note(&counted(amounts.wanted_particles)),
+        Figure::new("Arrives", &mass(outcome.mass_kg)).with_note(&counted(outcome.particles)),
+        Figure::new("Error", &format!("{sign}{}", percent(outcome.miss.abs()))).toned(tone),
+        Figure::new("Spilled", &mass(outcome.spilled_kg)).with_note(&counted(outcome.spilled_particles)),
+        Figure::new("Loss", &format!("{:.3} m", outcome.loss_m)),
     ]
+}
+
+/// Puts what a replay showed at the top of the page; what a plan predicted stays beside it.
+fn show_outcome(page: &mut Page, task: &Task, amounts: &Amounts, outcome: &Outcome) {
+    let mut shown = figures(amounts, outcome);
+    let (tone, mut words) = verdict(amounts, outcome);
+    if matches!(task.motion, Motion::Executed { .. }) {
+        words = format!("As executed. {words}");
+        if let Some(planned) = page.figures.get(1) {
+            shown[1].note = format!("{}; the plan predicts {}", shown[1].note, planned.value);
+        }
+    }
+    page.verdict = Some((tone, words));
+    page.figures = shown;
 }
 
 /// The skill in physical units.
@@ -189,10 +296,70 @@ fn parameters(plan: &PlanReader<'_>) -> Table {
         ]
     };
     Table {
-        title: "Skill".into(),
+        title: "Skill of the plan".into(),
         columns: ["parameter", "value", "theta"].map(String::from).into(),
         rows: (0..SKILL_PARAMETERS.len()).map(row).map(Into::into).collect(),
     }
+}
+
+fn fact(name: &str, value: impl Into<String>) -> (String, String) {
+    (name.into(), value.into())
+}
+
+fn scene_facts(scene: &Scene) -> Vec<(String, String)> {
+    let powder = &scene.powder;
+    let amounts = Amounts::from(scene);
+    vec![
+        fact("Scene", &scene.name),
+        fact("Scene digest", hex(&scene.digest())),
+        fact(
+            "Powder",
+            format!(
+                "{} in {} of {}: {} kg/m^3, friction {} deg, cohesion {} Pa",
+                mass(scene.particle_count() as f64 * amounts.particle_mass_kg),
+                counted(scene.particle_count() as u32),
+                mass(amounts.particle_mass_kg),
+                powder.density_kg_m3,
+                powder.friction_angle_deg,
+                powder.cohesion_pa
+            ),
+        ),
+        fact("From, to", format!("{}, {}", scene.objective.source, scene.objective.target)),
+        fact("Cells", format!("{} mm", about(1e3 * scene.domain.cell_m, 3))),
+        fact("Tool carries", format!("about {} heaped", mass(scene.tool_capacity().heaped_kg))),
+    ]
+}
+
+fn plan_facts(plan: &PlanReader<'_>) -> Vec<(String, String)> {
+    let header = plan.header();
+    let version = header.optimiser_version;
+    let limits = match plan.check_limits() {
+        Ok(used) => [
+            ("velocity", used.linear_velocity, used.angular_velocity),
+            ("acceleration", used.linear_acceleration, used.angular_acceleration),
+            ("jerk", used.linear_jerk, used.angular_jerk),
+        ]
+        .map(|(name, linear, angular)| {
+            format!("{name} {} linear, {} angular", percent(linear), percent(angular))
+        })
+        .join("; "),
+        Err(broken) => format!("broken: {broken}"),
+    };
+    let duration_s = f64::from(header.step_count) * f64::from(header.control_period_us) * 1e-6;
+    vec![
+        fact("Plan", format!("{:016x}", plan.content_hash())),
+        fact("Motion", format!("{duration_s:.2} s in steps of {} us", header.control_period_us)),
+        fact("Limits used", limits),
+        fact("Made by", format!("optimise {}.{}.{}", version.major, version.minor, version.patch)),
+    ]
+}
+
+fn run_facts(record: &RunRecord) -> Vec<(String, String)> {
+    let seconds: f64 = record.epochs.iter().map(|epoch| epoch.record.seconds).sum();
+    vec![
+        fact("Epochs", format!("{} updates, in {}", record.epochs.len() - 1, duration(seconds))),
+        fact("Physics", format!("version {}", record.state.physics)),
+    ]
 }
 
 /// The epochs that a run has written down.
@@ -210,68 +377,94 @@ pub(super) fn read_history(path: &Path) -> Result<Vec<EpochRecord>, CliError> {
     (1..).zip(text.lines()).map(line).collect()
 }
 
-/// What a run achieved.
-fn progress(history: &[EpochRecord]) -> Vec<Figure> {
-    let Some(best) = history.iter().min_by(|a, b| a.loss.total_cmp(&b.loss)) else { return Vec::new() };
-    let seconds: f64 = history.iter().map(|record| record.seconds).sum();
-    vec![
-        Figure::new("Lowest loss", &format!("{:.3} m, epoch {}", best.loss, best.epoch)),
-        Figure::new("First loss", &format!("{:.3} m", history[0].loss)),
-        Figure::new("Epochs", &format!("{}, in {}", history.len(), duration(seconds))),
-    ]
-}
-
-fn over_epochs(name: &str, history: &[EpochRecord], value: impl Fn(&EpochRecord) -> f64) -> Series {
-    Series::new(name, history.iter().map(|record| [f64::from(record.epoch), value(record)]).collect())
+fn over_epochs(name: &str, epochs: &[Judged], value: impl Fn(&EpochRecord) -> f64) -> Series {
+    Series::new(
+        name,
+        epochs.iter().map(|Judged { record, .. }| [f64::from(record.epoch), value(record)]).collect(),
+    )
 }
 
 /// A curve for each of the five parameters.
-fn by_parameter(history: &[EpochRecord], value: impl Fn(&EpochRecord) -> [Option<f64>; 5]) -> Vec<Series> {
+fn by_parameter(epochs: &[Judged], value: impl Fn(&EpochRecord) -> [Option<f64>; 5]) -> Vec<Series> {
     let series = |index: usize| {
-        over_epochs(SKILL_PARAMETERS[index].0, history, |record| value(record)[index].unwrap_or(f64::NAN))
+        over_epochs(SKILL_PARAMETERS[index].0, epochs, |record| value(record)[index].unwrap_or(f64::NAN))
     };
     (0..SKILL_PARAMETERS.len()).map(series).collect()
 }
 
-fn run_charts(history: &[EpochRecord]) -> Vec<Chart> {
-    let theta = |record: &EpochRecord| record.theta.map(Some);
+/// Marks the shipped epoch, those passed over, and the curriculum's share.
+fn marked(mut chart: Chart, finding: &Finding) -> Chart {
+    if let Some(epoch) = finding.epoch.filter(|epoch| finding.is_shipped(*epoch)) {
+        chart = chart.marked(f64::from(epoch), Mark::shipped());
+    }
+    for passed in &finding.passed_over {
+        chart = chart.marked(f64::from(passed.epoch), Mark::passed_over(&passed.reason));
+    }
+    match finding.curriculum_epochs.min(finding.last_epoch) {
+        0 => chart,
+        last => chart.shaded(0.0, f64::from(last), "only depth, angle and lift change"),
+    }
+}
+
+fn run_charts(record: &RunRecord, finding: &Finding) -> Vec<Chart> {
+    let epochs = &record.epochs;
+    let grams = |record: &EpochRecord| 1e3 * finding.amounts.kg(record.transported);
+    let wanted = |_: &EpochRecord| 1e3 * finding.amounts.wanted_kg;
+    let parameters = |unit: &str, scale: f64| {
+        (0..SKILL_PARAMETERS.len())
+            .filter(|index| SKILL_PARAMETERS[*index].1 == unit)
+            .map(|index| {
+                let value = |epoch: &EpochRecord| scale * record.map.parameters(&epoch.theta)[index];
+                over_epochs(SKILL_PARAMETERS[index].0, epochs, value).coloured(index)
+            })
+            .collect()
+    };
     let gradient =
         |record: &EpochRecord| record.gradient.map_or([None; 5], |gradient: Theta| gradient.map(Some));
-    vec![
-        Chart::new("Loss", "epoch", "loss, m", vec![over_epochs("loss", history, |record| record.loss)]),
+    let charts = vec![
         Chart::new(
-            "Indicator",
+            "Powder that arrives",
             "epoch",
-            "wanted particles that are missing",
-            vec![over_epochs("indicator", history, |record| record.indicator as f64)],
+            "mass, g",
+            vec![over_epochs("arrives", epochs, grams), over_epochs("wanted", epochs, wanted)],
         ),
-        Chart::new("Skill parameters", "epoch", "theta", by_parameter(history, theta)),
-        Chart::new("Gradient", "epoch", "loss by theta, m", by_parameter(history, gradient)),
+        Chart::new("Loss", "epoch", "loss, m", vec![over_epochs("loss", epochs, |record| record.loss)])
+            .scaled(Scale::LogIfWide),
+        Chart::new("Skill: lengths", "epoch", "mm", parameters("m", 1e3)),
+        Chart::new("Skill: angles", "epoch", "deg", parameters("rad", 180.0 / std::f64::consts::PI)),
+        Chart::new("Gradient", "epoch", "loss by theta, m", by_parameter(epochs, gradient)),
         Chart::new(
             "Weight of the adjoint in the gradient",
             "epoch",
             "weight, 0 to 1",
-            by_parameter(history, |record| record.first_order_weight),
+            by_parameter(epochs, |record| record.first_order_weight),
         ),
-    ]
+    ];
+    charts.into_iter().map(|chart| marked(chart, finding)).collect()
 }
 
-fn epochs(history: &[EpochRecord]) -> Table {
-    let columns = ["epoch", "loss, m", "indicator", "arrived", "spilled", "seconds"];
-    let row = |record: &EpochRecord| {
-        vec![
+fn epochs(epochs: &[Judged], finding: &Finding) -> Table {
+    let columns = ["epoch", "arrives", "particles", "error", "spilled", "loss, m", "seconds"];
+    let amounts = &finding.amounts;
+    let row = |Judged { record, obstacle }: &Judged| PageRow {
+        cells: vec![
             record.epoch.to_string(),
-            format!("{:.3}", record.loss),
-            record.indicator.to_string(),
+            amounts.mass(record.transported),
             record.transported.to_string(),
-            record.spilled.to_string(),
+            amounts.off(record.transported),
+            amounts.mass(record.spilled),
+            format!("{:.3}", record.loss),
             format!("{:.1}", record.seconds),
-        ]
+        ],
+        mark: match obstacle {
+            Some(reason) => Some(Mark::passed_over(reason)),
+            None => finding.is_shipped(record.epoch).then(Mark::shipped),
+        },
     };
     Table {
         title: "Epochs".into(),
         columns: columns.map(String::from).into(),
-        rows: history.iter().map(row).map(Into::into).collect(),
+        rows: epochs.iter().map(row).collect(),
     }
 }
 
@@ -286,7 +479,7 @@ fn comparison_charts(comparison: &Comparison) -> Vec<Chart> {
         Chart::new(title, panel.x_name, panel.y_name, series.collect())
     };
     vec![
-        panel("Indicator of the best skill so far", comparison.by_epoch()),
+        panel("Powder that the best skill so far misses", comparison.by_epoch()),
         panel("Lowest loss so far", comparison.by_rollouts()),
     ]
 }

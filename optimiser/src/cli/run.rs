@@ -2,17 +2,18 @@
 
 use super::{
     CliError, Context, Interrupt, Progress, Resources,
-    options::{DEFAULT_PRECISION, PrecisionArg, precision_name},
+    options::{DEFAULT_PRECISION, PrecisionArg},
 };
 use crate::{
     optim::{EpochRecord, Method, Request, Search, SearchError, initial_theta},
     report::{
         curves::Curves,
+        finding::{Finding, Outcome},
         folder::{CURVES, METRICS, PLAN, RunFolder, SCENE, STATE},
         plan::PlanParts,
+        record::RunRecord,
         state::RunState,
-        summary::Finding,
-        words::hex,
+        words::{hex, precision_name},
     },
 };
 use clap::Args;
@@ -20,14 +21,15 @@ use powderline_shared::plan::Precision;
 use powderline_simulator::{
     rollout::{Evaluate, Evaluation, RolloutError, check_memory},
     scene::{DEFAULT_SCENE, Scene},
-    skill::{Quantised, SkillError, SkillMap, Theta, colliding_skill, collision},
+    skill::{SkillMap, Theta, colliding_skill},
 };
+use serde::Serialize;
 use std::path::{Path, PathBuf};
 
 /// Arguments of `optimise run`.
 #[derive(Clone, Debug, Args)]
 pub(super) struct RunArgs {
-    /// Scene: the name of an embedded one (bench, bench-small, bench-fine) or a TOML file [default: bench]
+    /// Scene: the name of an embedded one (bench, bench-small, bench-fine, vial) or a TOML file [default: bench]
     #[arg(value_name = "SCENE")]
     pub scene: Option<String>,
     /// Seed of the packing and of the first skill [default: 1]
@@ -49,6 +51,33 @@ pub(super) struct RunArgs {
     /// Go on with the run in this folder; with a larger --epochs also when it is finished
     #[arg(long, value_name = "DIR")]
     pub resume: Option<PathBuf>,
+    /// Print what was found as one JSON object
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// What `--json` prints.
+#[derive(Serialize)]
+struct Report<'a> {
+    folder: &'a Path,
+    plan: PathBuf,
+    #[serde(flatten)]
+    finding: &'a Finding,
+}
+
+/// A line of `metrics.jsonl`.
+#[derive(Serialize)]
+struct Line<'a> {
+    #[serde(flatten)]
+    record: &'a EpochRecord,
+    /// What arrives, kilogram, and how far that is off the wanted mass, relative.
+    transported_kg: f64,
+    miss: f64,
+    spilled_kg: f64,
+    /// Why the arm may not perform the motion.
+    passed_over: Option<&'a str>,
+    /// Whether the plan is made of it.
+    shipped: bool,
 }
 
 /// Most epochs of a run.
@@ -60,10 +89,8 @@ const GRADIENT_COST: f64 = 5.4;
 /// A run whose folder is open and locked.
 struct Run {
     folder: RunFolder,
-    scene: Scene,
-    map: SkillMap,
     method: Method,
-    state: RunState,
+    record: RunRecord,
 }
 
 /// A run and the simulator for it.
@@ -92,17 +119,17 @@ pub(super) fn execute(arguments: &RunArgs, context: &mut Context<'_>) -> Result<
         None => Run::start(arguments, context)?,
     };
     let resumable = format!("the epochs before are saved, go on with: {}", resume_command(run.folder.path()));
-    if run.state.finished {
+    if run.record.state.finished {
         let path = run.folder.path().display();
         writeln!(
-            context.out,
+            context.err,
             "The run in {path} is finished; --epochs with more than {} prolongs it.",
-            run.state.search.epochs()
+            run.record.state.search.epochs()
         )?;
-        return Ok(());
+    } else {
+        run.complete(simulator.as_mut(), context).map_err(|error| error.with_remark(&resumable))?;
     }
-    let plan = run.complete(simulator.as_mut(), context).map_err(|error| error.with_remark(&resumable))?;
-    run.conclude(&plan, context)
+    run.conclude(arguments.json, context)
 }
 
 /// The epochs of a run that is begun, gone on with, or only looked at, as its folder (`out`) needs it.
@@ -118,14 +145,16 @@ pub(super) fn completed(
         Some(folder) => Run::resume(arguments, folder, context)?,
         None => Run::start(arguments, context)?,
     };
-    if !run.state.finished {
+    if !run.record.state.finished {
         match run.complete(simulator.as_mut(), context) {
             // A comparison asks what was found, not whether the arm may perform it.
-            Err(error) if !(run.state.search.is_done() && run.best().is_err()) => return Err(error),
+            Err(error) if !(run.record.state.search.is_done() && run.finding()?.epoch.is_none()) => {
+                return Err(error);
+            }
             _ => {}
         }
     }
-    Ok(run.state.search.history().to_vec())
+    Ok(run.record.state.search.history().to_vec())
 }
 
 impl Run {
@@ -133,6 +162,7 @@ impl Run {
     fn start(arguments: &RunArgs, context: &Context<'_>) -> Result<Begun, CliError> {
         let name = arguments.scene.as_deref().unwrap_or(DEFAULT_SCENE);
         let scene = Scene::load(name)?;
+        scene.check_feasible().map_err(|error| CliError::Input(format!("{name}: {error}")))?;
         let map = SkillMap::new(&scene);
         map.check_all_corners().map_err(|error| CliError::Input(format!("{name}: {error}")))?;
         let seed = arguments.seed.unwrap_or(scene.powder.seed);
@@ -150,45 +180,37 @@ impl Run {
         folder.replace(SCENE, scene.to_toml().as_bytes())?;
         // A scene without a state would be in the way of a second attempt, and nothing to resume from either.
         folder.replace(STATE, &state.to_bytes()).inspect_err(|_| folder.discard(SCENE))?;
-        Ok((Self { folder, method: Method::from(&scene.optimiser), scene, map, state }, simulator))
+        let method = Method::from(&scene.optimiser);
+        Ok((Self { folder, method, record: RunRecord::new(scene, state) }, simulator))
     }
 
     fn resume(arguments: &RunArgs, path: &Path, context: &Context<'_>) -> Result<Begun, CliError> {
         let folder = RunFolder::open(path)?;
-        let damaged = |error| {
-            CliError::Input(format!("{} cannot be resumed from: {error}", folder.file(STATE).display()))
-        };
-        let mut state = RunState::from_bytes(&folder.read(STATE)?).map_err(damaged)?;
-        let scene = saved_scene(&folder, &state)?;
-        refuse_differences(arguments, path, &state)?;
+        let mut record = RunRecord::read(path)?;
+        refuse_differences(arguments, path, &record.state)?;
         if let Some(epochs) = arguments.epochs {
-            prolong(&mut state, checked_epochs(epochs)?)?;
+            prolong(&mut record, checked_epochs(epochs)?)?;
         }
-        let map = SkillMap::new(&scene);
-        map.check_all_corners()?;
-        let simulator = simulator(arguments, &scene, &state, context)?;
+        record.map.check_all_corners()?;
+        let simulator = simulator(arguments, &record.scene, &record.state, context)?;
+        let run = Self { folder, method: Method::from(&record.scene.optimiser), record };
         // The state leads: a line too many or too few, from a run that was ended between two writes, is put right.
-        let lines: String = state.search.history().iter().map(json_line).collect();
-        folder.replace(METRICS, lines.as_bytes())?;
-        folder.replace(STATE, &state.to_bytes())?;
-        Ok((Self { folder, method: Method::from(&scene.optimiser), scene, map, state }, simulator))
+        run.write_metrics()?;
+        run.folder.replace(STATE, &run.record.state.to_bytes())?;
+        Ok((run, simulator))
     }
 
     /// Evaluates the epochs that are left, then writes the plan.
-    fn complete(
-        &mut self,
-        simulator: &mut dyn Evaluate,
-        context: &mut Context<'_>,
-    ) -> Result<Evaluation, CliError> {
-        let RunState { seed, precision, .. } = self.state;
+    fn complete(&mut self, simulator: &mut dyn Evaluate, context: &mut Context<'_>) -> Result<(), CliError> {
+        let RunState { seed, precision, .. } = self.record.state;
         let mut progress = Progress::new(context.err, context.live);
         progress.line(&format!(
             "{}: seed {seed}, {}, into {}",
-            self.scene.name,
+            self.record.scene.name,
             precision_name(precision),
             self.folder.path().display()
         ));
-        if let Some((theta, collision)) = colliding_skill(&self.scene) {
+        if let Some((theta, collision)) = colliding_skill(&self.record.scene) {
             progress.line(&format!("skills such as theta = {theta:?} are passed over: {collision}"));
         }
         let result = self
@@ -204,10 +226,10 @@ impl Run {
         progress: &mut Progress<'_>,
         interrupt: &Interrupt,
     ) -> Result<(), CliError> {
-        let epochs = self.state.search.epochs();
-        while let Some(request) = self.state.search.next(&self.method) {
+        let epochs = self.record.state.search.epochs();
+        while let Some(request) = self.record.state.search.next(&self.method) {
             let task = format!("epoch {}/{epochs}", request.epoch);
-            progress.begin(&task, epochs - request.epoch, self.state.search.history());
+            progress.begin(&task, epochs - request.epoch, self.record.state.search.history());
             let mut work = Work { simulator: &mut *simulator, progress, interrupt };
             let (evaluation, losses) = self.evaluate_epoch(&request, &mut work)?;
             self.save_epoch(&evaluation, &losses, progress)?;
@@ -223,7 +245,7 @@ impl Run {
     ) -> Result<(Evaluation, Vec<f64>), CliError> {
         let cost = if request.want_gradient { GRADIENT_COST } else { 1.0 };
         let share = |done: f64, probes: usize| done / (cost + probes as f64);
-        let search = &self.state.search;
+        let search = &self.record.state.search;
         let thetas = |adjoint: Option<&Theta>| {
             search.probes(&self.method, adjoint).into_iter().map(|probe| probe.theta)
         };
@@ -246,116 +268,116 @@ impl Run {
         progress: &mut Progress<'_>,
     ) -> Result<(), CliError> {
         let seconds = (progress.seconds() * 1e3).round() / 1e3;
-        let record = *self.state.search.record(&self.method, evaluation, losses, seconds)?;
-        let search = &self.state.search;
-        progress.epoch(&record, search.epochs(), search.history());
-        self.folder.append(METRICS, json_line(&record).as_bytes())?;
-        self.folder.replace(STATE, &self.state.to_bytes())?;
-        self.write_curves()
+        let record = *self.record.state.search.record(&self.method, evaluation, losses, seconds)?;
+        self.record.push(record);
+        let (search, finding) = (&self.record.state.search, self.finding()?);
+        progress.epoch(&record, &finding.amounts, search.epochs(), search.history());
+        self.folder.append(METRICS, self.line(&finding, &record).as_bytes())?;
+        self.folder.replace(STATE, &self.record.state.to_bytes())?;
+        self.write_curves(&finding)
     }
 
-    fn write_curves(&self) -> Result<(), CliError> {
-        let search = &self.state.search;
-        let best = self.best().ok();
-        let passed_over =
-            best.iter().filter_map(|best| best.passed_over.as_ref()).map(|(epoch, _)| epoch.epoch);
+    /// What the run has found so far.
+    fn finding(&self) -> Result<Finding, CliError> {
+        self.record.finding().ok_or_else(|| CliError::Failed("the run has no epoch yet".into()))
+    }
+
+    fn line(&self, finding: &Finding, record: &EpochRecord) -> String {
+        let outcome = Outcome::of_epoch(&finding.amounts, record);
+        json_line(&Line {
+            record,
+            transported_kg: outcome.mass_kg,
+            miss: outcome.miss,
+            spilled_kg: outcome.spilled_kg,
+            passed_over: finding.obstacle(record.epoch),
+            shipped: finding.is_shipped(record.epoch),
+        })
+    }
+
+    fn write_metrics(&self) -> Result<(), CliError> {
+        let lines: String = self.record.finding().map_or(String::new(), |finding| {
+            self.record.epochs.iter().map(|epoch| self.line(&finding, &epoch.record)).collect()
+        });
+        Ok(self.folder.replace(METRICS, lines.as_bytes())?)
+    }
+
+    fn write_curves(&self, finding: &Finding) -> Result<(), CliError> {
+        let search = &self.record.state.search;
         let curves = Curves {
-            title: &format!("{}, seed {}", self.scene.name, self.state.seed),
+            title: &format!("{}, seed {}", self.record.scene.name, self.record.state.seed),
             history: search.history(),
             epochs: search.epochs(),
             curriculum_epochs: self.method.rule.curriculum_epochs,
-            shipped: best.as_ref().map(|best| best.epoch.epoch),
-            passed_over: &passed_over.collect::<Vec<_>>(),
-            map: &self.map,
+            shipped: finding.epoch,
+            passed_over: &finding.passed_over.iter().map(|passed| passed.epoch).collect::<Vec<_>>(),
+            map: &self.record.map,
         };
         let svg = curves.to_svg().map_err(|error| CliError::Failed(error.to_string()))?;
         Ok(self.folder.replace(CURVES, svg.as_bytes())?)
     }
 
-    /// The epoch of the lowest loss, and its motion as shipped. Passed over are epochs whose motion takes the tool through a
-    /// container, and those that exceed the arm's limits (between the corners of the skill's bounds, which were checked
-    /// before the run, a motion of constant speed and whole control steps may).
-    fn best(&self) -> Result<Best, CliError> {
-        let mut epochs = self.state.search.history().to_vec();
-        epochs.sort_by(|a, b| a.loss.total_cmp(&b.loss));
-        let mut passed_over = None;
-        for epoch in epochs {
-            match self.shipped(&epoch.theta) {
-                Ok(quantised) => return Ok(Best { epoch, quantised, passed_over }),
-                Err(error) => passed_over = passed_over.or(Some((epoch, error))),
-            }
-        }
-        let reason = passed_over.map_or_else(|| "there is none".into(), |(_, error)| error.to_string());
-        Err(CliError::Failed(format!("no evaluated skill is a motion that the arm may perform: {reason}")))
-    }
-
-    /// A skill's motion, if the arm may perform it.
-    fn shipped(&self, theta: &Theta) -> Result<Quantised, SkillError> {
-        let quantised = self.map.quantised(theta)?;
-        self.map.check_limits(&quantised)?;
-        match collision(&self.scene, self.map.start_pose(), &quantised.controls) {
-            Some(collision) => Err(collision.into()),
-            None => Ok(quantised),
-        }
-    }
-
-    /// The best epoch's skill, quantised, simulated again as it will be performed, and written.
+    /// The chosen epoch's skill, quantised, simulated again as it will be performed, and written.
     fn write_plan(
         &mut self,
         simulator: &mut dyn Evaluate,
         progress: &mut Progress<'_>,
         interrupt: &Interrupt,
-    ) -> Result<Evaluation, CliError> {
+    ) -> Result<(), CliError> {
         stop_if_requested(interrupt)?;
-        let Best { epoch: best, quantised, .. } = self.best()?;
+        let theta = self.chosen()?;
+        let quantised = self.record.map.quantised(&theta)?;
         progress.begin("the plan, as shipped", 0, &[]);
         let mut tick = |done, total| {
             progress.tick(done, total);
             !interrupt.is_requested()
         };
         let evaluation = simulator.simulate(&quantised.controls, &mut tick)?;
+        let RunRecord { scene, map, state, .. } = &self.record;
         let parts = PlanParts {
-            scene: &self.scene,
-            map: &self.map,
-            seed: self.state.seed,
-            precision: self.state.precision,
-            theta: &best.theta,
+            scene,
+            map,
+            seed: state.seed,
+            precision: state.precision,
+            theta: &theta,
             quantised: &quantised,
             evaluation: &evaluation,
         };
-        let plan =
-            parts.to_bytes().map_err(|error| CliError::Failed(format!("no plan can be made: {error}")))?;
+        let unfit = |error| CliError::Failed(format!("no plan can be made: {error}"));
+        let plan = parts.to_bytes().map_err(unfit)?;
         self.folder.replace(PLAN, &plan)?;
-        self.state.finished = true;
-        self.folder.replace(STATE, &self.state.to_bytes())?;
-        self.write_curves()?;
-        Ok(evaluation)
+        self.record.ship(&plan).map_err(unfit)?;
+        self.record.state.finished = true;
+        self.folder.replace(STATE, &self.record.state.to_bytes())?;
+        self.write_metrics()?;
+        self.write_curves(&self.finding()?)
     }
 
-    fn conclude(&self, plan: &Evaluation, context: &mut Context<'_>) -> Result<(), CliError> {
-        let search = &self.state.search;
-        if let [first, .., last] | [first @ last] = search.history() {
-            let Best { epoch: best, passed_over, .. } = self.best()?;
-            let particle_mass_kg = self.scene.particle_mass_kg();
-            let passed_over = passed_over.as_ref().map(|(epoch, error)| (epoch, error.to_string()));
-            let finding =
-                Finding { map: &self.map, first, best: &best, passed_over, last, plan, particle_mass_kg };
-            write!(context.out, "\n{}", finding.text())?;
+    /// The skill of the epoch to ship.
+    fn chosen(&self) -> Result<Theta, CliError> {
+        let finding = self.finding()?;
+        match finding.epoch {
+            Some(epoch) => Ok(self.record.epochs[epoch as usize].record.theta),
+            None => Err(CliError::Failed(format!(
+                "no evaluated skill is a motion that the arm may perform: {}",
+                finding.passed_over.first().map_or("there is none", |passed| &passed.reason)
+            ))),
         }
-        let path = self.folder.file(PLAN);
-        writeln!(context.out, "\nThe curves are in {}.", self.folder.file(CURVES).display())?;
-        writeln!(context.out, "Next, play the plan on the simulated arm:\n")?;
-        writeln!(context.out, "    cargo run --release --bin execute -- {}", path.display())?;
-        Ok(())
     }
-}
 
-/// What becomes the plan.
-struct Best {
-    epoch: EpochRecord,
-    quantised: Quantised,
-    /// An epoch of lower loss, the lowest, and why it does not.
-    passed_over: Option<(EpochRecord, SkillError)>,
+    /// Says what was found, in the order of what the person needs first.
+    fn conclude(&self, json: bool, context: &mut Context<'_>) -> Result<(), CliError> {
+        let finding = self.finding()?;
+        let path = self.folder.file(PLAN);
+        if json {
+            context.json(&Report { folder: self.folder.path(), plan: path, finding: &finding })?;
+        } else {
+            write!(context.out, "\n{}", finding.text(&self.record))?;
+            writeln!(context.out, "\nThe curves are in {}.", self.folder.file(CURVES).display())?;
+            writeln!(context.out, "Next, play the plan on the simulated arm:\n")?;
+            writeln!(context.out, "    cargo run --release --bin execute -- {}", path.display())?;
+        }
+        finding.shortfall().map_or(Ok(()), |shortfall| Err(CliError::Missed(shortfall)))
+    }
 }
 
 /// What evaluates, and those who watch it.
@@ -430,16 +452,6 @@ pub(super) fn json_line(record: &impl serde::Serialize) -> String {
     line + "\n"
 }
 
-/// The scene that the run was started with.
-fn saved_scene(folder: &RunFolder, state: &RunState) -> Result<Scene, CliError> {
-    let file = folder.file(SCENE).display().to_string();
-    let scene = Scene::load(&file)?;
-    if scene.digest() != state.scene {
-        return Err(CliError::Input(format!("{file} is no longer the scene that the run was started with")));
-    }
-    Ok(scene)
-}
-
 /// What is given again on resuming must be what the run was started with.
 fn refuse_differences(arguments: &RunArgs, path: &Path, state: &RunState) -> Result<(), CliError> {
     let refuse = |what: String| Err(CliError::Input(format!("the run in {} {what}", path.display())));
@@ -463,7 +475,8 @@ fn refuse_differences(arguments: &RunArgs, path: &Path, state: &RunState) -> Res
     Ok(())
 }
 
-fn prolong(state: &mut RunState, epochs: u32) -> Result<(), CliError> {
+fn prolong(record: &mut RunRecord, epochs: u32) -> Result<(), CliError> {
+    let state = &mut record.state;
     let now = state.search.epochs();
     if epochs < now {
         return Err(CliError::Input(format!(
@@ -473,6 +486,7 @@ fn prolong(state: &mut RunState, epochs: u32) -> Result<(), CliError> {
     if epochs > now {
         state.search.extend(epochs);
         state.finished = false;
+        record.shipped = None;
     }
     Ok(())
 }

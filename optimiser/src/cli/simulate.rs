@@ -4,12 +4,15 @@ use super::{
     CliError, Context, Progress,
     executed::ExecutedReport,
     motion::{Motion, MotionArgs, Task},
-    options::precision_name,
 };
-use crate::report::words::{grouped, hex};
+use crate::report::{
+    amounts::Amounts,
+    finding::Outcome,
+    words::{hex, precision_name},
+};
 use clap::Args;
 use powderline_shared::plan::PlanHeader;
-use powderline_simulator::{rollout::Evaluation, skill::Theta};
+use powderline_simulator::{rollout::Evaluation, scene::figures::mass, skill::Theta};
 use serde::Serialize;
 
 /// Arguments of `optimise simulate`.
@@ -30,11 +33,15 @@ struct Report {
     seed: u64,
     precision: &'static str,
     theta: Theta,
+    amounts: Amounts,
     loss: f64,
     indicator: i64,
-    target: i64,
     transported: u32,
+    transported_kg: f64,
+    /// How far that is off the wanted mass, relative.
+    miss: f64,
     spilled: u32,
+    spilled_kg: f64,
     seconds: f64,
     plan: Option<PlanReport>,
     executed: Option<ExecutedReport>,
@@ -66,7 +73,7 @@ pub(super) fn execute(arguments: &SimulateArgs, context: &mut Context<'_>) -> Re
     }
     match &report.plan {
         Some(PlanReport { reproduced: Some(false), .. }) => {
-            Err(CliError::Failed("the plan's loss and indicator were not reproduced".into()))
+            Err(CliError::Failed("the plan's loss and amount were not reproduced".into()))
         }
         _ => Ok(()),
     }
@@ -107,6 +114,8 @@ impl Task {
                 (header.theta, Some(plan), Some(executed.report.clone()))
             }
         };
+        let amounts = Amounts::from(&self.scene);
+        let outcome = Outcome::of_evaluation(&amounts, found);
         Report {
             scene: self.scene.name.clone(),
             scene_digest: hex(&self.scene.digest()),
@@ -115,10 +124,13 @@ impl Task {
             theta,
             loss: found.loss,
             indicator: found.indicator,
-            target: found.indicator + i64::from(found.transported),
             transported: found.transported,
+            transported_kg: outcome.mass_kg,
+            miss: outcome.miss,
             spilled: found.spilled,
+            spilled_kg: outcome.spilled_kg,
             seconds,
+            amounts,
             plan,
             executed,
         }
@@ -137,32 +149,30 @@ impl PlanReport {
         }
     }
 
-    fn text(&self) -> String {
-        let Self { loss, indicator, .. } = self;
+    fn text(&self, amounts: &Amounts) -> String {
+        let loss = self.loss;
+        let [transported, spilled] =
+            [self.transported, self.spilled].map(|particles| amounts.powder(particles));
         match self.reproduced {
-            Some(true) => "Loss and indicator are exactly those that the plan reports.\n".into(),
-            Some(false) => format!("The plan reports a loss of {loss} m and an indicator of {indicator}.\n"),
-            None => {
-                let [transported, spilled] = [self.transported, self.spilled].map(|n| grouped(n.into()));
-                format!(
-                    "The plan predicts a loss of {loss} m, an indicator of {indicator} ({transported} arrive, {spilled} \
-                     spill).\n"
-                )
-            }
+            Some(true) => "Loss and amount are exactly those that the plan predicts.\n".into(),
+            _ => format!(
+                "The plan predicts that {transported} arrive and {spilled} spill, with a loss of {loss} m.\n"
+            ),
         }
     }
 }
 
 impl Report {
     fn text(&self) -> String {
-        let Self { scene, seed, precision, loss, indicator, seconds, .. } = self;
-        let [transported, target, spilled] =
-            [self.transported.into(), self.target, self.spilled.into()].map(grouped);
+        let Self { scene, seed, precision, loss, seconds, amounts, .. } = self;
         let mut text = format!(
-            "{scene}, seed {seed}, {precision}: loss {loss} m, indicator {indicator} ({transported} of {target} wanted \
-             particles arrive, {spilled} spill), in {seconds:.1} s.\n"
+            "{scene}, seed {seed}, {precision}: {} of the {} wanted arrive, {}; {} spill.\nLoss {loss} m, in {seconds:.1} s.\n",
+            amounts.powder(self.transported),
+            mass(amounts.wanted_kg),
+            amounts.off(self.transported),
+            amounts.powder(self.spilled),
         );
-        text += &self.plan.as_ref().map(PlanReport::text).unwrap_or_default();
+        text += &self.plan.as_ref().map(|plan| plan.text(amounts)).unwrap_or_default();
         text += &self.executed.as_ref().map(ExecutedReport::text).unwrap_or_default();
         text
     }

@@ -7,6 +7,7 @@ use crate::{
         steps::{Origin, StepTrack},
     },
     optim::{EpochRecord, steps::StepRule},
+    report::amounts::Amounts,
     report::folder::{RunFolder, STATE},
     report::words::duration,
 };
@@ -88,9 +89,9 @@ impl Stepping<'_> {
         }
         if let Some(best) = self.track.best() {
             progress.line(&format!(
-                "{name}, seed {seed}: lowest loss {:.3} m (indicator {}), {}",
+                "{name}, seed {seed}: lowest loss {:.3} m ({} arrive), {}",
                 best.loss,
-                best.indicator,
+                Amounts::from(self.scene).powder(best.transported),
                 duration(self.track.tries.last().map_or(0.0, |last| last.seconds))
             ));
         }
@@ -117,7 +118,7 @@ impl Stepping<'_> {
         }
         let history = records(&self.track.tries);
         if let Some(record) = history.last() {
-            progress.epoch(record, epochs, &history);
+            progress.epoch(record, &self.scene.into(), epochs, &history);
         }
         self.folder.replace(STATE, &self.track.to_bytes())?;
         let line = self.track.tries.last().map(run::json_line).unwrap_or_default();

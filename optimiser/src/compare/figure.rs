@@ -97,13 +97,16 @@ impl Comparison {
         let points = |curve: Curve| {
             let last = self.last_epoch(curve).map_or(0, |last| last + 1);
             (0..last).filter_map(move |epoch| {
-                let at = |track| self.best(curve, track, epoch).map(|best| best.indicator as f64);
+                let at = |track| {
+                    self.best(curve, track, epoch)
+                        .map(|best| self.amounts.particle_mass_kg * 1e3 * best.indicator as f64)
+                };
                 point(f64::from(epoch), self.tracks_of(curve).map(at).collect())
             })
         };
         Panel {
             x_name: "epoch",
-            y_name: "indicator (wanted particles that are missing)",
+            y_name: "wanted powder that is missing (g)",
             log_if_wide: false,
             bands: self.bands(&|curve| points(curve).collect()),
         }

@@ -18,7 +18,7 @@ mod summary;
 pub use method::Method;
 pub use summary::{Row, summarise};
 
-use crate::optim::EpochRecord;
+use crate::{optim::EpochRecord, report::amounts::Amounts};
 use powderline_simulator::{rollout::Evaluation, skill::Theta};
 use serde::{Deserialize, Serialize};
 
@@ -38,6 +38,8 @@ pub struct Try {
     pub transported: u32,
     /// Particles that were spilled.
     pub spilled: u32,
+    /// Particles on the tool at the end.
+    pub on_tool: u32,
     /// Rollouts that the search has taken with this one.
     pub rollouts: u32,
     /// Seconds of simulation that it has taken with this one.
@@ -60,6 +62,7 @@ impl Try {
             indicator: found.indicator,
             transported: found.transported,
             spilled: found.spilled,
+            on_tool: found.on_tool,
             rollouts: before.saturating_add(rollouts),
             seconds: spent + seconds,
         }
@@ -67,8 +70,8 @@ impl Try {
 
     /// What was found.
     pub fn evaluation(&self) -> Evaluation {
-        let Self { loss, indicator, transported, spilled, .. } = *self;
-        Evaluation { loss, indicator, transported, spilled, gradient: None }
+        let Self { loss, indicator, transported, spilled, on_tool, .. } = *self;
+        Evaluation { loss, indicator, transported, spilled, on_tool, gradient: None }
     }
 }
 
@@ -88,8 +91,8 @@ impl Track {
     pub fn of_epochs(method: Method, seed: u64, history: &[EpochRecord]) -> Self {
         let mut tries: Vec<Try> = Vec::with_capacity(history.len());
         for record in history {
-            let EpochRecord { theta, loss, indicator, transported, spilled, seconds, .. } = *record;
-            let found = Evaluation { loss, indicator, transported, spilled, gradient: None };
+            let EpochRecord { theta, loss, indicator, transported, spilled, on_tool, seconds, .. } = *record;
+            let found = Evaluation { loss, indicator, transported, spilled, on_tool, gradient: None };
             tries.push(Try::after(tries.last(), Some(theta), &found, rollouts(record), seconds));
         }
         Self { method, seed, tries }
@@ -145,6 +148,8 @@ impl Curve {
 pub struct Comparison {
     /// The scene's name.
     pub scene: String,
+    /// What is wanted, and what particles weigh.
+    pub amounts: Amounts,
     /// Rollouts.
     pub budget: Budget,
     /// The tracks.
@@ -198,10 +203,18 @@ impl Comparison {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use powderline_simulator::scene::Scene;
 
     pub(super) fn at(loss: f64) -> Evaluation {
         let transported = (100.0 - loss) as u32;
-        Evaluation { loss, indicator: 100 - i64::from(transported), transported, spilled: 0, gradient: None }
+        Evaluation {
+            loss,
+            indicator: 100 - i64::from(transported),
+            transported,
+            spilled: 0,
+            on_tool: 0,
+            gradient: None,
+        }
     }
 
     pub(super) fn track(method: Method, seed: u64, losses: &[f64]) -> Track {
@@ -215,6 +228,7 @@ mod tests {
     pub(super) fn comparison() -> Comparison {
         Comparison {
             scene: "bench".into(),
+            amounts: (&Scene::load("bench").unwrap()).into(),
             budget: Budget { epochs: 2, rollouts_per_epoch: 2, factor: 2 },
             tracks: vec![
                 track(Method::Gradient, 1, &[50.0, 40.0, 45.0]),
@@ -244,7 +258,7 @@ mod tests {
 
     #[test]
     fn tries_are_read_with_a_skill_and_without() {
-        let saved = r#"{"theta":[0.1,0.2,0.3,0.4,0.5],"loss":2.5,"indicator":5,"transported":1,"spilled":0,
+        let saved = r#"{"theta":[0.1,0.2,0.3,0.4,0.5],"loss":2.5,"indicator":5,"transported":1,"spilled":0,"on_tool":2,
             "rollouts":11,"seconds":3.5}"#;
         let read: Try = serde_json::from_str(saved).unwrap();
         assert_eq!((read.theta, read.rollouts), (Some([0.1, 0.2, 0.3, 0.4, 0.5]), 11));

@@ -17,7 +17,7 @@ use powderline_simulator::{
 };
 use serde::{Deserialize, Serialize};
 
-const SEAL: Seal = Seal { magic: *b"PLSTEPS\0", version: 1 };
+const SEAL: Seal = Seal { magic: *b"PLSTEPS\0", version: 2 };
 
 /// What a track's epochs depend on, beside the search itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -122,7 +122,10 @@ mod tests {
 
     fn found(loss: f64, steps: usize) -> (Evaluation, Vec<Slope>) {
         let slope = Slope { per_metre: [1.0, 0.0, -2.0], per_radian: [0.0, 3.0, 0.0] };
-        (Evaluation { loss, indicator: 5, transported: 1, spilled: 0, gradient: None }, vec![slope; steps])
+        (
+            Evaluation { loss, indicator: 5, transported: 1, spilled: 0, on_tool: 0, gradient: None },
+            vec![slope; steps],
+        )
     }
 
     fn with_two_epochs(scene: &Scene) -> StepTrack {

@@ -2,6 +2,7 @@
 
 use super::{Comparison, Curve, Track, Try};
 use crate::report::words::{duration, grouped};
+use powderline_simulator::scene::figures::mass;
 use serde::Serialize;
 
 /// A part of the way from the powder at rest to the best known skill that counts as having got there.
@@ -12,6 +13,8 @@ const ARRIVED: f64 = 0.9;
 pub struct Row {
     /// The curve.
     pub name: String,
+    /// Mass of a particle, kilogram.
+    pub particle_mass_kg: f64,
     /// Seeds.
     pub seeds: usize,
     /// Mean indicator of the best skill so far at the beginning, in the middle and at the end.
@@ -90,6 +93,7 @@ impl Row {
         let all = |(_, tries): &(&Track, &[Try])| tries.last().map_or(0.0, |last| f64::from(last.rollouts));
         Self {
             name: curve.name(),
+            particle_mass_kg: comparison.amounts.particle_mass_kg,
             seeds: tracks.len(),
             indicator: [0, epochs / 2, epochs].map(|epoch| indicators(epoch).map(|values| mean(&values))),
             indicator_spread: indicators(epochs).map(|values| spread(&values)),
@@ -107,7 +111,7 @@ impl Row {
     pub fn headings(epochs: u32) -> [String; 8] {
         [
             "method".into(),
-            "indicator, epoch 0".into(),
+            "missing, epoch 0".into(),
             format!("epoch {}", epochs / 2),
             format!("epoch {epochs}"),
             "lowest loss, m".into(),
@@ -120,9 +124,14 @@ impl Row {
     /// The row as text.
     pub fn cells(&self) -> [String; 8] {
         let number = |value: f64| grouped(value.round() as i64);
-        let indicator = |at: usize| self.indicator[at].map_or("-".into(), number);
+        let grams = |particles: f64| mass(particles.round() * self.particle_mass_kg);
+        let missing = |at: usize| {
+            self.indicator[at].map_or("-".into(), |mean| format!("{} ({})", grams(mean), number(mean)))
+        };
         let at_the_end = match (self.indicator[2], self.indicator_spread) {
-            (Some(mean), Some(spread)) => format!("{} +- {}", number(mean), number(spread)),
+            (Some(mean), Some(spread)) => {
+                format!("{} +- {} ({} +- {})", grams(mean), grams(spread), number(mean), number(spread))
+            }
             _ => "-".into(),
         };
         let arrival = |text: Option<String>| match (text, self.arrived) {
@@ -132,8 +141,8 @@ impl Row {
         };
         [
             self.name.clone(),
-            indicator(0),
-            indicator(1),
+            missing(0),
+            missing(1),
             at_the_end,
             format!("{:.1} +- {:.1}", self.mean_loss, self.loss_spread),
             arrival(self.rollouts.map(number)),
@@ -162,7 +171,7 @@ mod tests {
         assert_eq!(more.name, "random, 2 times the rollouts");
         assert!((more.all_rollouts - 12.0).abs() < 1e-12 && (random.all_rollouts - 6.0).abs() < 1e-12);
         let cells = gradient.cells();
-        assert_eq!(cells[3], "35 +- 7");
+        assert_eq!(cells[3], "280 mg +- 56 mg (35 +- 7)");
         assert_eq!(cells[5], "3 (1 of 2)");
     }
 

@@ -27,8 +27,10 @@ pub struct EpochRecord {
     pub indicator: i64,
     /// Particles in the target container.
     pub transported: u32,
-    /// Particles in no container.
+    /// Particles in no container and not on the tool.
     pub spilled: u32,
+    /// Particles on the tool at the end.
+    pub on_tool: u32,
     /// Skill parameters that were evaluated.
     pub theta: Theta,
     /// What the update used as the gradient of the loss; none at the last epoch. In components that it does not
@@ -192,6 +194,7 @@ impl Search {
             indicator: evaluation.indicator,
             transported: evaluation.transported,
             spilled: evaluation.spilled,
+            on_tool: evaluation.on_tool,
             theta,
             gradient,
             seconds,
@@ -284,7 +287,14 @@ mod tests {
         let loss: f64 = theta.iter().map(|x| (x - 0.3) * (x - 0.3)).sum();
         let mut slope = theta.map(|x| 2.0 * (x - 0.3));
         slope[0] += 1e3 * libm::sin(1e6 * theta[0]);
-        Evaluation { loss, indicator: 5, transported: 1, spilled: 0, gradient: gradient.then_some(slope) }
+        Evaluation {
+            loss,
+            indicator: 5,
+            transported: 1,
+            spilled: 0,
+            on_tool: 0,
+            gradient: gradient.then_some(slope),
+        }
     }
 
     fn probed(search: &Search, method: &Method, evaluation: &Evaluation) -> Vec<f64> {

@@ -178,18 +178,7 @@ impl RunFolder {
     /// # Errors
     /// [`FolderError::Read`].
     pub fn read(&self, name: &str) -> Result<Vec<u8>, FolderError> {
-        let path = self.file(name);
-        let mut bytes = Vec::new();
-        let read =
-            fs::File::open(&path).and_then(|file| file.take(MAX_FILE_BYTES + 1).read_to_end(&mut bytes));
-        match read {
-            Ok(count) if count as u64 > MAX_FILE_BYTES => {
-                let source = io::Error::new(io::ErrorKind::FileTooLarge, "no run writes a file of this size");
-                Err(FolderError::Read { path, source })
-            }
-            Ok(_) => Ok(bytes),
-            Err(source) => Err(FolderError::Read { path, source }),
-        }
+        read_file(&self.file(name))
     }
 
     /// Replaces a file so that, whatever happens, either the old or the new contents are there, whole.
@@ -221,6 +210,23 @@ impl RunFolder {
     pub fn append(&self, name: &str, contents: &[u8]) -> Result<(), FolderError> {
         let path = self.file(name);
         append_through(&path, contents).map_err(|source| FolderError::Write { path, source })
+    }
+}
+
+/// The contents of a file of a run; a longer one than any run writes is refused.
+///
+/// # Errors
+/// [`FolderError::Read`].
+pub fn read_file(path: &Path) -> Result<Vec<u8>, FolderError> {
+    let mut bytes = Vec::new();
+    let read = File::open(path).and_then(|file| file.take(MAX_FILE_BYTES + 1).read_to_end(&mut bytes));
+    let failed = |source| FolderError::Read { path: path.into(), source };
+    match read {
+        Ok(count) if count as u64 > MAX_FILE_BYTES => {
+            Err(failed(io::Error::new(io::ErrorKind::FileTooLarge, "no run writes a file of this size")))
+        }
+        Ok(_) => Ok(bytes),
+        Err(source) => Err(failed(source)),
     }
 }
 

@@ -1,145 +1,193 @@
 //! What a run found, in words.
 
-use super::words::{grouped, parameter};
-use crate::optim::EpochRecord;
-use powderline_shared::plan::SKILL_PARAMETERS;
-use powderline_simulator::{
-    rollout::Evaluation,
-    scene::figures::about,
-    skill::{SkillMap, Theta},
+use super::{
+    amounts::percent,
+    finding::{Finding, Outcome},
+    record::RunRecord,
+    words::parameter,
 };
+use powderline_shared::plan::SKILL_PARAMETERS;
 use std::fmt::Write;
 
-/// What the words are about.
-#[derive(Clone, Debug)]
-pub struct Finding<'a> {
-    /// The mapping of the scene.
-    pub map: &'a SkillMap,
-    /// Epoch 0.
-    pub first: &'a EpochRecord,
-    /// The epoch whose skill became the plan.
-    pub best: &'a EpochRecord,
-    /// An epoch of lower loss whose skill could not, and why.
-    pub passed_over: Option<(&'a EpochRecord, String)>,
-    /// The last epoch.
-    pub last: &'a EpochRecord,
-    /// What the plan, quantised, achieves.
-    pub plan: &'a Evaluation,
-    /// Mass of a particle, kilogram.
-    pub particle_mass_kg: f64,
-}
+impl Finding {
+    /// What arrives of what was wanted: the sentence that comes first wherever a result is shown.
+    pub fn headline(&self) -> String {
+        let Some(plan) = &self.plan else { return "There is no plan yet.".into() };
+        format!("The plan brings {}.", self.arrival(plan))
+    }
 
-impl Finding<'_> {
-    /// A paragraph on the result, then one line per skill parameter.
-    pub fn text(&self) -> String {
+    /// Such as `9.584 g (1,198 particles) of the 9.6 g wanted: 0.17 % too little, within the tolerance of 2 %`.
+    pub fn arrival(&self, outcome: &Outcome) -> String {
+        let amounts = &self.amounts;
+        let arrives = amounts.powder(outcome.particles);
+        let wanted = powderline_simulator::scene::figures::mass(amounts.wanted_kg);
+        let off = amounts.off(outcome.particles);
+        match amounts.is_met(outcome.particles) {
+            Some(true) => {
+                format!(
+                    "{arrives} of the {wanted} wanted: {off}, within the tolerance of {}",
+                    amounts.tolerance()
+                )
+            }
+            Some(false) => {
+                format!(
+                    "{arrives} of the {wanted} wanted: {off}, more than the tolerance of {}",
+                    amounts.tolerance()
+                )
+            }
+            None => format!("{arrives}; as much as can be had was wanted"),
+        }
+    }
+
+    /// The sentences after the headline: what spills, which epoch it is and why, and which could not be.
+    pub fn sentences(&self) -> Vec<String> {
+        let spilled = self.plan.map(|plan| format!("{} spill.", self.amounts.powder(plan.spilled_particles)));
+        spilled.into_iter().chain([self.choice()]).chain(self.passed_over_words()).collect()
+    }
+
+    /// Which epoch it is, by which rule.
+    pub fn choice(&self) -> String {
+        let Some((epoch, best)) = self.epoch.zip(self.best) else {
+            return "No epoch is a motion that the arm may perform.".into();
+        };
+        let able = if self.passed_over.is_empty() { "" } else { " that the arm may perform" };
+        format!(
+            "Epoch {epoch} of {} is the plan: of the epochs{able} it {}. Its loss is {:.3} m, epoch 0 had {:.3} m and brought {}.",
+            self.last_epoch,
+            self.rule.words(),
+            best.loss_m,
+            self.first.loss_m,
+            self.amounts.powder(self.first.particles),
+        )
+    }
+
+    /// Epochs that could be no plan, those of one reason together.
+    pub fn passed_over_words(&self) -> Vec<String> {
+        let mut groups: Vec<(&str, Vec<String>)> = Vec::new();
+        for passed in &self.passed_over {
+            let epoch = passed.epoch.to_string();
+            match groups.iter_mut().find(|(reason, _)| *reason == passed.reason) {
+                Some((_, epochs)) => epochs.push(epoch),
+                None => groups.push((&passed.reason, vec![epoch])),
+            }
+        }
+        let sentence = |(reason, epochs): (&str, Vec<String>)| match epochs.as_slice() {
+            [one] => format!("Epoch {one} was passed over: {reason}."),
+            [most @ .., last] => format!("Epochs {} and {last} were passed over: {reason}.", most.join(", ")),
+            [] => String::new(),
+        };
+        groups.into_iter().map(sentence).collect()
+    }
+
+    /// The result as paragraphs, what was asked for first, then one line per skill parameter.
+    pub fn text(&self, run: &RunRecord) -> String {
         let mut text = String::new();
+        let first = run.epochs.first().map(|epoch| epoch.record.theta);
+        let skills = [first, run.shipped.map(|plan| plan.theta)];
         // Writing to a string does not fail.
-        let _ = writeln!(text, "{}", self.verdict());
-        let _ = writeln!(text, "{}", self.powder());
-        if let Some((epoch, reason)) = &self.passed_over {
-            let EpochRecord { epoch, loss, .. } = epoch;
-            let _ = writeln!(text, "Epoch {epoch} was passed over with its loss of {loss:.3} m: {reason}.");
-        }
-        let _ = writeln!(text, "\n{:<24}{:>12}{:>14}", "skill", "at epoch 0", "in the plan");
-        let [first, best] =
-            [self.first.theta, self.best.theta].map(|theta: Theta| self.map.parameters(&theta));
-        for (index, (name, _)) in SKILL_PARAMETERS.iter().enumerate() {
-            let [from, to] = [first[index], best[index]].map(|value| parameter(index, value));
-            let _ = writeln!(text, "{name:<24}{from:>12}{to:>14}");
-        }
+        let _ =
+            self.write_text(&mut text, skills.map(|theta| run.map.parameters(&theta.unwrap_or_default())));
         text
     }
 
-    fn verdict(&self) -> String {
-        let (first, best, last) = (self.first, self.best, self.last);
-        let able = if self.passed_over.is_some() { " that the arm may perform" } else { "" };
-        if best.epoch == first.epoch {
-            return format!(
-                "None of the {} epochs after the first{able} improved on it: the plan is the skill the run started from, \
-                 with a loss of {:.3} m.",
-                last.epoch, first.loss
-            );
+    fn write_text(&self, text: &mut String, [first, plan]: [[f64; 5]; 2]) -> std::fmt::Result {
+        writeln!(text, "{}", self.headline())?;
+        self.sentences().iter().try_for_each(|sentence| writeln!(text, "{sentence}"))?;
+        if !self.advice.is_empty() {
+            writeln!(text, "\nWhat could help:")?;
+            self.advice.iter().try_for_each(|advice| writeln!(text, "- {advice}"))?;
         }
-        let share = 100.0 * (first.loss - best.loss) / first.loss;
-        format!(
-            "The loss fell from {:.3} m at epoch 0 to {:.3} m at epoch {} (by {share:.1} %), the best of {} epochs{able}; \
-             that skill is the plan.",
-            first.loss, best.loss, best.epoch, last.epoch
-        )
+        writeln!(text, "\n{:<24}{:>12}{:>14}", "skill", "at epoch 0", "in the plan")?;
+        for (index, (name, _)) in SKILL_PARAMETERS.iter().enumerate() {
+            let [from, to] = [first[index], plan[index]].map(|value| parameter(index, value));
+            writeln!(text, "{name:<24}{from:>12}{to:>14}")?;
+        }
+        Ok(())
     }
 
-    fn powder(&self) -> String {
-        let plan = self.plan;
-        let target = plan.indicator + i64::from(plan.transported);
-        let off = about(100.0 * plan.indicator.abs() as f64 / target as f64, 2);
-        let missing = match plan.indicator {
-            1.. => format!("{off} % less than the {} wanted", grouped(target)),
-            0 => format!("exactly the {} wanted", grouped(target)),
-            _ => format!("{off} % more than the {} wanted", grouped(target)),
-        };
-        format!(
-            "As shipped (quantised, simulated again) it has a loss of {:.3} m and brings {} particles ({} g) into the target \
-             container, {missing}; {} spill. At epoch 0 it was {} particles, and {} spilled.",
-            plan.loss,
-            grouped(plan.transported.into()),
-            about(1e3 * self.particle_mass_kg * f64::from(plan.transported), 4),
-            grouped(plan.spilled.into()),
-            grouped(self.first.transported.into()),
-            grouped(self.first.spilled.into()),
-        )
+    /// Why the plan is not what was asked for; nothing where it is.
+    pub fn shortfall(&self) -> Option<String> {
+        let plan = self.plan.filter(|_| self.met == Some(false))?;
+        Some(format!(
+            "the plan brings {} than wanted, and the tolerance is {}",
+            match plan.miss {
+                miss if miss < 0.0 => format!("{} less", percent(-miss)),
+                miss => format!("{} more", percent(miss)),
+            },
+            self.amounts.tolerance()
+        ))
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::*;
+    use crate::{
+        optim::{EpochRecord, Search},
+        report::{
+            finding::{Finding, Judged, Outcome, Shipped},
+            record::RunRecord,
+            state::RunState,
+        },
+    };
+    use powderline_shared::plan::Precision;
     use powderline_simulator::scene::Scene;
 
-    fn record(epoch: u32, loss: f64) -> EpochRecord {
-        EpochRecord {
-            epoch,
-            loss,
-            indicator: 800,
-            transported: 50,
-            spilled: 2,
-            theta: [0.0; 5],
-            seconds: 1.0,
-            ..EpochRecord::default()
-        }
+    fn found(arrives: [u32; 3], blocked: Option<&str>, planned: u32) -> (Finding, RunRecord) {
+        let scene = Scene::load("bench").unwrap();
+        let state = RunState::new(scene.digest(), 1, Precision::F32, Search::new([0.0; 5], 2));
+        let mut run = RunRecord::new(scene, state);
+        run.epochs = (0..)
+            .zip(arrives)
+            .map(|(epoch, transported)| Judged {
+                record: EpochRecord {
+                    epoch,
+                    loss: 100.0 - f64::from(epoch),
+                    transported,
+                    theta: [f64::from(epoch); 5],
+                    ..EpochRecord::default()
+                },
+                obstacle: blocked.filter(|_| epoch != 1).map(str::to_owned),
+            })
+            .collect();
+        let amounts = (&run.scene).into();
+        run.shipped = Some(Shipped { theta: [1.0; 5], outcome: Outcome::new(&amounts, planned, 8, 99.1) });
+        (run.finding().unwrap(), run)
     }
 
     #[test]
-    fn says_what_changed_and_what_arrives() {
-        let map = SkillMap::new(&Scene::load("bench").unwrap());
-        let plan = Evaluation { loss: 1130.0, indicator: -1, transported: 851, spilled: 4, gradient: None };
-        let finding = Finding {
-            map: &map,
-            first: &record(0, 1200.0),
-            best: &EpochRecord { theta: [1.0; 5], ..record(27, 1128.0) },
-            last: &record(30, 1129.0),
-            plan: &plan,
-            passed_over: None,
-            particle_mass_kg: 8e-6,
-        };
-        let text = finding.text();
-        for part in [
-            "from 1200.000 m",
-            "epoch 27 (by 6.0 %)",
-            "851 particles (6.808 g)",
-            "0.12 % more than the 850",
-            "20.0 mm",
-            "110.0 deg",
-        ] {
-            assert!(text.contains(part), "{part} in {text}");
-        }
-        let none = Finding { best: &record(0, 1200.0), ..finding.clone() };
-        assert!(none.text().contains("None of the 30 epochs after the first improved"));
-        let reason = "the tool's handle would pass through container \"target\" at 3.21 s".into();
-        let text = Finding { passed_over: Some((&record(29, 1100.0), reason)), ..finding }.text();
-        assert!(text.contains("the best of 30 epochs that the arm may perform; that skill"), "{text}");
+    fn what_was_asked_for_is_said_first() {
+        let (finding, run) = found([100, 1190, 1000], None, 1198);
+        let text = finding.text(&run);
         assert!(
-            text.contains("\nEpoch 29 was passed over with its loss of 1100.000 m: the tool's handle"),
+            text.starts_with(
+                "The plan brings 9.584 g (1,198 particles) of the 9.6 g wanted: 0.17 % too little, within the tolerance of 2 %.\n\
+                 64 mg (8 particles) spill.\n\
+                 Epoch 1 of 2 is the plan: of the epochs it misses the wanted amount least (ties by loss). Its loss is 99.000 m, \
+                 epoch 0 had 100.000 m and brought 800 mg (100 particles).\n"
+            ),
             "{text}"
+        );
+        assert!(text.contains("scooping depth               11.0 mm       20.0 mm\n"), "{text}");
+        assert!(!text.contains("help") && finding.shortfall().is_none(), "{text}");
+    }
+
+    #[test]
+    fn a_miss_reads_like_one_and_says_what_could_help() {
+        let (finding, run) = found([1199, 1100, 1201], Some("the tool's handle would pass through it"), 1100);
+        let text = finding.text(&run);
+        assert!(
+            text.contains("of the 9.6 g wanted: 8.3 % too little, more than the tolerance of 2 %.\n"),
+            "{text}"
+        );
+        assert!(
+            text.contains("Epochs 0 and 2 were passed over: the tool's handle would pass through it.\n"),
+            "{text}"
+        );
+        assert!(text.contains("of the epochs that the arm may perform it misses"), "{text}");
+        assert!(text.contains("What could help:\n- epoch 0 brought 9.592 g"), "{text}");
+        assert_eq!(
+            finding.shortfall().unwrap(),
+            "the plan brings 8.3 % less than wanted, and the tolerance is 2 %"
         );
     }
 }

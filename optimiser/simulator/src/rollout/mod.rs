@@ -31,8 +31,10 @@ pub struct Evaluation {
     pub indicator: i64,
     /// Particles inside the target container at the end.
     pub transported: u32,
-    /// Particles inside no container at the end.
+    /// Particles inside no container and not on the tool at the end.
     pub spilled: u32,
+    /// Particles on the tool at the end.
+    pub on_tool: u32,
     /// Derivative of the loss with respect to theta, when asked for.
     pub gradient: Option<Theta>,
 }

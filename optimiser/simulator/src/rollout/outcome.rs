@@ -23,15 +23,18 @@ pub(crate) struct Census {
     pub(crate) transported: u32,
     /// Above no container's floor, and not on the tool.
     pub(crate) spilled: u32,
+    /// On the tool.
+    pub(crate) on_tool: u32,
 }
 
 pub(crate) fn census(scene: &Scene, positions: &[[f64; 3]], tool: &Pose) -> Census {
-    let mut census = Census { transported: 0, spilled: 0 };
+    let mut census = Census { transported: 0, spilled: 0, on_tool: 0 };
     for destination in destinations(scene, positions, tool) {
         match destination {
             Destination::Target => census.transported += 1,
             Destination::Spilled => census.spilled += 1,
-            Destination::Left | Destination::Tool => {}
+            Destination::Tool => census.on_tool += 1,
+            Destination::Left => {}
         }
     }
     census

@@ -347,6 +347,7 @@ fn evaluation(scene: &Scene, positions: &[[f64; 3]], tool: &Pose) -> (Evaluation
         indicator: scene.target_count() as i64 - i64::from(census.transported),
         transported: census.transported,
         spilled: census.spilled,
+        on_tool: census.on_tool,
         gradient: None,
     };
     (evaluation, gradient)

@@ -1,6 +1,6 @@
 //! Quantities that follow from a scene's fields.
 
-use super::{Amount, Container, ContainerShape, Objective, Powder, Scene, Time};
+use super::{Container, ContainerShape, Objective, Powder, Scene, Time, Wanted};
 
 /// Edge of a grid block, in cells.
 pub const BLOCK_CELLS: usize = 4;
@@ -82,6 +82,12 @@ impl Container {
         [cos * d[0] + sin * d[1], cos * d[1] - sin * d[0], d[2]]
     }
 
+    /// Horizontal distance from a point to the container's opening, metres; 0 above it.
+    pub(super) fn gap_to_opening_m(&self, p: [f64; 3]) -> f64 {
+        let nearest = self.nearest_m(&p);
+        libm::hypot(nearest[0] - p[0], nearest[1] - p[1])
+    }
+
     /// The point of the container's inner space that is nearest to another, metres, world frame.
     fn nearest_m(&self, p: &[f64; 3]) -> [f64; 3] {
         let [x, y, z] = self.local_m(p);
@@ -156,9 +162,17 @@ impl Scene {
 
     /// Particles wanted in the target container; a mass is rounded to whole particles, at least one.
     pub fn target_count(&self) -> usize {
-        match self.objective.amount {
-            Amount::Particles(count) => count as usize,
-            Amount::MassKg(mass_kg) => ((mass_kg / self.particle_mass_kg()).round() as usize).max(1),
+        match self.objective.amount.wanted {
+            Wanted::Particles(count) => count as usize,
+            Wanted::MassKg(mass_kg) => ((mass_kg / self.particle_mass_kg()).round() as usize).max(1),
+        }
+    }
+
+    /// Mass wanted in the target container, kilogram.
+    pub fn target_mass_kg(&self) -> f64 {
+        match self.objective.amount.wanted {
+            Wanted::Particles(count) => f64::from(count) * self.particle_mass_kg(),
+            Wanted::MassKg(mass_kg) => mass_kg,
         }
     }
 }

@@ -2,17 +2,37 @@
 
 use thiserror::Error;
 
+/// Most characters of a name, of a scene or of a container.
+pub(super) const MAX_NAME_CHARS: usize = 64;
+
+/// Whether it can be shown as it is.
+pub(super) fn is_name(name: &str) -> bool {
+    (1..=MAX_NAME_CHARS).contains(&name.chars().count()) && !name.chars().any(char::is_control)
+}
+
+/// What messages call the container at `index` of those with these names: by its own, if that can be and tells it from the
+/// others.
+pub(super) fn container_path(names: &[&str], index: usize) -> String {
+    let bearers = |name: &str| names.iter().filter(|other| **other == name).count();
+    match names.get(index) {
+        Some(name) if is_name(name) && bearers(name) == 1 => format!("container {name:?}"),
+        _ => format!("container[{index}]"),
+    }
+}
+
 /// Why a scene was refused. Displays as one sentence that names the file and, where there is one, the field,
 /// its value and what would be right.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum SceneError {
     /// Neither an embedded scene nor a file.
-    #[error("there is no scene and no file called `{name}`; the embedded scenes are {known}")]
+    #[error("there is no scene and no file called `{name}`; the embedded scenes are {known}{meant}")]
     UnknownName {
         /// What was asked for.
         name: String,
         /// Names of the embedded scenes.
         known: String,
+        /// The question whether one of them was meant, or nothing.
+        meant: String,
     },
     /// The operating system refused to read the file.
     #[error("{file} cannot be read: {reason}")]
@@ -49,7 +69,7 @@ pub enum SceneError {
         offset: usize,
     },
     /// Nothing but white space and comments.
-    #[error("{file} is empty; a scene in TOML would be right (optimiser/scenes/bench.toml is an example)")]
+    #[error("{file} is empty; a scene in TOML would be right (`optimise new FILE` writes an example)")]
     Empty {
         /// The scene file.
         file: String,
@@ -71,7 +91,7 @@ pub enum SceneError {
     Structure {
         /// The scene file.
         file: String,
-        /// Dotted path of the field, or of the table that it belongs to.
+        /// Dotted path of the field, or of the table that it belongs to, a container by its name.
         field: String,
         /// Line, from 1.
         line: usize,
@@ -83,7 +103,7 @@ pub enum SceneError {
     Invalid {
         /// The scene file.
         file: String,
-        /// Dotted path of the field.
+        /// Dotted path of the field, a container by its name.
         field: String,
         /// Its value.
         value: String,

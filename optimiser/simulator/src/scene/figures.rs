@@ -1,5 +1,7 @@
 //! Numbers in messages.
 
+use powderline_shared::mass::Mass;
+
 /// A number as a person would write it into the file.
 pub fn plain(value: f64) -> String {
     let magnitude = value.abs();
@@ -20,6 +22,11 @@ pub fn list(values: &[f64]) -> String {
 /// A computed number, to `digits` significant digits.
 pub fn about(value: f64, digits: usize) -> String {
     plain(format!("{value:.*e}", digits.saturating_sub(1)).parse().unwrap_or(value))
+}
+
+/// A mass as people dose it, to four significant digits: grams, milligrams below one gram.
+pub fn mass(kg: f64) -> String {
+    Mass(kg).to_string()
 }
 
 /// A computed upper limit, rounded down to three significant digits so that it may be taken as it stands.
@@ -45,6 +52,11 @@ pub fn grouped(number: i64) -> String {
     if number < 0 { format!("-{text}") } else { text }
 }
 
+/// A number of things, `noun` being one of them: `1 particle`, `1,200 particles`.
+pub fn count(number: i64, noun: &str) -> String {
+    format!("{} {noun}{}", grouped(number), if number == 1 { "" } else { "s" })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -52,6 +64,14 @@ mod tests {
     #[test]
     fn thousands_are_set_apart() {
         assert_eq!(["0", "999", "1,000", "-12,345,678"], [0, 999, 1000, -12_345_678].map(grouped)[..]);
+    }
+
+    #[test]
+    fn one_thing_is_no_plural() {
+        assert_eq!(
+            ["0 particles", "1 particle", "1,200 particles", "-1 particles"],
+            [0, 1, 1200, -1].map(|number| count(number, "particle"))[..]
+        );
     }
 
     #[test]

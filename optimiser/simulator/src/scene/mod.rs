@@ -4,11 +4,15 @@
 //! range documented at its field and the fields agree with each other. World frame: z up, floor at z = 0, the
 //! simulated volume is `[0, domain.size_m]`. `scenes/bench.toml` is the commented example.
 
+mod amount;
 mod canonical;
+mod capacity;
 mod derived;
 mod embedded;
 mod error;
+mod feasible;
 pub mod figures;
+mod nearest;
 mod packing;
 mod parse;
 mod path;
@@ -21,12 +25,16 @@ mod validate;
 
 use serde::{Deserialize, Serialize};
 
+pub use amount::{Amount, DEFAULT_TOLERANCE, Wanted};
 pub use canonical::{DIGEST_VERSION, Digest};
+pub use capacity::Capacity;
 pub use derived::{
     BLOCK_CELLS, MAX_CELLS, MAX_CFL, MAX_PARTICLES, MAX_SUBSTEPS, MAX_VISCOUS_LOSS, PADDING_BLOCKS,
 };
 pub use embedded::{DEFAULT_SCENE, EMBEDDED_SCENES, embedded_scene};
 pub use error::SceneError;
+pub use feasible::Infeasible;
+pub use nearest::nearest;
 pub use powderline_shared::limits::Limits;
 pub use read::MAX_SCENE_BYTES;
 pub(crate) use tool_body::PlacedTool;
@@ -288,16 +296,6 @@ pub struct Objective {
     pub norm: Norm,
     /// Which particles the loss sees.
     pub observation: Observation,
-}
-
-/// How much powder should arrive in the target container.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Amount {
-    /// Particles; 1 to all of them.
-    Particles(u32),
-    /// Mass, kilogram; above 0, up to all of it. Rounded to whole particles.
-    MassKg(f64),
 }
 
 /// What the loss asks for.

@@ -3,6 +3,8 @@
 use serde_json::Value;
 use toml::de::{DeTable, DeValue, Deserializer, Error};
 
+use super::error::container_path;
+use super::nearest::did_you_mean;
 use super::{DEFAULT_SCENE, Scene, SceneError, embedded_scene};
 
 /// Tables of a scene; `container` is the only list of tables.
@@ -12,16 +14,24 @@ const TABLES: [&str; 8] = ["domain", "powder", "time", "tool", "skill", "limits"
 pub(super) fn parse(file: &str, text: &str) -> Result<Scene, SceneError> {
     let source = Source { file, text };
     let raw = DeTable::parse(text).map_err(|error| source.syntax(&error))?;
-    source.check_tables(raw.get_ref())?;
-    let deserializer = Deserializer::parse(text).map_err(|error| source.syntax(&error))?;
-    let scene: Scene = serde_path_to_error::deserialize(deserializer).map_err(|error| {
-        let path = error.path().to_string();
-        let field = if path == "." { "the scene" } else { &path };
-        source.structure(field, start(error.inner()), in_plain_words(error.inner().message()))
-    })?;
-    let resolved = serde_json::to_value(&scene).expect("every field has a notation in JSON");
-    source.check_lists("", 0, &DeValue::Table(raw.into_inner()), &resolved)?;
-    Ok(scene)
+    let raw = raw.into_inner();
+    source.scene(&raw).map_err(|error| with_names(error, &raw))
+}
+
+/// The refusal with a container's name in the place of its number.
+fn with_names(error: SceneError, raw: &DeTable<'_>) -> SceneError {
+    let SceneError::Structure { file, field, line, reason } = error else { return error };
+    let named = || {
+        let (index, path) = field.strip_prefix("container[")?.split_once(']')?;
+        let name = |table: &DeValue<'_>| Some(table.as_table()?.get("name")?.get_ref().as_str()?.to_owned());
+        let tables = raw.get("container")?.get_ref().as_array()?;
+        let names: Vec<String> =
+            tables.iter().map(|table| name(table.get_ref()).unwrap_or_default()).collect();
+        let names: Vec<&str> = names.iter().map(String::as_str).collect();
+        Some(container_path(&names, index.parse().ok()?) + path)
+    };
+    let field = named().unwrap_or(field);
+    SceneError::Structure { file, field, line, reason }
 }
 
 /// The text being read, and its name in messages.
@@ -31,13 +41,26 @@ struct Source<'a> {
 }
 
 impl Source<'_> {
+    fn scene(&self, raw: &DeTable<'_>) -> Result<Scene, SceneError> {
+        self.check_tables(raw)?;
+        let deserializer = Deserializer::parse(self.text).map_err(|error| self.syntax(&error))?;
+        let scene: Scene = serde_path_to_error::deserialize(deserializer).map_err(|error| {
+            let path = error.path().to_string();
+            let field = if path == "." { "the scene" } else { &path };
+            self.structure(field, start(error.inner()), in_plain_words(&path, error.inner().message()))
+        })?;
+        let resolved = serde_json::to_value(&scene).expect("every field has a notation in JSON");
+        self.check_lists("", 0, &DeValue::Table(raw.clone()), &resolved)?;
+        Ok(scene)
+    }
+
     fn syntax(&self, error: &Error) -> SceneError {
         let (line, column) = self.position(start(error));
         SceneError::Syntax {
             file: self.file.to_owned(),
             line,
             column,
-            reason: in_plain_words(error.message()),
+            reason: in_plain_words("", error.message()),
         }
     }
 
@@ -114,36 +137,67 @@ fn one_line(message: &str) -> String {
     if line.chars().count() > MAX_CHARS { shown + "..." } else { shown }
 }
 
-/// The line of a key in the scene that is the reference, with the key's unit, meaning and range.
-fn example_of(key: &str) -> Option<String> {
+/// The line of a key in the scene that is the reference, with the key's unit, meaning and range; `table` may have an index.
+fn example(table: &str, key: &str) -> Option<String> {
+    let table = table.split('[').next()?;
+    let headers = [format!("[{table}]"), format!("[[{table}]]")];
+    let is_header = |line: &str| headers.iter().any(|header| line.starts_with(header));
     let is_it = |line: &&str| line.strip_prefix(key).is_some_and(|rest| rest.trim_start().starts_with('='));
-    embedded_scene(DEFAULT_SCENE)?.lines().find(is_it).map(one_line)
+    let lines = embedded_scene(DEFAULT_SCENE)?.lines().skip_while(|line| !is_header(line)).skip(1);
+    lines.take_while(|line| !line.starts_with('[')).find(is_it).map(one_line)
 }
 
-/// Serde speaks of Rust types; the reader of a scene file knows numbers, lists and tables.
-fn in_plain_words(message: &str) -> String {
+/// What serde says of the value at `path`. It speaks of Rust types; the reader of a scene file knows numbers, lists and
+/// tables.
+fn in_plain_words(path: &str, message: &str) -> String {
     let words = [
         ("expected f64", "expected a number"),
         ("expected u32", "expected a whole number from 0 to 4294967295"),
         ("expected u64", "expected a whole number from 0 to 18446744073709551615"),
         ("expected an array of length", "expected a list of"),
         ("expected a sequence", "expected a list"),
-        ("expected internally tagged enum ContainerShape", "expected a table with a `kind`"),
-        ("expected internally tagged enum ToolShape", "expected a table with a `kind`"),
-        ("expected internally tagged enum Observation", "expected a table with a `kind`"),
+        ("expected internally tagged enum ContainerShape", A_KIND),
+        ("expected internally tagged enum ToolShape", A_KIND),
+        ("expected internally tagged enum Observation", A_KIND),
         ("` as i128,", "`,"),
         ("floating-point number overflowed", "number too large, expected at most 1.79e308"),
-        ("wanted string or table", "expected a name or a table"),
-        ("wanted exactly 1 element, more than 1 element", "expected a table with exactly one key"),
+        ("wanted string or table", A_CHOICE),
     ];
     let plain = words.iter().fold(one_line(message), |text, (rust, plain)| text.replace(rust, plain));
+    if let Some(question) = question(message) {
+        return plain + &question;
+    }
     let missing = plain.strip_prefix("missing field `").and_then(|rest| rest.strip_suffix('`'));
-    if let Some(example) = missing.and_then(example_of) {
+    let wants_table = || [A_KIND, A_CHOICE].iter().any(|words| plain.contains(words));
+    let example = match missing {
+        Some(key) => example(path, key),
+        None => path.rsplit_once('.').filter(|_| wants_table()).and_then(|(table, key)| example(table, key)),
+    };
+    if let Some(example) = example {
         return format!("{plain}; in the scene `{DEFAULT_SCENE}` it is: {example}");
     }
     // What remains of `expected struct Domain` and the like.
     match plain.find("expected struct ") {
         Some(start) => plain[..start].to_owned() + "expected a table",
         None => plain,
+    }
+}
+
+const A_KIND: &str = "expected a table with a `kind`";
+const A_CHOICE: &str = "expected a name or a table";
+
+/// After an unknown key or choice: the question whether one of those that are possible there was meant, or the one table that
+/// the key belongs into.
+fn question(message: &str) -> Option<String> {
+    // "unknown field `word`, expected one of `this`, `that`": each word between two marks.
+    let rest = message.strip_prefix("unknown field ").or_else(|| message.strip_prefix("unknown variant "))?;
+    let mut words = rest.split('`').skip(1).step_by(2);
+    let word = words.next()?;
+    let tables: Vec<&str> = TABLES.into_iter().filter(|table| example(table, word).is_some()).collect();
+    match tables[..] {
+        [table] if message.starts_with("unknown field ") => {
+            Some(format!("; that key belongs into [{table}]"))
+        }
+        _ => Some(did_you_mean(word, words)),
     }
 }

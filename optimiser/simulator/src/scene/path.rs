@@ -35,9 +35,15 @@ fn samples(range: [f64; 2]) -> impl Iterator<Item = f64> + Clone {
 }
 
 impl Scene {
+    /// Direction of scooping and transport, world frame.
+    pub(super) fn heading(&self) -> Vec3 {
+        let (sin, cos) = libm::sincos(self.skill.heading_deg.to_radians());
+        [cos, sin, 0.0]
+    }
+
     /// The tool's origin after travelling `forward_m` along the heading and `up_m` upwards from the start.
     pub(super) fn origin_after(&self, forward_m: f64, up_m: f64) -> Vec3 {
-        let (sin, cos) = libm::sincos(self.skill.heading_deg.to_radians());
+        let [cos, sin, _] = self.heading();
         let [x, y, z] = self.tool.start_position_m;
         [x + forward_m * cos, y + forward_m * sin, z + up_m]
     }

@@ -4,13 +4,13 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-use super::{Scene, SceneError, embedded, parse::parse};
+use super::{EMBEDDED_SCENES, Scene, SceneError, embedded, nearest::did_you_mean, parse::parse};
 
 /// A scene file longer than this is refused without being read, bytes.
 pub const MAX_SCENE_BYTES: u64 = 1 << 20;
 
 impl Scene {
-    /// Loads an embedded scene by name (`bench`, `bench-small`, `bench-fine`) or a scene file by path.
+    /// Loads an embedded scene by name (`bench`, `bench-small`, `bench-fine`, `vial`) or a scene file by path.
     ///
     /// A name wins over a file of the same name in the working folder; write `./bench` for the file.
     ///
@@ -43,7 +43,8 @@ fn read_text(path: &str) -> Result<String, SceneError> {
         |error: std::io::Error| SceneError::Unreadable { file: file(), reason: error.to_string() };
     // A bare word that is no file was meant as the name of a scene.
     if !Path::new(path).exists() && !path.contains(['/', '\\', '.']) {
-        return Err(SceneError::UnknownName { name: file(), known: embedded::known_names() });
+        let meant = did_you_mean(path, EMBEDDED_SCENES.map(|(name, _)| name));
+        return Err(SceneError::UnknownName { name: file(), known: embedded::known_names(), meant });
     }
     let metadata = std::fs::metadata(path).map_err(unreadable)?;
     if metadata.is_dir() {

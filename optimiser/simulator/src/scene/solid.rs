@@ -5,6 +5,7 @@
 //! normals and a fixed set of directions, so "apart" is always true, and "not apart" errs only for gaps below about
 //! a hundredth of the solids' size.
 
+use super::figures::plain;
 use super::{Container, ContainerShape, Powder, Scene};
 use std::sync::LazyLock;
 
@@ -108,7 +109,62 @@ fn spread_direction(index: usize) -> Vec3 {
     [across * cos, across * sin, up]
 }
 
+/// A wall of a container.
+pub(super) struct Wall {
+    /// Which one, in words.
+    pub(super) name: String,
+    hull: Hull,
+    /// Away from the container's middle, world frame.
+    outwards: Vec3,
+}
+
+impl Wall {
+    /// How far a convex solid, given by its reach, goes beyond the wall's inner face, metres; none if it stays clear.
+    pub(super) fn depth_m(&self, reach: impl Fn(Vec3) -> f64) -> Option<f64> {
+        if self.hull.clear_of(&reach) {
+            return None;
+        }
+        let inner_face_m = -self.hull.reach(self.outwards.map(|x| -x));
+        Some(reach(self.outwards) - inner_face_m)
+    }
+
+    /// Whether somebody who goes in this horizontal direction comes nearer to it.
+    pub(super) fn is_ahead(&self, direction: Vec3) -> bool {
+        // Within 60 degrees: beside that it is another way that helps.
+        dot(self.outwards, direction) > 0.5
+    }
+}
+
 impl Container {
+    /// Its walls, in the order of its pieces.
+    pub(super) fn walls(&self) -> Vec<Wall> {
+        let [x, y, _] = self.axes();
+        let turned = match self.yaw_deg.rem_euclid(360.0) {
+            turn_deg if turn_deg > 0.0 => format!(", turned by {} degrees", plain(self.yaw_deg)),
+            _ => String::new(),
+        };
+        let opposite = |axis: Vec3| axis.map(|component| -component);
+        let sides = [("-x", opposite(x)), ("+x", x), ("-y", opposite(y)), ("+y", y)];
+        let walls = self.pieces().into_iter().skip(1).enumerate().map(|(index, hull)| {
+            let (name, outwards) = match self.shape {
+                ContainerShape::Box { .. } => {
+                    let (side, outwards) = sides[index];
+                    (format!("{side} wall of container {:?}{turned}", self.name), outwards)
+                }
+                ContainerShape::Cylinder { .. } => {
+                    let outwards = self.outwards(index as f64 + 0.5);
+                    let towards_deg = libm::atan2(outwards[1], outwards[0]).to_degrees().rem_euclid(360.0);
+                    (
+                        format!("wall of container {:?} at {towards_deg:.0} degrees from +x", self.name),
+                        outwards,
+                    )
+                }
+            };
+            Wall { name, hull, outwards }
+        });
+        walls.collect()
+    }
+
     /// The container's own axes, world frame.
     fn axes(&self) -> [Vec3; 3] {
         let (sin, cos) = libm::sincos(self.yaw_deg.to_radians());

@@ -89,7 +89,7 @@ mod tests {
 
     #[test]
     fn every_skill_of_the_shipped_scenes_stays_clear() {
-        for name in ["bench", "bench-small", "bench-fine"] {
+        for name in ["bench", "bench-small", "bench-fine", "vial"] {
             let scene = Scene::load(name).unwrap();
             assert_eq!(colliding_skill(&scene), None, "{name}");
         }

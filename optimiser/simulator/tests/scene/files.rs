@@ -13,7 +13,12 @@ fn refusal(path: &Path) -> String {
 fn a_mistyped_name_lists_the_embedded_scenes() {
     assert_eq!(
         Scene::load("bnch").unwrap_err().to_string(),
-        "there is no scene and no file called `bnch`; the embedded scenes are bench, bench-small, bench-fine"
+        "there is no scene and no file called `bnch`; the embedded scenes are bench, bench-small, bench-fine, vial; did you mean \
+         `bench`?"
+    );
+    assert_eq!(
+        Scene::load("kitchen").unwrap_err().to_string(),
+        "there is no scene and no file called `kitchen`; the embedded scenes are bench, bench-small, bench-fine, vial"
     );
 }
 
@@ -50,9 +55,7 @@ fn empty_binary_and_truncated_files() {
     fs::write(&path, "").unwrap();
     assert_eq!(
         refusal(&path),
-        format!(
-            "{shown} is empty; a scene in TOML would be right (optimiser/scenes/bench.toml is an example)"
-        )
+        format!("{shown} is empty; a scene in TOML would be right (`optimise new FILE` writes an example)")
     );
     fs::write(&path, [b'a', 0xff, 0xfe, 0x00]).unwrap();
     assert_eq!(

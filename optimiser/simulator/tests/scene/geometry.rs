@@ -41,7 +41,22 @@ fn a_turned_bench_is_as_valid_and_as_invalid() {
     quarter_turn(&mut scene);
     assert_eq!(refused_field(&scene), None);
     scene.skill.sweep_m = 0.030;
-    assert_eq!(refused_field(&scene).as_deref(), Some("skill.sweep_m"));
+    let sentence = "scene: skill.sweep_m is 0.03, but while scooping along skill.heading_deg = 90 the tool would go 0.0075 m \
+                    into the +x wall of container \"source\", turned by 90 degrees; a shorter sweep or a start further back \
+                    would be right";
+    assert_eq!(scene.validate("scene").unwrap_err().to_string(), sentence);
+}
+
+#[test]
+fn a_wall_beside_the_way_is_not_said_to_be_ahead() {
+    let mut scene = bench();
+    // 20 mm of bowl at y = 58 mm, and 20 mm of sweep, of which 6.8 mm go sideways: 4.8 mm into the wall at 80 mm.
+    scene.skill.heading_deg = 20.0;
+    scene.tool.start_position_m[1] = 0.058;
+    let sentence = scene.validate("scene").unwrap_err().to_string();
+    let about =
+        "would go 0.0048 m into the +y wall of container \"source\"; a start so much further from that wall";
+    assert!(sentence.contains(about), "{sentence}");
 }
 
 #[test]
@@ -49,9 +64,9 @@ fn a_container_turned_out_of_line_still_counts_whole() {
     let mut scene = bench();
     // Across the diagonal the target's outer half width is 51 mm: out at y = 48 + 51.
     scene.container[1].yaw_deg = 45.0;
-    assert_eq!(refused_field(&scene).as_deref(), Some("container[1].position_m"));
+    assert_eq!(refused_field(&scene).as_deref(), Some("container \"target\".position_m"));
     scene.domain.size_m[1] = 0.104;
-    assert_eq!(refused_field(&scene).as_deref(), Some("container[1].position_m"));
+    assert_eq!(refused_field(&scene).as_deref(), Some("container \"target\".position_m"));
     // 36 + 51 mm apart and both inside: valid.
     scene.domain.size_m[1] = 0.128;
     for container in &mut scene.container {
@@ -62,7 +77,7 @@ fn a_container_turned_out_of_line_still_counts_whole() {
     scene.tool.start_position_m[1] = 0.064;
     assert_eq!(refused_field(&scene), None);
     scene.container[1].position_m[0] = 0.056 + 0.036 + 0.050;
-    assert_eq!(refused_field(&scene).as_deref(), Some("container[1].position_m"));
+    assert_eq!(refused_field(&scene).as_deref(), Some("container \"target\".position_m"));
 }
 
 #[test]
@@ -87,6 +102,10 @@ fn a_round_wall_is_met_where_its_radius_says() {
     // The bowl's 20 mm and the 10.5 mm that its middle starts behind the container's need 30.5 mm.
     assert_eq!(refused_with_radius(0.0307), None);
     assert_eq!(refused_with_radius(0.0303).as_deref(), Some("tool.start_position_m"));
+    let sentence = scene.validate("scene").unwrap_err().to_string();
+    let about =
+        "into the wall of container \"source\" at 183 degrees from +x; a start further inside would be right";
+    assert!(sentence.contains(about), "{sentence}");
 }
 
 #[test]

@@ -30,7 +30,7 @@ const STRUCTURE: &[Case] = &[
     (
         "youngs_modulus_pa = 1.0e4",
         "youngs_modulus = 1.0e4",
-        ": powder.youngs_modulus at line 18: unknown field `youngs_modulus`, expected one of `fill_min_m`, `fill_max_m`, `particles_per_cell`, `seed`, `youngs_modulus_pa`, `poissons_ratio`, `density_kg_m3`, `friction_angle_deg`, `cohesion_pa`, `viscosity_pa_s`",
+        ": powder.youngs_modulus at line 18: unknown field `youngs_modulus`, expected one of `fill_min_m`, `fill_max_m`, `particles_per_cell`, `seed`, `youngs_modulus_pa`, `poissons_ratio`, `density_kg_m3`, `friction_angle_deg`, `cohesion_pa`, `viscosity_pa_s`; did you mean `youngs_modulus_pa`?",
     ),
     (
         "cohesion_pa = 0.0\n",
@@ -95,22 +95,22 @@ const STRUCTURE: &[Case] = &[
     (
         r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
         r#"shape = { kind = "sphere" }"#,
-        ": container[0].shape.kind at line 37: unknown variant `sphere`, expected `box` or `cylinder`",
+        r#": container "source".shape.kind at line 37: unknown variant `sphere`, expected `box` or `cylinder`"#,
     ),
     (
         r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
         r#"shape = { kind = "box" }"#,
-        ": container[0].shape at line 37: missing field `inner_size_m`",
+        r#": container "source".shape at line 37: missing field `inner_size_m`"#,
     ),
     (
         r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
         r#"shape = "box""#,
-        r#": container[0].shape at line 37: invalid type: string "box", expected a table with a `kind`"#,
+        r#": container "source".shape at line 37: invalid type: string "box", expected a table with a `kind`; in the scene `bench` it is: shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] } # each at least one cell, at most 10"#,
     ),
     (
         r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
         r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030], lid = true }"#,
-        ": container[0].shape at line 37: unknown field `lid`, expected `inner_size_m`",
+        r#": container "source".shape at line 37: unknown field `lid`, expected `inner_size_m`"#,
     ),
     (
         r#"timing = "continuous""#,
@@ -123,6 +123,31 @@ const STRUCTURE: &[Case] = &[
         ": optimiser.gradient at line 99: unknown variant `differences`, expected `adjoint` or `mixed`",
     ),
     (
+        r#"aim = "amount""#,
+        r#"aim = "amout""#,
+        ": objective.aim at line 89: unknown variant `amout`, expected `amount` or `all`; did you mean `amount`?",
+    ),
+    (
+        r#"shape = { kind = "bowl", inner_radius_m = 0.016 }"#,
+        r#"shape = { kind = "bowll", inner_radius_m = 0.016 }"#,
+        ": tool.shape.kind at line 48: unknown variant `bowll`, expected `bowl` or `box_scoop`; did you mean `bowl`?",
+    ),
+    (
+        r#"shape = { kind = "bowl", inner_radius_m = 0.016 }"#,
+        r#"shape = "bowll""#,
+        r#": tool.shape at line 48: invalid type: string "bowll", expected a table with a `kind`; in the scene `bench` it is: shape = { kind = "bowl", inner_radius_m = 0.016 } # hemisphere; at least one cell, at most 1"#,
+    ),
+    (
+        "amount = { particles = 850 }",
+        "amount = 850",
+        ": objective.amount at line 88: expected a name or a table; in the scene `bench` it is: amount = { particles = 1200 } # or { mass_kg = 0.0096 }",
+    ),
+    (
+        "cohesion_pa = 0.0",
+        "cell_m = 0.004",
+        ": powder.cell_m at line 22: unknown field `cell_m`, expected one of `fill_min_m`, `fill_max_m`, `particles_per_cell`, `seed`, `youngs_modulus_pa`, `poissons_ratio`, `density_kg_m3`, `friction_angle_deg`, `cohesion_pa`, `viscosity_pa_s`; that key belongs into [domain]",
+    ),
+    (
         "difference_half_step = 0.1",
         "",
         ": optimiser at line 93: missing field `difference_half_step`; in the scene `bench` it is: difference_half_step = 0.1 # of these differences, in units of theta; above 0, at most 0.5",
@@ -130,12 +155,12 @@ const STRUCTURE: &[Case] = &[
     (
         "amount = { particles = 850 }",
         "amount = { particles = 850, mass_kg = 1.0 }",
-        ": objective.amount at line 88: expected a table with exactly one key",
+        ": objective.amount at line 88: both `mass_kg` and `particles` are given; one of them would be right",
     ),
     (
         "amount = { particles = 850 }",
         "amount = { grains = 850 }",
-        ": objective.amount at line 88: unknown variant `grains`, expected `particles` or `mass_kg`",
+        ": objective.amount.grains at line 88: unknown field `grains`, expected one of `mass_kg`, `particles`, `tolerance`",
     ),
     (
         "[tool]",
@@ -145,7 +170,7 @@ const STRUCTURE: &[Case] = &[
     (
         "[optimiser]",
         "[optimizer]",
-        ": optimizer at line 93: unknown field `optimizer`, expected one of `name`, `domain`, `powder`, `time`, `container`, `tool`, `skill`, `limits`, `objective`, `optimiser`",
+        ": optimizer at line 93: unknown field `optimizer`, expected one of `name`, `domain`, `powder`, `time`, `container`, `tool`, `skill`, `limits`, `objective`, `optimiser`; did you mean `optimiser`?",
     ),
     (
         "[optimiser]",
@@ -196,6 +221,31 @@ const SINGLE_FIELDS: &[Case] = &[
         "cell_m = 0.004",
         "cell_m = 1e300",
         ": domain.cell_m is 1e300, but it must be from 0.0001 to 0.1",
+    ),
+    (
+        "cell_m = 0.004",
+        "cell_m = 4",
+        ": domain.cell_m is 4, but it must be from 0.0001 to 0.1; did you mean metres, that is 0.004?",
+    ),
+    (
+        "size_m = [0.256, 0.096, 0.208]",
+        "size_m = [256, 96, 208]",
+        ": domain.size_m[0] is 256, but it must be from 0.01 to 10; did you mean metres, that is 0.256?",
+    ),
+    (
+        "position_m = [0.176, 0.048, 0.004]",
+        "position_m = [176, 48, 4]",
+        r#": container "target".position_m[0] is 176, but it must be from -10 to 10; did you mean metres, that is 0.176?"#,
+    ),
+    (
+        "lift_height_m = [0.020, 0.090]",
+        "lift_height_m = [20.0, 90.0]",
+        ": skill.lift_height_m[0] is 20, but it must be from 0.001 to 5; did you mean metres, that is 0.02?",
+    ),
+    (
+        "linear_velocity_m_s = 0.3",
+        "linear_velocity_m_s = 300.0",
+        ": limits.linear_velocity_m_s is 300, but it must be from 0.001 to 100",
     ),
     (
         "size_m = [0.256, 0.096, 0.208]",
@@ -290,7 +340,7 @@ const SINGLE_FIELDS: &[Case] = &[
     (
         "wall_thickness_m = 0.004",
         "wall_thickness_m = 0.0015",
-        ": container[0].wall_thickness_m is 0.0015, but it must be at least half a cell, 0.002 for domain.cell_m = 0.004",
+        r#": container "source".wall_thickness_m is 0.0015, but it must be at least half a cell, 0.002 for domain.cell_m = 0.004"#,
     ),
     (
         "inner_radius_m = 0.016 }\nwall_thickness_m = 0.004",
@@ -300,17 +350,17 @@ const SINGLE_FIELDS: &[Case] = &[
     (
         r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
         r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.0] }"#,
-        ": container[0].shape.inner_size_m[2] is 0, but it must be from 0.004 to 10",
+        r#": container "source".shape.inner_size_m[2] is 0, but it must be from 0.004 to 10"#,
     ),
     (
         r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
         r#"shape = { kind = "cylinder", inner_radius_m = -0.032, inner_height_m = 0.030 }"#,
-        ": container[0].shape.inner_radius_m is -0.032, but it must be from 0.004 to 10",
+        r#": container "source".shape.inner_radius_m is -0.032, but it must be from 0.004 to 10"#,
     ),
     (
         "yaw_deg = 0.0",
         "yaw_deg = 1000.0",
-        ": container[0].yaw_deg is 1000, but it must be from -360 to 360",
+        r#": container "source".yaw_deg is 1000, but it must be from -360 to 360"#,
     ),
     (
         "inner_radius_m = 0.016 }",
@@ -465,17 +515,17 @@ const RULES_BETWEEN_FIELDS: &[Case] = &[
     (
         "position_m = [0.176, 0.048, 0.004]",
         "position_m = [0.120, 0.048, 0.004]",
-        r#": container[1].position_m is [0.12, 0.048, 0.004], but there container "target" overlaps container "source"; they must stand apart"#,
+        r#": container "target".position_m is [0.12, 0.048, 0.004], but there it overlaps container "source"; they must stand apart"#,
     ),
     (
         "position_m = [0.176, 0.048, 0.004]",
         "position_m = [0.240, 0.048, 0.004]",
-        ": container[1].position_m is [0.24, 0.048, 0.004], but the container would then reach x = 0.276, outside the domain, which goes from 0 to 0.256",
+        r#": container "target".position_m is [0.24, 0.048, 0.004], but the container would then reach x = 0.276, outside the domain, which goes from 0 to 0.256"#,
     ),
     (
         "position_m = [0.176, 0.048, 0.004]",
         "position_m = [0.176, 0.048, 0.003]",
-        ": container[1].position_m is [0.176, 0.048, 0.003], but the container would then reach z = -0.001, outside the domain, which goes from 0 to 0.208",
+        r#": container "target".position_m is [0.176, 0.048, 0.003], but the container would then reach z = -0.001, outside the domain, which goes from 0 to 0.208"#,
     ),
     (
         r#"name = "target""#,
@@ -485,12 +535,12 @@ const RULES_BETWEEN_FIELDS: &[Case] = &[
     (
         r#"source = "source""#,
         r#"source = "sauce""#,
-        r#": objective.source is "sauce", but the containers are "source", "target""#,
+        r#": objective.source is "sauce", but the containers are "source", "target"; did you mean `source`?"#,
     ),
     (
         r#"target = "target""#,
         r#"target = "target box""#,
-        r#": objective.target is "target box", but the containers are "source", "target""#,
+        r#": objective.target is "target box", but the containers are "source", "target"; did you mean `target`?"#,
     ),
     (
         r#"target = "target""#,
@@ -570,12 +620,12 @@ const RULES_BETWEEN_FIELDS: &[Case] = &[
     (
         "start_position_m = [0.048, 0.048, 0.066]",
         "start_position_m = [0.038, 0.048, 0.066]",
-        r#": tool.start_position_m is [0.038, 0.048, 0.066], but on its way down from there the tool would hit a wall of container "source"; a start further inside would be right"#,
+        r#": tool.start_position_m is [0.038, 0.048, 0.066], but on its way down from there the tool would go 0.006 m into the -x wall of container "source"; a start further inside would be right"#,
     ),
     (
         "sweep_m = 0.016",
         "sweep_m = 0.030",
-        r#": skill.sweep_m is 0.03, but while scooping the tool would hit a wall of container "source"; a shorter sweep or a start further back would be right"#,
+        r#": skill.sweep_m is 0.03, but while scooping along skill.heading_deg = 0 the tool would go 0.01 m into the +x wall of container "source"; a shorter sweep or a start further back would be right"#,
     ),
     (
         "workspace_max_m = [0.236, 0.076, 0.180]",
@@ -600,7 +650,7 @@ const RULES_BETWEEN_FIELDS: &[Case] = &[
     (
         "heading_deg = 0.0",
         "heading_deg = 90.0",
-        r#": skill.sweep_m is 0.016, but while scooping the tool would hit a wall of container "source"; a shorter sweep or a start further back would be right"#,
+        r#": skill.sweep_m is 0.016, but while scooping along skill.heading_deg = 90 the tool would go 0.004 m into the +y wall of container "source"; a shorter sweep or a start further back would be right"#,
     ),
     (
         "transport_displacement_m = [0.060, 0.160]",
@@ -685,7 +735,7 @@ fn text_without_content_is_empty() {
     for text in ["", "\n \t\r\n", "# only a remark\n"] {
         assert_eq!(
             refusal(text),
-            "bad.toml is empty; a scene in TOML would be right (optimiser/scenes/bench.toml is an example)"
+            "bad.toml is empty; a scene in TOML would be right (`optimise new FILE` writes an example)"
         );
     }
 }

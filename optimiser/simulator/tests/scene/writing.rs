@@ -1,7 +1,7 @@
 //! Writing and identifying scenes.
 
 use powderline_simulator::scene::{
-    Aim, Amount, ContainerShape, EMBEDDED_SCENES, Observation, Scene, ToolShape,
+    Aim, Amount, ContainerShape, EMBEDDED_SCENES, Observation, Scene, ToolShape, Wanted,
 };
 use proptest::prelude::*;
 
@@ -27,9 +27,9 @@ fn arbitrary_scene() -> impl Strategy<Value = Scene> {
             scene.tool.shape = ToolShape::BoxScoop { inner_size_m: [0.02, 0.02, 0.01 + 1e-3 * small] };
         }
         if by_mass {
-            scene.objective.amount = Amount::MassKg(small * 0.09);
+            scene.objective.amount = Amount::new(Wanted::MassKg(small * 0.09));
         } else {
-            scene.objective.amount = Amount::Particles(particles);
+            scene.objective.amount = Amount { wanted: Wanted::Particles(particles), tolerance: 0.01 };
         }
         scene.objective.observation = [
             Observation::All,

@@ -14,7 +14,7 @@ fn a_run_becomes_a_page_with_curves_table_and_replay() {
     assert_eq!(done.code, 0, "{}", done.err);
     assert!(done.out.contains("report.html"), "{}", done.out);
     let page = page(&folder);
-    for text in ["bench-small, seed 4", "Indicator", "pouring angle", "Epochs", "Spilled"] {
+    for text in ["bench-small, seed 4", "Powder that arrives", "pouring angle", "Epochs", "Spilled"] {
         assert!(page.contains(text), "{text}");
     }
     let with_replay = page.len();
@@ -30,7 +30,7 @@ fn a_plan_becomes_a_page_with_the_arms_motion_over_it() {
     let out = arm.place.text("page.html");
     let done = optimise(&["report", &arm.plan, "--executed", &executed, "--out", &out]);
     assert_eq!(done.code, 0, "{}", done.err);
-    assert!(fs::read_to_string(&out).unwrap().contains("as executed"));
+    assert!(fs::read_to_string(&out).unwrap().contains("As executed."));
 }
 
 #[test]
@@ -56,9 +56,8 @@ fn what_cannot_be_reported_is_refused() {
     assert_sentence(&optimise(&["report", &empty]), 2, "holds neither a run");
     assert_sentence(&optimise(&["report", &place.text("nothing")]), 2, "nothing");
     let folder = place.finished("run", 1);
-    let metrics = Path::new(&folder).join(METRICS);
-    fs::write(&metrics, "{\"epoch\":").unwrap();
-    assert_sentence(&optimise(&["report", &folder]), 2, "line 1");
+    fs::write(Path::new(&folder).join(STATE), "{\"epoch\":").unwrap();
+    assert_sentence(&optimise(&["report", &folder]), 2, "it is not a state file");
     let place = Place::new();
     let folder = place.finished("run", 1);
     let done = optimise(&["report", &folder, "--out", &place.text("no/folder/report.html")]);

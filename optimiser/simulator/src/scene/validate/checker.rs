@@ -2,8 +2,9 @@
 
 use std::fmt::Display;
 
-use crate::scene::SceneError;
-use crate::scene::figures::{list, plain};
+use crate::scene::error::{MAX_NAME_CHARS, container_path, is_name};
+use crate::scene::figures::{about, list, plain};
+use crate::scene::{Container, SceneError};
 
 /// Result of a check.
 pub(super) type Checked = Result<(), SceneError>;
@@ -40,6 +41,15 @@ impl Range {
         above && below
     }
 
+    /// The question after a length that would be right if it was meant in millimetres.
+    fn in_metres(&self, field: &str, value: f64) -> Option<String> {
+        let is_length =
+            field.trim_end_matches(|c: char| c == ']' || c.is_ascii_digit() || c == '[').ends_with("_m");
+        let metres = 1e-3 * value;
+        (is_length && value.abs() > self.high && self.contains(metres))
+            .then(|| format!("; did you mean metres, that is {}?", about(metres, 6)))
+    }
+
     fn sentence(&self) -> String {
         let (low, high) = (plain(self.low), plain(self.high));
         match (self.low_excluded, self.high_excluded) {
@@ -48,6 +58,12 @@ impl Range {
             (false, true) => format!("must be at least {low} and below {high}"),
         }
     }
+}
+
+/// What messages call the containers, in their order.
+pub(super) fn container_paths(containers: &[Container]) -> Vec<String> {
+    let names: Vec<&str> = containers.iter().map(|container| container.name.as_str()).collect();
+    (0..names.len()).map(|index| container_path(&names, index)).collect()
 }
 
 /// Writes refusals in the name of one file.
@@ -76,7 +92,8 @@ impl Checker<'_> {
         if range.contains(value) {
             return Ok(());
         }
-        Err(self.invalid(field, plain(value), format!("it {}", range.sentence())))
+        let metres = range.in_metres(field, value).unwrap_or_default();
+        Err(self.invalid(field, plain(value), format!("it {}{metres}", range.sentence())))
     }
 
     /// A whole number within its range.
@@ -103,11 +120,10 @@ impl Checker<'_> {
 
     /// 1 to 64 printable characters.
     pub(super) fn name(&self, field: &str, name: &str) -> Checked {
-        let length = name.chars().count();
-        if (1..=64).contains(&length) && !name.chars().any(char::is_control) {
+        if is_name(name) {
             return Ok(());
         }
-        let shown: String = name.chars().take(64).collect();
+        let shown: String = name.chars().take(MAX_NAME_CHARS).collect();
         Err(self.invalid(field, format!("{shown:?}"), "it must have 1 to 64 printable characters"))
     }
 }

@@ -1,10 +1,10 @@
 //! The range of every single field, as documented at the field.
 
-use super::checker::{Checked, Checker, Range};
+use super::checker::{Checked, Checker, Range, container_paths};
 use crate::scene::figures::plain;
 use crate::scene::{
-    Amount, Container, ContainerShape, Domain, Limits, Objective, Observation, Optimiser, Powder, Scene,
-    Skill, Time, Tool, ToolShape,
+    Container, ContainerShape, Domain, Limits, Objective, Observation, Optimiser, Powder, Scene, Skill, Time,
+    Tool, ToolShape, Wanted,
 };
 use powderline_shared::plan::{PERIOD_US_MAX, PERIOD_US_MIN};
 
@@ -18,8 +18,8 @@ pub(super) fn check(checker: &Checker<'_>, scene: &Scene) -> Checked {
     domain(checker, &scene.domain)?;
     powder(checker, &scene.powder)?;
     time(checker, &scene.time)?;
-    for (index, one) in scene.container.iter().enumerate() {
-        container(checker, index, one, scene.domain.cell_m)?;
+    for (path, one) in container_paths(&scene.container).iter().zip(&scene.container) {
+        container(checker, path, one, scene.domain.cell_m)?;
     }
     tool(checker, &scene.tool, scene.domain.cell_m)?;
     skill(checker, &scene.skill)?;
@@ -56,8 +56,8 @@ fn time(checker: &Checker<'_>, time: &Time) -> Checked {
     checker.number("time.settle_s", time.settle_s, Range::closed(0.0, 60.0))
 }
 
-fn container(checker: &Checker<'_>, index: usize, container: &Container, cell_m: f64) -> Checked {
-    let field = |name: &str| format!("container[{index}].{name}");
+fn container(checker: &Checker<'_>, path: &str, container: &Container, cell_m: f64) -> Checked {
+    let field = |name: &str| format!("{path}.{name}");
     let inner = Range::closed(cell_m, 10.0);
     checker.name(&field("name"), &container.name)?;
     checker.vector(&field("position_m"), &container.position_m, WORLD_M)?;
@@ -144,9 +144,10 @@ fn limits(checker: &Checker<'_>, limits: &Limits) -> Checked {
 
 fn objective(checker: &Checker<'_>, objective: &Objective) -> Checked {
     checker.vector("objective.p_target_m", &objective.p_target_m, WORLD_M)?;
-    if let Amount::MassKg(mass_kg) = objective.amount {
+    if let Wanted::MassKg(mass_kg) = objective.amount.wanted {
         checker.number("objective.amount.mass_kg", mass_kg, Range::above(0.0, 1e6))?;
     }
+    checker.number("objective.amount.tolerance", objective.amount.tolerance, Range::closed(0.0, 1.0))?;
     if let Observation::VisibleFromAbove { pixel_m } = objective.observation {
         checker.number("objective.observation.pixel_m", pixel_m, Range::closed(1e-4, 0.1))?;
     }

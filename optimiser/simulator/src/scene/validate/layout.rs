@@ -1,7 +1,9 @@
 //! Sizes that follow from the fields, and the places of containers, powder and tool at the start.
 
-use super::checker::{Checked, Checker};
+use super::checker::{Checked, Checker, container_paths};
+use crate::scene::error::MAX_NAME_CHARS;
 use crate::scene::figures::{about, at_most, list, plain};
+use crate::scene::nearest::did_you_mean;
 use crate::scene::solid::{Hull, TOUCH_M, Vec3};
 use crate::scene::tool_body::PlacedTool;
 use crate::scene::{BLOCK_CELLS, MAX_CELLS, MAX_CFL, MAX_PARTICLES, MAX_SUBSTEPS, MAX_VISCOUS_LOSS, Scene};
@@ -143,8 +145,8 @@ pub(super) fn check_containers(checker: &Checker<'_>, scene: &Scene) -> Checked 
             "a scene has 2 to 16 containers, one of them the source and one the target",
         ));
     }
-    for (index, container) in containers.iter().enumerate() {
-        let field = |name: &str| format!("container[{index}].{name}");
+    for (index, (path, container)) in container_paths(containers).iter().zip(containers).enumerate() {
+        let field = |name: &str| format!("{path}.{name}");
         if containers[..index].iter().any(|other| other.name == container.name) {
             return Err(checker.invalid(
                 field("name"),
@@ -165,10 +167,7 @@ pub(super) fn check_containers(checker: &Checker<'_>, scene: &Scene) -> Checked 
             return Err(checker.invalid(
                 field("position_m"),
                 list(&container.position_m),
-                format!(
-                    "there container {:?} overlaps container {:?}; they must stand apart",
-                    container.name, other.name
-                ),
+                format!("there it overlaps container {:?}; they must stand apart", other.name),
             ));
         }
     }
@@ -206,7 +205,7 @@ pub(super) fn inside_domain(
 
 /// Source, target, target point and amount.
 pub(super) fn check_objective(checker: &Checker<'_>, scene: &Scene) -> Checked {
-    use crate::scene::{Aim, Amount, Observation};
+    use crate::scene::{Aim, Observation, Wanted};
     let objective = &scene.objective;
     named_container(checker, scene, "objective.source", &objective.source)?;
     named_container(checker, scene, "objective.target", &objective.target)?;
@@ -237,16 +236,16 @@ pub(super) fn check_objective(checker: &Checker<'_>, scene: &Scene) -> Checked {
     let particles = |field: &str, particles: u32| {
         checker.count(field, particles, 1, u32::try_from(count).unwrap_or(u32::MAX))
     };
-    match objective.amount {
-        Amount::Particles(wanted) => particles("objective.amount.particles", wanted)?,
-        Amount::MassKg(wanted_kg) if wanted_kg > whole_kg * (1.0 + 1e-9) => {
+    match objective.amount.wanted {
+        Wanted::Particles(wanted) => particles("objective.amount.particles", wanted)?,
+        Wanted::MassKg(wanted_kg) if wanted_kg > whole_kg * (1.0 + 1e-9) => {
             return Err(checker.invalid(
                 "objective.amount.mass_kg",
                 plain(wanted_kg),
                 format!("the scene holds no more than {} kg of powder", about(whole_kg, 4)),
             ));
         }
-        Amount::MassKg(_) => {}
+        Wanted::MassKg(_) => {}
     }
     match objective.observation {
         Observation::Subsample { particles: size } => particles("objective.observation.particles", size),
@@ -265,8 +264,13 @@ fn named_container(checker: &Checker<'_>, scene: &Scene, field: &str, name: &str
     }
     let known: Vec<String> =
         scene.container.iter().map(|container| format!("{:?}", container.name)).collect();
-    let shown: String = name.chars().take(64).collect();
-    Err(checker.invalid(field, format!("{shown:?}"), format!("the containers are {}", known.join(", "))))
+    let meant = did_you_mean(name, scene.container.iter().map(|container| container.name.as_str()));
+    let shown: String = name.chars().take(MAX_NAME_CHARS).collect();
+    Err(checker.invalid(
+        field,
+        format!("{shown:?}"),
+        format!("the containers are {}{meant}", known.join(", ")),
+    ))
 }
 
 /// Powder inside the domain and inside the source container.

@@ -4,7 +4,7 @@ use super::checker::{Checked, Checker};
 use super::layout::{AXIS_NAMES, inside_domain};
 use crate::scene::figures::{about, at_most, list, plain};
 use crate::scene::path::{Stage, pitches};
-use crate::scene::solid::TOUCH_M;
+use crate::scene::solid::{TOUCH_M, Vec3, Wall};
 use crate::scene::tool_body::PlacedTool;
 use crate::scene::{Profile, Scene};
 
@@ -97,36 +97,52 @@ fn check_floor(checker: &Checker<'_>, scene: &Scene) -> Checked {
 
 /// Going down and scooping keep clear of the source's walls at every depth and angle.
 fn check_scoop_walls(checker: &Checker<'_>, scene: &Scene) -> Checked {
-    let source = scene.source();
-    let pieces = source.pieces();
-    let walls = &pieces[1..];
-    let clears = |(origin, pitch_deg)| {
-        let tool = PlacedTool::new(scene, origin, pitch_deg);
-        walls.iter().all(|wall| tool.body_clears(wall))
-    };
-    if !scene.insert_poses().all(clears) {
+    let walls = scene.source().walls();
+    if let Some((wall, depth_m)) = deepest(scene, &walls, scene.insert_poses()) {
         return Err(checker.invalid(
             "tool.start_position_m",
             list(&scene.tool.start_position_m),
             format!(
-                "on its way down from there the tool would hit a wall of container {:?}; a start further inside \
-                 would be right",
-                source.name
+                "on its way down from there the tool would go {} m into the {}; a start further inside would be right",
+                about(depth_m, 2),
+                wall.name
             ),
         ));
     }
-    if !scene.scoop_poses().all(clears) {
+    if let Some((wall, depth_m)) = deepest(scene, &walls, scene.scoop_poses()) {
+        let right = if wall.is_ahead(scene.heading()) {
+            "a shorter sweep or a start further back would be right"
+        } else {
+            "a start so much further from that wall would be right"
+        };
         return Err(checker.invalid(
             "skill.sweep_m",
             plain(scene.skill.sweep_m),
             format!(
-                "while scooping the tool would hit a wall of container {:?}; a shorter sweep or a start further \
-                 back would be right",
-                source.name
+                "while scooping along skill.heading_deg = {} the tool would go {} m into the {}; {right}",
+                plain(scene.skill.heading_deg),
+                about(depth_m, 2),
+                wall.name
             ),
         ));
     }
     Ok(())
+}
+
+/// The wall that the tool's body goes deepest into at any of these poses (origin, pitch in degrees), and how deep, metres;
+/// none if it stays clear of them all.
+fn deepest<'w>(
+    scene: &Scene,
+    walls: &'w [Wall],
+    poses: impl Iterator<Item = (Vec3, f64)>,
+) -> Option<(&'w Wall, f64)> {
+    let hits = poses.flat_map(|(origin, pitch_deg)| {
+        let tool = PlacedTool::new(scene, origin, pitch_deg);
+        walls
+            .iter()
+            .filter_map(move |wall| Some((wall, wall.depth_m(|direction| tool.body_reach(direction))?)))
+    });
+    hits.max_by(|(_, a), (_, b)| a.total_cmp(b))
 }
 
 /// Minimum-jerk segments are stretched until the limits hold; constant-speed ones are not.

@@ -7,9 +7,12 @@ use core::hint::black_box;
 
 use cortex_m_rt::entry;
 use heapless::Vec;
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::{Matrix6, UnitQuaternion, Vector3};
 use powderline_cortex_m4::report::fail;
 use powderline_executor::{Action, Config, Endpoint, Executor, FrameAction};
+use powderline_shared::arm::inverse::Posture;
+use powderline_shared::arm::ur5e::SingularityMargins;
+use powderline_shared::arm::{ArmError, ArmModel, Joints};
 use powderline_shared::displacement::{
     Displacement, Lsb, Quantiser, Setpoint, SetpointError, StepCounts, displacement_between, pose_at,
 };
@@ -31,6 +34,7 @@ type Ends = Endpoint<'static>;
 #[entry]
 fn main() -> ! {
     poses();
+    arm();
     setpoints();
     limits();
     plans();
@@ -48,6 +52,21 @@ fn poses() {
     black_box(Pose::displacement_to as fn(&Pose, &Pose) -> Displacement);
     black_box(Pose::world_from_tool as fn(&Pose, &Vector3<f64>) -> Vector3<f64>);
     black_box(Pose::tool_from_world as fn(&Pose, &Vector3<f64>) -> Vector3<f64>);
+    black_box(Pose::then as fn(&Pose, &Pose) -> Pose);
+    black_box(Pose::inverse as fn(&Pose) -> Pose);
+}
+
+fn arm() {
+    type Found = Result<Joints, ArmError>;
+    type Checked = Result<(), ArmError>;
+    black_box(ArmModel::world_from_tool as fn(&ArmModel, &Joints) -> Pose);
+    black_box(ArmModel::jacobian as fn(&ArmModel, &Joints) -> Matrix6<f64>);
+    black_box(ArmModel::joints_near as fn(&ArmModel, &Joints, &Pose) -> Found);
+    black_box(ArmModel::joints_after as fn(&ArmModel, &Joints, &Pose, f64) -> Found);
+    black_box(ArmModel::check_joints as fn(&ArmModel, &Joints) -> Checked);
+    black_box(ArmModel::check_speed as fn(&ArmModel, &Joints, &Joints, f64) -> Checked);
+    black_box(Posture::of as fn(&Joints) -> Posture);
+    black_box(SingularityMargins::least as fn(&SingularityMargins) -> (u8, f64));
 }
 
 fn setpoints() {

@@ -10,12 +10,11 @@
 //! Every angle comes from both its sine and its cosine, so away from singularities the result is exact to rounding. There is
 //! nothing to iterate and nothing that could slip into another posture.
 
-use std::f64::consts::TAU;
-
-use nalgebra::Vector3;
-use powderline_shared::pose::Pose;
+use core::f64::consts::TAU;
 
 use super::ur5e::{A2_M, A3_M, D1_M, D4_M, D5_M, D6_M, Joints, SPAN_M, signed_margins};
+use crate::pose::Pose;
+use nalgebra::Vector3;
 
 /// One of the eight postures in which the arm can reach a pose. To get from one to another it must pass a singularity.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -29,6 +28,30 @@ pub struct Posture {
 }
 
 impl Posture {
+    /// All eight, the usual ones first: reaching forward before backward over the own base, with the elbow up before down,
+    /// with a positive wrist before a negative one.
+    pub const PREFERRED: [Self; 8] = [
+        Self::new(true, true, true),
+        Self::new(true, true, false),
+        Self::new(true, false, true),
+        Self::new(true, false, false),
+        // Reaching backward, it is the negative elbow that is up.
+        Self::new(false, false, true),
+        Self::new(false, false, false),
+        Self::new(false, true, true),
+        Self::new(false, true, false),
+    ];
+
+    const fn new(reaches_forward: bool, elbow_positive: bool, wrist_positive: bool) -> Self {
+        Self { reaches_forward, elbow_positive, wrist_positive }
+    }
+
+    /// Whether the elbow is above the line from shoulder to wrist.
+    #[must_use]
+    pub const fn elbow_is_up(&self) -> bool {
+        self.reaches_forward == self.elbow_positive
+    }
+
     /// The posture of given joints.
     #[must_use]
     pub fn of(joints: &Joints) -> Self {
@@ -120,9 +143,10 @@ fn length(x: f64, y: f64) -> f64 {
 mod tests {
     use super::super::ur5e::{SingularityMargins, base_from_flange};
     use super::*;
-    use powderline_shared::pose::{exp_so3, norm};
+    use crate::pose::{exp_so3, norm};
+    use core::f64::consts::PI;
     use proptest::prelude::*;
-    use std::f64::consts::PI;
+    use std::vec::Vec;
 
     fn joints_with_margin(margin: f64) -> impl Strategy<Value = Joints> {
         [-TAU..TAU, -TAU..TAU, -TAU..TAU, -TAU..TAU, -TAU..TAU, -TAU..TAU]
@@ -135,20 +159,23 @@ mod tests {
         a.iter().zip(b).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
     }
 
+    /// Whether upper arm and forearm make an arch and not a bowl.
+    fn elbow_rises([_, q2, q3, ..]: &Joints) -> bool {
+        let elbow = [A2_M * q2.cos(), A2_M * q2.sin()];
+        let wrist = [elbow[0] + A3_M * (q2 + q3).cos(), elbow[1] + A3_M * (q2 + q3).sin()];
+        elbow[1] > wrist[1] * elbow[0] / wrist[0]
+    }
+
     #[test]
     fn eight_postures_reach_one_pose() {
         let pose = base_from_flange(&[0.4, -1.1, 1.3, -0.7, 1.2, 0.5]);
         let mut found = Vec::new();
-        for bits in 0..8 {
-            let posture = Posture {
-                reaches_forward: bits & 1 != 0,
-                elbow_positive: bits & 2 != 0,
-                wrist_positive: bits & 4 != 0,
-            };
+        for posture in Posture::PREFERRED {
             let joints = joints_of(&pose, posture).unwrap();
             assert_eq!(Posture::of(&joints), posture);
             let off = pose.displacement_to(&base_from_flange(&joints));
             assert!(norm(&off.translation()) < 1e-14 && norm(&off.rotation()) < 1e-14, "{joints:?}");
+            assert_eq!(posture.elbow_is_up(), elbow_rises(&joints), "{joints:?}");
             found.push(joints);
         }
         for (index, joints) in found.iter().enumerate() {

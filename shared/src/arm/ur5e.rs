@@ -27,10 +27,10 @@
 //! | w      | wrist's distance from joint 1, along e       | a2 c2 + a3 c23 + d5 s234                      |
 //! | p      | flange                                       | w e + (d1 + a2 s2 + a3 s23 - d5 c234) k + d4 n + d6 z5 |
 
-use std::f64::consts::{FRAC_PI_2, PI, TAU};
+use core::f64::consts::{FRAC_PI_2, PI, TAU};
 
-use nalgebra::{Matrix6, Vector3};
-use powderline_shared::pose::{Pose, exp_so3, renormalised};
+use crate::pose::{Pose, exp_so3, renormalised};
+use nalgebra::Vector3;
 
 /// Angles of the six joints, from the base to the flange, radians.
 pub type Joints = [f64; 6];
@@ -128,24 +128,23 @@ pub fn base_from_flange(joints: &Joints) -> Pose {
     Pose { position_m: Links::at(joints).flange(), orientation: renormalised(orientation) }
 }
 
-/// Geometric Jacobian in the base's coordinates of the point `tip_m`, fixed to the flange: column i is the velocity (m/s)
-/// of the point and the angular velocity (rad/s) of the flange while joint i turns by 1 rad/s.
-#[must_use]
-pub fn jacobian(joints: &Joints, tip_m: &Vector3<f64>) -> Matrix6<f64> {
+/// Columns of the geometric Jacobian in the base's coordinates of the point `tip_m`, fixed to the flange: number i is the
+/// velocity (m/s) of the point and the angular velocity (rad/s) of the flange while joint i turns by 1 rad/s.
+pub(super) fn twists(joints: &Joints, tip_m: &Vector3<f64>) -> [[f64; 6]; 6] {
     let links = Links::at(joints);
-    let column = |axis: Vector3<f64>, origin_m: Vector3<f64>| {
+    let twist = |axis: Vector3<f64>, origin_m: Vector3<f64>| {
         let [vx, vy, vz] = axis.cross(&(tip_m - origin_m)).into();
         let [wx, wy, wz] = axis.into();
         [vx, vy, vz, wx, wy, wz]
     };
-    Matrix6::from([
-        column(Vector3::z(), Vector3::zeros()),
-        column(links.n, links.shoulder()),
-        column(links.n, links.elbow()),
-        column(links.n, links.wrist_1()),
-        column(links.z4, links.wrist_2()),
-        column(links.z5, links.wrist_2()),
-    ])
+    [
+        twist(Vector3::z(), Vector3::zeros()),
+        twist(links.n, links.shoulder()),
+        twist(links.n, links.elbow()),
+        twist(links.n, links.wrist_1()),
+        twist(links.z4, links.wrist_2()),
+        twist(links.z5, links.wrist_2()),
+    ]
 }
 
 /// How far from a singularity, as a joint's share of what is best: 0 is singular, 1 is as far as can be.
@@ -193,8 +192,8 @@ pub(super) fn signed_margins(joints: &Joints) -> [f64; 3] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nalgebra::{Matrix4, Rotation3};
-    use powderline_shared::pose::norm;
+    use crate::pose::norm;
+    use nalgebra::{Matrix4, Matrix6, Rotation3};
     use proptest::prelude::*;
 
     /// Rz(q) Tz(d) Tx(a) Rx(alpha), written out.
@@ -292,7 +291,7 @@ mod tests {
         #[test]
         fn the_jacobian_is_the_derivative(joints in joints(), lever in [-0.2..0.2, -0.2..0.2, -0.2..0.2f64]) {
             let (lever, step) = (Vector3::from(lever), 1e-5);
-            let found = jacobian(&joints, &base_from_flange(&joints).world_from_tool(&lever));
+            let found = Matrix6::from(twists(&joints, &base_from_flange(&joints).world_from_tool(&lever)));
             for (column, joint) in found.column_iter().zip(0..6) {
                 let [before, after] = [-step, step].map(|step| {
                     let flange = base_from_flange(&turned(joints, joint, step));
@@ -307,7 +306,7 @@ mod tests {
         #[test]
         fn the_margins_are_the_factors_of_the_determinant(joints in joints()) {
             let flange_m = base_from_flange(&joints).position_m;
-            let determinant = jacobian(&joints, &flange_m).determinant();
+            let determinant = Matrix6::from(twists(&joints, &flange_m)).determinant();
             let factors: f64 = SingularityMargins::of(&joints).shares.iter().product();
             prop_assert!((determinant.abs() - 0.425 * 0.3922 * 0.8172 * factors).abs() < 1e-14);
         }

@@ -1,0 +1,319 @@
+//! What could help a run whose plan misses the wanted amount, from what its epochs measured.
+
+use super::{
+    amounts::{Amounts, percent},
+    finding::Judged,
+    words::parameter,
+};
+use powderline_shared::plan::SKILL_PARAMETERS;
+use powderline_simulator::scene::{Scene, figures::mass};
+
+/// Keys of a scene's `[skill]` in the order of theta.
+const KEYS: [&str; 5] = [
+    "scooping_depth_m",
+    "scooping_angle_deg",
+    "lift_height_m",
+    "transport_displacement_m",
+    "pouring_angle_deg",
+];
+const DEPTH: usize = 0;
+const TRANSPORT: usize = 3;
+const POUR: usize = 4;
+
+/// Powder that counts as none, and as a good part, of the wanted.
+const NEXT_TO_NOTHING: f64 = 0.01;
+const A_GOOD_PART: f64 = 0.1;
+/// Theta this near to its bound stands at it.
+const AT_BOUND: f64 = 0.999;
+/// A miss that shrank to this part in the last third of the epochs is still shrinking.
+const STILL_SHRINKING: f64 = 0.7;
+
+/// Sentences, the most likely remedy first. `shipped` is the epoch that became the plan.
+pub(super) fn advice(scene: &Scene, epochs: &[Judged], shipped: Option<usize>) -> Vec<String> {
+    let Some(plan) = shipped.map(|index| &epochs[index]) else { return Vec::new() };
+    let measured = Measured { scene, amounts: Amounts::from(scene), epochs, plan };
+    let found = match measured.nothing_moved() {
+        Some(flat) => vec![flat],
+        None => [
+            measured.nearer_but_passed_over(),
+            measured.too_little_carried(),
+            measured.stays_on_the_tool(),
+            measured.spills(),
+            measured.grains_too_large(),
+            measured.still_shrinking(),
+        ]
+        .into_iter()
+        .flatten()
+        .chain(measured.at_bounds())
+        .collect(),
+    };
+    if found.is_empty() { vec!["another --seed begins from another skill and packing".into()] } else { found }
+}
+
+struct Measured<'a> {
+    scene: &'a Scene,
+    amounts: Amounts,
+    epochs: &'a [Judged],
+    plan: &'a Judged,
+}
+
+impl Measured<'_> {
+    fn wanted(&self) -> f64 {
+        f64::from(self.amounts.wanted_particles)
+    }
+
+    /// Particles that left the source in an epoch.
+    fn carried(epoch: &Judged) -> u32 {
+        let record = &epoch.record;
+        record.transported.saturating_add(record.spilled).saturating_add(record.on_tool)
+    }
+
+    fn most_carried(&self) -> u32 {
+        self.epochs.iter().map(Self::carried).max().unwrap_or_default()
+    }
+
+    fn misses_by(&self, epoch: &Judged) -> f64 {
+        self.amounts.miss(epoch.record.transported).abs()
+    }
+
+    fn too_little(&self) -> bool {
+        self.amounts.miss(self.plan.record.transported) < 0.0
+    }
+
+    /// The range of a parameter as it stands in the scene.
+    fn range(&self, index: usize) -> [f64; 2] {
+        let skill = &self.scene.skill;
+        [
+            skill.scooping_depth_m,
+            skill.scooping_angle_deg,
+            skill.lift_height_m,
+            skill.transport_displacement_m,
+            skill.pouring_angle_deg,
+        ][index]
+    }
+
+    /// A parameter's value at a theta, as people say it.
+    fn value(&self, index: usize, theta: f64) -> String {
+        let [low, high] = self.range(index);
+        let value = low + 0.5 * (theta + 1.0) * (high - low);
+        parameter(index, if SKILL_PARAMETERS[index].1 == "rad" { value.to_radians() } else { value })
+    }
+
+    /// Such as `skill.scooping_depth_m = [0.002, 0.02]`.
+    fn key(&self, index: usize) -> String {
+        let [low, high] = self.range(index);
+        format!("skill.{} = [{low}, {high}]", KEYS[index])
+    }
+
+    /// The smallest and largest value of a parameter in all epochs.
+    fn tried(&self, index: usize) -> String {
+        let values = || self.epochs.iter().map(|epoch| epoch.record.theta[index]);
+        let [low, high] =
+            [values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max)];
+        let [low, high] = [low, high].map(|theta| self.value(index, theta));
+        if low == high { low } else { format!("{low} to {high}") }
+    }
+
+    fn nothing_moved(&self) -> Option<String> {
+        (f64::from(self.most_carried()) <= NEXT_TO_NOTHING * self.wanted()).then(|| {
+            let bed_m = self.scene.powder.fill_max_m[2] - self.scene.powder.fill_min_m[2];
+            format!(
+                "in no epoch did the tool take up powder, so that the search had no slope to follow: it went {} deep into a bed of \
+                 {} mm, with scooping angles of {}; a range that reaches deeper than {} would be right, and {} is the next to look at",
+                self.tried(DEPTH),
+                powderline_simulator::scene::figures::about(1e3 * bed_m, 3),
+                self.tried(1),
+                self.key(DEPTH),
+                self.key(1)
+            )
+        })
+    }
+
+    fn nearer_but_passed_over(&self) -> Option<String> {
+        let nearer =
+            |epoch: &&Judged| epoch.obstacle.is_some() && self.misses_by(epoch) < self.misses_by(self.plan);
+        let best = self
+            .epochs
+            .iter()
+            .filter(nearer)
+            .min_by(|a, b| self.misses_by(a).total_cmp(&self.misses_by(b)))?;
+        Some(format!(
+            "epoch {} brought {}, but {}; bounds in [skill] that keep clear of that would be right",
+            best.record.epoch,
+            self.amounts.powder(best.record.transported),
+            best.obstacle.as_deref().unwrap_or_default()
+        ))
+    }
+
+    fn too_little_carried(&self) -> Option<String> {
+        let most = self.most_carried();
+        let short =
+            self.amounts.kg(most) < self.amounts.wanted_kg * (1.0 - self.amounts.tolerance.unwrap_or(0.0));
+        (self.too_little() && short).then(|| {
+            let capacity = self.scene.tool_capacity();
+            format!(
+                "no epoch carried more than {}; the tool holds about {} level and {} heaped, so a larger tool, a deeper {} or a smaller \
+                 amount would be right",
+                self.amounts.powder(most),
+                mass(capacity.level_kg),
+                mass(capacity.heaped_kg),
+                self.key(DEPTH)
+            )
+        })
+    }
+
+    fn stays_on_the_tool(&self) -> Option<String> {
+        let left = self.plan.record.on_tool;
+        if !self.too_little() || f64::from(left) < A_GOOD_PART * self.wanted() {
+            return None;
+        }
+        let curriculum = self.scene.optimiser.curriculum_epochs;
+        let poured = self.amounts.powder(left);
+        let moved = self.epochs.len().saturating_sub(1 + curriculum as usize);
+        Some(if curriculum > 0 && moved < curriculum as usize {
+            format!(
+                "{poured} stayed on the tool, and the pouring angle could only move in {moved} of {} updates, after the curriculum; \
+                 optimiser.curriculum_epochs = 0 lets it move from the first",
+                self.epochs.len() - 1
+            )
+        } else {
+            format!(
+                "{poured} stayed on the tool at a pouring angle of {}; a range that goes further than {} would be right",
+                self.value(POUR, self.plan.record.theta[POUR]),
+                self.key(POUR)
+            )
+        })
+    }
+
+    fn spills(&self) -> Option<String> {
+        let spilled = self.plan.record.spilled;
+        (self.too_little() && f64::from(spilled) >= A_GOOD_PART * self.wanted()).then(|| {
+            format!(
+                "{} spilled, with a transport displacement of {}; see where with `optimise report`, {} and the heading decide it",
+                self.amounts.powder(spilled),
+                self.value(TRANSPORT, self.plan.record.theta[TRANSPORT]),
+                self.key(TRANSPORT)
+            )
+        })
+    }
+
+    fn grains_too_large(&self) -> Option<String> {
+        let grain = self.amounts.particle_mass_kg / self.amounts.wanted_kg;
+        (grain > self.amounts.tolerance?).then(|| {
+            format!(
+                "one particle is {} of the wanted amount, more than the tolerance; a larger powder.particles_per_cell or smaller cells \
+                 would be right",
+                percent(grain)
+            )
+        })
+    }
+
+    /// Whether the last third of the epochs came much nearer than those before.
+    fn still_shrinking(&self) -> Option<String> {
+        let split = self.epochs.len() - self.epochs.len() / 3;
+        let nearest =
+            |part: &[Judged]| part.iter().map(|epoch| self.misses_by(epoch)).fold(f64::INFINITY, f64::min);
+        let (early, late) = self.epochs.split_at(split);
+        let shrinking = !late.is_empty() && nearest(late) < STILL_SHRINKING * nearest(early);
+        shrinking.then(|| {
+            format!(
+                "the miss was still shrinking when the epochs ended: --resume with --epochs {} would go on",
+                2 * (self.epochs.len() - 1)
+            )
+        })
+    }
+
+    /// Parameters that stand at an end of their range.
+    fn at_bounds(&self) -> impl Iterator<Item = String> {
+        (0..KEYS.len()).filter_map(|index| {
+            let theta = self.plan.record.theta[index];
+            let [low, high] = self.range(index);
+            (theta.abs() >= AT_BOUND && low < high).then(|| {
+                format!(
+                    "the {} stands at the {} end of its range, {}; a wider {} would be right",
+                    SKILL_PARAMETERS[index].0,
+                    if theta > 0.0 { "upper" } else { "lower" },
+                    self.value(index, theta.signum()),
+                    self.key(index)
+                )
+            })
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::optim::EpochRecord;
+
+    fn epochs(records: &[(u32, u32, u32)]) -> Vec<Judged> {
+        (0..)
+            .zip(records)
+            .map(|(epoch, &(transported, spilled, on_tool))| Judged {
+                record: EpochRecord { epoch, transported, spilled, on_tool, ..EpochRecord::default() },
+                obstacle: None,
+            })
+            .collect()
+    }
+
+    fn said(scene: &Scene, epochs: &[Judged], shipped: usize) -> String {
+        advice(scene, epochs, Some(shipped)).join("\n")
+    }
+
+    #[test]
+    fn each_reason_for_a_miss_is_told_from_the_others() {
+        let mut scene = Scene::load("bench").unwrap();
+        let flat = epochs(&[(0, 0, 0), (0, 3, 1), (2, 0, 0)]);
+        let text = said(&scene, &flat, 2);
+        assert!(
+            text.contains("11.0 mm deep into a bed of 22 mm")
+                && text.contains("scooping_depth_m = [0.002, 0.02]"),
+            "{text}"
+        );
+        assert_eq!(text.lines().count(), 1);
+
+        let text = said(&scene, &epochs(&[(500, 0, 0), (600, 10, 0), (610, 0, 5)]), 2);
+        assert!(text.contains("no epoch carried more than 4.92 g (615 particles)"), "{text}");
+        assert!(text.contains("11.") && text.contains("heaped"), "{text}");
+
+        let stuck = epochs(&[(300, 0, 1000), (320, 0, 1000), (310, 0, 1000)]);
+        assert!(said(&scene, &stuck, 1).contains("could only move in 0 of 2 updates, after the curriculum"));
+        scene.optimiser.curriculum_epochs = 0;
+        let text = said(&scene, &stuck, 1);
+        assert!(text.contains("stayed on the tool at a pouring angle of 70.0 deg"), "{text}");
+
+        let text = said(&scene, &epochs(&[(900, 400, 0), (950, 350, 0), (940, 350, 0)]), 1);
+        assert!(
+            text.contains("2.8 g (350 particles) spilled, with a transport displacement of 110.0 mm"),
+            "{text}"
+        );
+
+        let text = said(&scene, &epochs(&[(100, 0, 0), (500, 0, 0), (1100, 200, 0)]), 2);
+        assert!(text.contains("still shrinking") && text.contains("--epochs 4"), "{text}");
+
+        let mut bound = epochs(&[(1000, 0, 500), (1100, 0, 110), (1000, 0, 500)]);
+        bound[1].record.theta[2] = -1.0;
+        let text = said(&scene, &bound, 1);
+        assert!(text.contains("the lift height stands at the lower end of its range, 60.0 mm"), "{text}");
+
+        bound[0].record.transported = 1199;
+        bound[0].obstacle = Some("the tool's handle would pass".into());
+        let text = said(&scene, &bound, 1);
+        assert!(
+            text.starts_with("epoch 0 brought 9.592 g (1,199 particles), but the tool's handle"),
+            "{text}"
+        );
+
+        let text = said(&scene, &epochs(&[(1300, 0, 0), (1250, 0, 0), (1255, 0, 0)]), 1);
+        assert_eq!(text, "another --seed begins from another skill and packing");
+    }
+
+    #[test]
+    fn grains_larger_than_the_tolerance_are_said() {
+        let mut scene = Scene::load("bench").unwrap();
+        scene.objective.amount =
+            powderline_simulator::scene::Amount::new(powderline_simulator::scene::Wanted::Particles(10));
+        let text = said(&scene, &epochs(&[(20, 0, 0), (12, 0, 0)]), 1);
+        assert!(text.contains("one particle is 10 % of the wanted amount"), "{text}");
+    }
+}

@@ -1,0 +1,126 @@
+//! Particles as the powder that they stand for: grams first, particles beside them.
+
+use super::words::grouped;
+use powderline_simulator::scene::{Aim, Scene, figures::mass};
+use serde::Serialize;
+
+/// What a scene wants, and what its particles weigh.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Amounts {
+    /// Wanted in the target container, kilogram.
+    pub wanted_kg: f64,
+    /// The same as whole particles.
+    pub wanted_particles: u32,
+    /// Largest miss that counts as met, relative; none where as much as can be had is wanted.
+    pub tolerance: Option<f64>,
+    /// Mass of a particle, kilogram.
+    pub particle_mass_kg: f64,
+}
+
+impl From<&Scene> for Amounts {
+    fn from(scene: &Scene) -> Self {
+        Self {
+            wanted_kg: scene.target_mass_kg(),
+            wanted_particles: scene.target_count() as u32,
+            tolerance: (scene.objective.aim == Aim::Amount).then_some(scene.objective.amount.tolerance),
+            particle_mass_kg: scene.particle_mass_kg(),
+        }
+    }
+}
+
+impl Amounts {
+    /// Mass of so many particles, kilogram.
+    pub fn kg(&self, particles: u32) -> f64 {
+        f64::from(particles) * self.particle_mass_kg
+    }
+
+    /// How far so many particles are off the wanted mass, relative: negative where powder is missing.
+    pub fn miss(&self, particles: u32) -> f64 {
+        // To a billionth: what is off by as much on either side, or just within the tolerance, is not parted by rounding.
+        ((self.kg(particles) / self.wanted_kg - 1.0) * 1e9).round() * 1e-9
+    }
+
+    /// Whether so many particles are the wanted amount, within the tolerance; none where as much as can be had is wanted.
+    pub fn is_met(&self, particles: u32) -> Option<bool> {
+        self.tolerance.map(|tolerance| self.miss(particles).abs() <= tolerance * (1.0 + 1e-9))
+    }
+
+    /// Such as `9.584 g (1,198 particles)`.
+    pub fn powder(&self, particles: u32) -> String {
+        format!("{} ({})", mass(self.kg(particles)), counted(particles))
+    }
+
+    /// Such as `9.584 g`.
+    pub fn mass(&self, particles: u32) -> String {
+        mass(self.kg(particles))
+    }
+
+    /// Such as `9.6 g (1,200 particles)`.
+    pub fn wanted(&self) -> String {
+        format!("{} ({})", mass(self.wanted_kg), counted(self.wanted_particles))
+    }
+
+    /// Such as `0.17 % too little`.
+    pub fn off(&self, particles: u32) -> String {
+        let miss = self.miss(particles);
+        match percent(miss.abs()) {
+            none if none == "0 %" => "no more and no less".into(),
+            percent if miss < 0.0 => format!("{percent} too little"),
+            percent => format!("{percent} too much"),
+        }
+    }
+
+    /// The tolerance, such as `2 %`.
+    pub fn tolerance(&self) -> String {
+        self.tolerance.map_or("none".into(), percent)
+    }
+}
+
+/// Such as `1,198 particles`, `1 particle`.
+pub fn counted(particles: u32) -> String {
+    format!("{} particle{}", grouped(particles.into()), if particles == 1 { "" } else { "s" })
+}
+
+/// A share in per cent: two digits below ten, whole numbers above.
+pub fn percent(share: f64) -> String {
+    let percent = 100.0 * share;
+    let text = match percent.abs() {
+        0.0..0.995 => format!("{percent:.2}"),
+        0.995..9.95 => format!("{percent:.1}"),
+        _ => format!("{percent:.0}"),
+    };
+    let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
+    format!("{} %", if text == "-0" { "0" } else { text })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn powder_is_said_in_grams_and_particles() {
+        let amounts = Amounts::from(&Scene::load("bench").unwrap());
+        assert_eq!(amounts.powder(1198), "9.584 g (1,198 particles)");
+        assert_eq!(amounts.powder(1), "8 mg (1 particle)");
+        assert_eq!(amounts.wanted(), "9.6 g (1,200 particles)");
+        assert_eq!(amounts.off(1198), "0.17 % too little");
+        assert_eq!(amounts.off(1260), "5 % too much");
+        assert_eq!(amounts.off(1200), "no more and no less");
+        assert_eq!(amounts.off(0), "100 % too little");
+        let met = |particles| amounts.is_met(particles);
+        assert_eq!([1175, 1176, 1224, 1225].map(met), [Some(false), Some(true), Some(true), Some(false)]);
+    }
+
+    #[test]
+    fn shares_have_two_digits() {
+        let shown = [0.0, -1e-9, 0.00167, 0.02, 0.0251, 0.123, 1.0, 12.0].map(percent);
+        assert_eq!(shown, ["0 %", "0 %", "0.17 %", "2 %", "2.5 %", "12 %", "100 %", "1200 %"]);
+    }
+
+    #[test]
+    fn as_much_as_can_be_had_is_neither_met_nor_missed() {
+        let mut scene = Scene::load("bench").unwrap();
+        scene.objective.aim = Aim::All;
+        assert_eq!(Amounts::from(&scene).is_met(3), None);
+    }
+}
