@@ -229,7 +229,7 @@ class Report:
     def read_out_at(self, figure, chart, x):
         """Points at a place with the arrow keys."""
         xs = sorted({at for series in chart["series"] for at, _ in series["points"] if at is not None})
-        picture = figure.find_element(By.TAG_NAME, "svg")
+        picture = figure.find_element(By.CSS_SELECTOR, ".plot svg")
         picture.send_keys(Keys.ESCAPE)
         picture.send_keys(*[Keys.ARROW_RIGHT] * (xs.index(x) + 1))
 
@@ -249,7 +249,7 @@ class Report:
                 self.check_marks(figure, chart)
 
     def check_readout(self, figure, chart):
-        picture = figure.find_element(By.TAG_NAME, "svg")
+        picture = figure.find_element(By.CSS_SELECTOR, ".plot svg")
         self.script("arguments[0].scrollIntoView({block: 'center'})", picture)
         ActionChains(self.driver).move_to_element(picture).perform()
         tip = figure.find_element(By.CSS_SELECTOR, ".tip")

@@ -74,8 +74,7 @@ impl Axis {
         if !(low > 0.0 && high > WIDE * low) {
             return Self::around(values, 0.0, false);
         }
-        let powers = padded([low.log10(), high.log10()].into_iter(), 0.0);
-        let range = 10f64.powf(powers.start)..10f64.powf(powers.end);
+        let range = between_marks(low, high);
         Self { marks: log_marks(&range), range, is_log: true }
     }
 
@@ -162,6 +161,16 @@ fn linear_marks(range: &Range<f64>, count: usize, is_whole: bool) -> Vec<(f64, S
     (first..=last).map(|index| (at(index), format!("{:.*}", decimals as usize, at(index)))).collect()
 }
 
+/// From the mark below to the mark above, with a little room, so that the lowest values too lie between two numbers.
+fn between_marks(low: f64, high: f64) -> Range<f64> {
+    const ROOM: f64 = 0.02;
+    let near = |value: f64| [1.0, 2.0, 5.0, 10.0].map(|digit| digit * 10f64.powf(value.log10().floor()));
+    let below = near(low).into_iter().filter(|mark| *mark <= low).fold(0.5 * low, f64::max);
+    let above = near(high).into_iter().filter(|mark| *mark >= high).fold(10.0 * high, f64::min);
+    let room = (above / below).powf(ROOM);
+    below / room..above * room
+}
+
 /// 1, 2 and 5 times powers of ten, or only those, if there are many.
 fn log_marks(range: &Range<f64>) -> Vec<(f64, String)> {
     const MANY: f64 = 1e3;
@@ -240,7 +249,7 @@ pub(crate) mod tests {
         );
         assert_eq!(bears(&around(&[1e-3, 1.4e-3])), ["0.0010", "0.0011", "0.0012", "0.0013", "0.0014"]);
         let log = |values: &[f64]| Axis::log_if_wide(values.iter().copied());
-        assert_eq!(bears(&log(&[1.5, 95.5])), ["2", "5", "10", "20", "50", "100"]);
+        assert_eq!(bears(&log(&[1.5, 95.5])), ["1", "2", "5", "10", "20", "50", "100"]);
         assert_eq!(bears(&log(&[0.02, 900.0])), ["0.01", "0.1", "1", "10", "100", "1000"]);
         assert_eq!(bears(&log(&[15.0, 95.5])), bears(&around(&[15.0, 95.5])));
         assert!(log(&[]).note().is_empty() && log(&[0.0, 95.0]).note().is_empty());

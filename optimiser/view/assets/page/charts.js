@@ -62,6 +62,14 @@ function logMarks(low, high, most) {
   return fine.length <= most ? fine : at([1]);
 }
 
+/** Logarithms of the marks about two numbers, with a little room: the ends of a logarithmic axis. */
+function logEnds(low, high) {
+  const near = (value, beyond) => [1, 2, 5, 10].map((digit) => digit * 10 ** Math.floor(Math.log10(value))).filter(beyond);
+  const ends = [Math.max(...near(low, (mark) => mark <= low)), Math.min(...near(high, (mark) => mark >= high))];
+  const [from, to] = ends.map(Math.log10);
+  return [from - 0.02 * (to - from), to + 0.02 * (to - from)];
+}
+
 /** A number in few digits: enough to tell it from others `step` away. */
 function told(value, step) {
   if (value === null || !Number.isFinite(value)) return '–';
@@ -108,7 +116,8 @@ function upwards(chart, height) {
   const ys = chart.series.flatMap((series) => series.points.map(([, y]) => y));
   const most = Math.max(3, Math.floor((height - LABEL_TOP - MARGIN.bottom) / 24));
   if (isLog(chart)) {
-    const [low, high] = rangeOf(ys.map((y) => (isNumber(y) ? Math.log10(y) : y)), 0.06);
+    const known = ys.filter(isNumber);
+    const [low, high] = logEnds(Math.min(...known), Math.max(...known));
     // A band may reach below zero, where there are no logarithms.
     const share = (y) => (Math.log10(Math.max(y, 10 ** low)) - low) / (high - low);
     return { marks: logMarks(10 ** low, 10 ** high, most), share };

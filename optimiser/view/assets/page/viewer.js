@@ -11,7 +11,7 @@ const RAMPS = {
 
 /** Where particles end, by the digit the page stores; colours that colour-blind readers tell apart. */
 const DESTINATIONS = [
-  ['left behind', '#b3a68c'],
+  ['left behind', '#c9b27c'],
   ['in the target', '#009e73'],
   ['on the tool', '#e69f00'],
   ['spilled', '#d55e00'],
@@ -310,6 +310,9 @@ function makeStage({ THREE, OrbitControls }, replay, host) {
   const controls = new OrbitControls(camera, canvas);
   controls.zoomToCursor = true;
   const extent = extentOf(THREE, about);
+  // Until the reader turns it, the picture fits, however the window changes.
+  let looksFrom = null;
+  controls.addEventListener('start', () => { looksFrom = null; });
   const names = nameTags(THREE, about.containers, element('names'));
 
   const place = (group, a, b, share) => {
@@ -352,9 +355,11 @@ function makeStage({ THREE, OrbitControls }, replay, host) {
       camera.aspect = width / Math.max(height, 1);
       camera.updateProjectionMatrix();
       grains.uniforms.pixels.value = canvas.height;
+      if (looksFrom) aim(THREE, camera, controls, extent, VIEWS[looksFrom]);
     },
     lookFrom(view) {
       aim(THREE, camera, controls, extent, VIEWS[view]);
+      looksFrom = view;
     },
     draw() {
       renderer.render(scene, camera);

@@ -110,7 +110,7 @@ fn tables(page: &Page) -> String {
     if tables.is_empty() && page.facts.is_empty() {
         return String::new();
     }
-    format!("<div class=\"tables\">\n{tables}{}</div>\n", facts(&page.facts))
+    format!("<div class=\"tables\">\n{}{tables}</div>\n", facts(&page.facts))
 }
 
 fn facts(facts: &[(String, String)]) -> String {

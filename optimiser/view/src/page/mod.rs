@@ -60,10 +60,10 @@ pub struct Page {
     pub replay_shows: String,
     /// Curves.
     pub charts: Vec<Chart>,
-    /// More numbers.
-    pub tables: Vec<Table>,
     /// What all of it is about and comes from, each with its name: scene, powder, limits, digest, versions, date.
     pub facts: Vec<(String, String)>,
+    /// More numbers.
+    pub tables: Vec<Table>,
     /// Paragraphs at the end.
     pub notes: Vec<String>,
 }

@@ -649,6 +649,32 @@ mod tests {
         assert!(draw(1, Containers::Translucent) != draw(1, Containers::CutOpen));
     }
 
+    /// Containers stand on the floor; where their own floor is cut through, none of the floor below may be seen.
+    #[test]
+    fn the_cut_through_a_container_that_stands_on_the_floor_is_whole() {
+        let wall_m = 0.004;
+        for mesh in [Mesh::open_cylinder(0.03, 0.02, wall_m), Mesh::open_box([0.06, 0.06, 0.02], wall_m)] {
+            let mesh = mesh.moved(&nalgebra::Isometry3::translation(0.05, 0.05, wall_m));
+            let container = Container { name: "target".to_owned(), role: Role::Target, mesh };
+            let bench = Bench { containers: vec![container], ..empty_bench() };
+            for (azimuth_deg, elevation_deg) in [(0.0, 20.0), (22.0, 24.0), (-35.0, 50.0)] {
+                let containers = Containers::CutOpen;
+                let look = Look { width_px: 960, height_px: 720, containers, ..bare(Colouring::Destination) };
+                let camera = Camera { azimuth_deg, elevation_deg, ..Camera::default() };
+                let painter = Painter::new(&bench, &camera, &look).expect("settings in range");
+                let image = draw(&painter, &[], &[]);
+                // The section through the container's floor, but for its rim.
+                for (step, level) in (1..60).flat_map(|step| [0.3, 0.5, 0.7].map(|level| (step, level))) {
+                    let at = V::new(0.02 + 0.001 * step as f32, 0.05, level * wall_m as f32);
+                    let [x, y, _] = painter.view.pixel(&painter.view.local(&at)).expect("before the camera");
+                    let pixel = (y as usize / FINE) * image.width_px + x as usize / FINE;
+                    let [red, green, _] = image.rgb.as_chunks::<3>().0[pixel];
+                    assert!(green > red.saturating_add(20), "{red} {green} at {at}, azimuth {azimuth_deg}");
+                }
+            }
+        }
+    }
+
     #[test]
     fn particles_without_a_place_are_left_out() {
         let painter = painter(&empty_bench(), &look());

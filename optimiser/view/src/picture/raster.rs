@@ -4,6 +4,9 @@ use super::V;
 use super::camera::View;
 use super::facet::Facet;
 
+/// Share of its depth by which a wall may seem to lie below the floor on which it stands.
+const ON_FLOOR: f32 = 1e-4;
+
 /// What a surface is made of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Finish {
@@ -94,13 +97,17 @@ impl<'a> Canvas<'a> {
         }
     }
 
-    /// Draws half a hollow solid, cut open at a plane through `middle_m` with the normal `facing`.
+    /// Draws half a hollow solid, cut open at a plane through `middle_m` with the normal `facing`. The underside of one
+    /// that stands on the floor is as far away as the floor: it covers the floor, whatever rounding says.
     pub(super) fn cut(&mut self, facets: &[Facet], middle_m: &V, facing: &V, colours: [[f32; 3]; 2]) {
         let view = self.view;
         for facet in facets {
             fragments(view, facet, |fragment| {
                 let texel = &mut self.texels[fragment.pixel];
-                if fragment.depth_m >= texel.depth_m || (fragment.point_m - middle_m).dot(facing) > 0.0 {
+                let nearer = if texel.finish == Finish::Floor { 1.0 - ON_FLOOR } else { 1.0 };
+                if fragment.depth_m * nearer >= texel.depth_m
+                    || (fragment.point_m - middle_m).dot(facing) > 0.0
+                {
                     return;
                 }
                 // The inside of a wall is seen through the cut only: it is drawn as the cut.
