@@ -13,7 +13,7 @@ use powderline_shared::{
 };
 use powderline_simulator::{
     rollout::{Evaluation, Look, Progress, RolloutError, Shot, Slope, Take},
-    scene::{Amount, Wanted},
+    scene::{Amount, ContainerShape, Wanted},
     skill::{Control, SkillMap, Theta},
 };
 use powderline_view::Destination;
@@ -321,6 +321,9 @@ fn low_scene(place: &Place) -> String {
     let mut scene = Scene::load("bench").unwrap();
     scene.skill.lift_height_m = [0.018, 0.060];
     scene.skill.initial_theta = [[0.0; 2], [0.0; 2], [0.9; 2], [0.0; 2], [0.0; 2]];
+    // The stand-in wishes the tool 10 mm above its start, which is inside of a target as high as this one.
+    scene.skill.scooping_depth_m = [0.002, 0.0021];
+    scene.container[1].shape = ContainerShape::Box { inner_size_m: [0.064, 0.064, 0.060] };
     scene.objective.amount = Amount::new(Wanted::Particles(200));
     fs::write(place.path("low.toml"), scene.to_toml()).unwrap();
     place.text("low.toml")
@@ -448,7 +451,7 @@ fn run_interrupted_anywhere_and_resumed_has_the_same_bits() {
         assert_sentence(&done, 130, &format!("--resume {folder}"));
         assert!(!Path::new(&folder).join(PLAN).exists());
         let done = optimise(&["--resume", &folder]);
-        assert_eq!(done.code, 0, "{}", done.err);
+        assert!(done.is_finished(), "{}", done.err);
         assert_eq!(metrics(&folder), metrics(&whole), "after {patience}");
         assert_eq!(bytes(&folder, PLAN), bytes(&whole, PLAN), "after {patience}");
         assert_eq!(bytes(&folder, CURVES), bytes(&whole, CURVES), "after {patience}");
