@@ -213,7 +213,7 @@ mod tests {
         assert_eq!(text.lines().count(), 1, "{text}");
         assert!(
             text.contains("1158.940")
-                && text.contains("14.83 g arrive (  -7.3 %)")
+                && text.contains("14.83 g arrive ( -7.3 %)")
                 && text.contains("about 1 min left"),
             "{text}"
         );

@@ -304,13 +304,19 @@ impl Run {
     fn write_curves(&self, finding: &Finding) -> Result<(), CliError> {
         let search = &self.record.state.search;
         let curves = Curves {
-            title: &format!("{}, seed {}", self.record.scene.name, self.record.state.seed),
+            title: &format!(
+                "{}, seed {}. {}",
+                self.record.scene.name,
+                self.record.state.seed,
+                finding.headline()
+            ),
             history: search.history(),
             epochs: search.epochs(),
             curriculum_epochs: self.method.rule.curriculum_epochs,
             shipped: finding.epoch,
             passed_over: &finding.passed_over.iter().map(|passed| passed.epoch).collect::<Vec<_>>(),
             map: &self.record.map,
+            amounts: &finding.amounts,
         };
         let svg = curves.to_svg().map_err(|error| CliError::Failed(error.to_string()))?;
         Ok(self.folder.replace(CURVES, svg.as_bytes())?)
@@ -486,6 +492,8 @@ fn prolong(record: &mut RunRecord, epochs: u32) -> Result<(), CliError> {
     if epochs > now {
         state.search.extend(epochs);
         state.finished = false;
+        // The last epoch is evaluated again, with a gradient.
+        record.epochs.truncate(state.search.history().len());
         record.shipped = None;
     }
     Ok(())

@@ -13,7 +13,7 @@ use powderline_shared::{
 };
 use powderline_simulator::{
     rollout::{Evaluation, Look, Progress, RolloutError, Shot, Slope, Take},
-    scene::{Amount, Wanted},
+    scene::{Amount, ContainerShape, Wanted},
     skill::{Control, SkillMap, Theta},
 };
 use powderline_view::Destination;
@@ -28,7 +28,7 @@ use std::{
 mod compare;
 mod pages;
 
-/// Exit code of a run whose plan misses the wanted amount, as it does with this stand-in.
+/// Exit code of a run whose plan misses the wanted amount, as after few epochs with this stand-in.
 const MISSED: u8 = 3;
 
 /// Ticks of one evaluation.
@@ -154,6 +154,13 @@ struct Done {
     err: String,
 }
 
+impl Done {
+    /// Whether a run came to its plan, whatever it brings.
+    fn is_finished(&self) -> bool {
+        [0, MISSED].contains(&self.code)
+    }
+}
+
 /// Runs `optimise` with Ctrl-C after `patience` ticks.
 fn optimise_for(patience: u64, arguments: &[&str]) -> Done {
     let interrupt = Interrupt::default();
@@ -205,7 +212,7 @@ impl Place {
         let folder = self.text(name);
         let done =
             optimise(&["bench-small", "--seed", "4", "--epochs", &epochs.to_string(), "--out", &folder]);
-        assert_eq!(done.code, MISSED, "{}", done.err);
+        assert!(done.is_finished(), "{}", done.err);
         folder
     }
 }
@@ -268,7 +275,7 @@ fn arguments_are_consistent() {
 fn run_leaves_its_files_and_says_what_it_found() {
     let place = Place::new();
     let folder = place.text("run");
-    let done = optimise(&["run", "bench-small", "--seed", "4", "--epochs", "20", "--out", &folder]);
+    let done = optimise(&["run", "bench-small", "--seed", "4", "--epochs", "2", "--out", &folder]);
     assert_eq!(done.code, MISSED, "{}", done.err);
     for file in [SCENE, STATE, METRICS, CURVES, PLAN] {
         assert!(Path::new(&folder).join(file).is_file(), "{file}");
@@ -278,8 +285,13 @@ fn run_leaves_its_files_and_says_what_it_found() {
     assert!(done.err.ends_with("and the tolerance is 2 %"), "{}", done.err);
     let command = format!("cargo run --release --bin execute -- {folder}/skill.plan");
     assert!(done.out.contains(&command), "{}", done.out);
-    assert_eq!(done.err.lines().filter(|line| line.starts_with("epoch")).count(), 21, "{}", done.err);
+    assert_eq!(done.err.lines().filter(|line| line.starts_with("epoch")).count(), 3, "{}", done.err);
     assert_eq!(Scene::load(&format!("{folder}/scene.toml")).unwrap(), Scene::load("bench-small").unwrap());
+    // More epochs meet the amount.
+    let done = optimise(&["--resume", &folder, "--epochs", "20"]);
+    assert_eq!(done.code, 0, "{}", done.err);
+    assert!(done.out.contains("within the tolerance of 2 %"), "{}", done.out);
+    assert!(!done.out.contains("help"), "{}", done.out);
 }
 
 #[test]
@@ -309,6 +321,9 @@ fn low_scene(place: &Place) -> String {
     let mut scene = Scene::load("bench").unwrap();
     scene.skill.lift_height_m = [0.018, 0.060];
     scene.skill.initial_theta = [[0.0; 2], [0.0; 2], [0.9; 2], [0.0; 2], [0.0; 2]];
+    // The stand-in wishes the tool 10 mm above its start, which is inside of a target as high as this one.
+    scene.skill.scooping_depth_m = [0.002, 0.0021];
+    scene.container[1].shape = ContainerShape::Box { inner_size_m: [0.064, 0.064, 0.060] };
     scene.objective.amount = Amount::new(Wanted::Particles(200));
     fs::write(place.path("low.toml"), scene.to_toml()).unwrap();
     place.text("low.toml")
@@ -319,7 +334,7 @@ fn every_place_says_the_same_of_a_run_also_when_epochs_were_passed_over() {
     let place = Place::new();
     let [file, folder] = [low_scene(&place), place.text("run")];
     let done = optimise(&[&file, "--epochs", "8", "--out", &folder, "--json"]);
-    assert_eq!(done.code, MISSED, "{}", done.err);
+    assert!(done.is_finished(), "{}", done.err);
     let found: Value = serde_json::from_str(&done.out).unwrap();
     let epoch = found["epoch"].as_u64().unwrap();
     let passed: Vec<u64> =
@@ -436,7 +451,7 @@ fn run_interrupted_anywhere_and_resumed_has_the_same_bits() {
         assert_sentence(&done, 130, &format!("--resume {folder}"));
         assert!(!Path::new(&folder).join(PLAN).exists());
         let done = optimise(&["--resume", &folder]);
-        assert_eq!(done.code, 0, "{}", done.err);
+        assert!(done.is_finished(), "{}", done.err);
         assert_eq!(metrics(&folder), metrics(&whole), "after {patience}");
         assert_eq!(bytes(&folder, PLAN), bytes(&whole, PLAN), "after {patience}");
         assert_eq!(bytes(&folder, CURVES), bytes(&whole, CURVES), "after {patience}");
@@ -455,7 +470,7 @@ fn run_interrupted_again_and_again_has_the_same_bits() {
         done = optimise_for(7 * TICKS + 1, &["--resume", &folder]);
         resumptions += 1;
     }
-    assert!(done.code == MISSED && resumptions >= 3, "{} after {resumptions}", done.err);
+    assert!(done.is_finished() && resumptions >= 3, "{} after {resumptions}", done.err);
     assert_eq!(metrics(&folder), metrics(&whole));
     assert_eq!(bytes(&folder, PLAN), bytes(&whole, PLAN));
 }
@@ -477,7 +492,7 @@ fn run_by_the_adjoint_alone_evaluates_every_skill_once() {
         assert_eq!(line["differences"], serde_json::json!([null, null, null, null, null]));
         assert_eq!(line["first_order_weight"], serde_json::json!([1.0, 1.0, 1.0, null, null]));
     }
-    assert_eq!(optimise(&["--resume", &folder]).code, MISSED);
+    assert!(optimise(&["--resume", &folder]).is_finished());
 }
 
 #[test]
@@ -486,7 +501,7 @@ fn finished_run_is_prolonged_to_the_bits_of_a_longer_one() {
     let long = place.finished("long", 9);
     let folder = place.finished("short", 4);
     let done = optimise(&["--resume", &folder, "--epochs", "9"]);
-    assert_eq!(done.code, MISSED, "{}", done.err);
+    assert!(done.is_finished(), "{}", done.err);
     assert_eq!(metrics(&folder), metrics(&long));
     assert_eq!(bytes(&folder, PLAN), bytes(&long, PLAN));
 }
@@ -511,7 +526,7 @@ fn metrics_lost_or_half_written_are_put_right_on_resuming() {
         let folder = place.text(&format!("run{}", damage.len()));
         optimise_for(3 * TICKS, &["bench-small", "--seed", "4", "--epochs", "4", "--out", &folder]);
         fs::write(Path::new(&folder).join(METRICS), damage).unwrap();
-        assert_eq!(optimise(&["--resume", &folder]).code, MISSED);
+        assert!(optimise(&["--resume", &folder]).is_finished());
         assert_eq!(metrics(&folder), metrics(&whole));
     }
 }
@@ -553,7 +568,7 @@ fn damaged_state_is_refused() {
     for (broken, about) in [
         (&sound[..sound.len() / 2], "damaged"),
         (&sound[..0], "not a state file"),
-        (b"PLSTATE\0\x07\0\0\0".as_slice(), "version 7"),
+        (b"PLSTATE\0\x08\0\0\0".as_slice(), "version 8"),
     ] {
         fs::write(&path, broken).unwrap();
         assert_sentence(&optimise(&["--resume", &folder]), 2, about);
@@ -601,7 +616,7 @@ fn full_disk_loses_nothing_that_was_saved() {
         if file == "state.new" {
             fs::remove_dir(&full).unwrap();
         }
-        assert_eq!(optimise(&["--resume", &folder]).code, MISSED);
+        assert!(optimise(&["--resume", &folder]).is_finished());
         assert_eq!(metrics(&folder), metrics(&whole), "{file}");
         assert_eq!(bytes(&folder, PLAN), bytes(&whole, PLAN), "{file}");
     }
@@ -720,10 +735,11 @@ fn executed_exactly_as_planned_gives_what_the_plan_predicts() {
     );
     let text = performed.simulate(&[]).out;
     assert!(
-        text.contains("The plan predicts a loss of") && text.contains("off the plan by 0.000 mm"),
+        text.contains("The plan predicts that 1 g (125 particles) arrive")
+            && text.contains("off the plan by 0.000 mm"),
         "{text}"
     );
-    assert_eq!(text.lines().count(), 3, "{text}");
+    assert_eq!(text.lines().count(), 4, "{text}");
 }
 
 #[test]

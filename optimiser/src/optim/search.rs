@@ -265,11 +265,6 @@ impl Search {
     pub fn history(&self) -> &[EpochRecord] {
         &self.history
     }
-
-    /// The epoch of the lowest loss, the earliest of equals.
-    pub fn best(&self) -> Option<&EpochRecord> {
-        self.history.iter().min_by(|a, b| a.loss.total_cmp(&b.loss))
-    }
 }
 
 #[cfg(test)]
@@ -327,13 +322,6 @@ mod tests {
         );
         assert!(search.history()[..10].iter().all(|record| record.gradient.is_some()));
         assert!(search.history()[10].gradient.is_none());
-    }
-
-    #[test]
-    fn best_is_the_earliest_lowest_loss() {
-        let mut search = Search::new([0.3; 5], 3);
-        advance(&mut search, 4);
-        assert_eq!(search.best().unwrap().epoch, 0);
     }
 
     #[test]

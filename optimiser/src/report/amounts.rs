@@ -37,7 +37,7 @@ impl Amounts {
     /// How far so many particles are off the wanted mass, relative: negative where powder is missing.
     pub fn miss(&self, particles: u32) -> f64 {
         // To a billionth: what is off by as much on either side, or just within the tolerance, is not parted by rounding.
-        ((self.kg(particles) / self.wanted_kg - 1.0) * 1e9).round() * 1e-9
+        ((self.kg(particles) / self.wanted_kg - 1.0) * 1e9).round() / 1e9
     }
 
     /// Whether so many particles are the wanted amount, within the tolerance; none where as much as can be had is wanted.

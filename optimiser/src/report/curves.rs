@@ -1,5 +1,6 @@
-//! `curves.svg`: loss, indicator and skill against the epoch, one above the other.
+//! `curves.svg`: loss, powder that arrives and skill against the epoch, one above the other.
 
+use super::amounts::Amounts;
 use super::ink::{self, Axis, COLOURS, FONT, INK};
 use crate::optim::EpochRecord;
 use plotters::{
@@ -7,7 +8,7 @@ use plotters::{
     prelude::*,
 };
 use powderline_shared::plan::SKILL_PARAMETERS;
-use powderline_simulator::skill::SkillMap;
+use powderline_simulator::{scene::figures::mass, skill::SkillMap};
 use std::ops::Range;
 use thiserror::Error;
 
@@ -42,6 +43,8 @@ pub struct Curves<'a> {
     pub passed_over: &'a [u32],
     /// What theta means in metres and radians.
     pub map: &'a SkillMap,
+    /// What is wanted, and what particles weigh.
+    pub amounts: &'a Amounts,
 }
 
 type Area<'s> = DrawingArea<SVGBackend<'s>, Shift>;
@@ -51,6 +54,8 @@ type Drawn = Result<(), Box<dyn std::error::Error>>;
 /// One line of a panel, and what stands beside the panel in its colour.
 struct Line {
     note: String,
+    /// Of the epochs, so that some stand out; not of what they are held against.
+    marked: bool,
     colour: RGBColor,
     points: Vec<(f64, f64)>,
 }
@@ -79,7 +84,7 @@ impl Curves<'_> {
         root.fill(&WHITE)?;
         let body = root.margin(12, 6, 0, 0).titled(self.title, (FONT, 22).into_font().color(&INK))?;
         let (mut rest, legend) = body.split_vertically(body.dim_in_pixel().1 - LEGEND);
-        let panels = [self.loss(), self.indicator(), self.skill("mm"), self.skill("deg")];
+        let panels = [self.loss(), self.arrival(), self.skill("mm"), self.skill("deg")];
         let height = (rest.dim_in_pixel().1 - 16) / panels.len() as u32;
         for panel in &panels {
             // The last one has the axis' name below it, and all that is left.
@@ -109,16 +114,26 @@ impl Curves<'_> {
         let points = self.points(|record| record.loss);
         let values = Axis::log_if_wide(points.iter().map(|point| point.1), std::iter::empty());
         let note = self.note(|record| format!("{:.3} m", record.loss));
-        let lines = vec![Line { note, colour: COLOURS[0], points }];
+        let lines = vec![Line { marked: true, note, colour: COLOURS[0], points }];
         Panel { caption: "loss (m)", values, lines, epoch_axis: false }
     }
 
-    fn indicator(&self) -> Panel {
-        let points = self.points(|record| record.indicator as f64);
-        let values = Axis::around(points.iter().map(|point| point.1), 1.0, true);
-        let note = self.note(|record| record.indicator.to_string());
-        let lines = vec![Line { note, colour: COLOURS[1], points }];
-        Panel { caption: "indicator (wanted particles that are missing)", values, lines, epoch_axis: false }
+    fn arrival(&self) -> Panel {
+        let arrives = self.points(|record| 1e3 * self.amounts.kg(record.transported));
+        let wanted = self.points(|_| 1e3 * self.amounts.wanted_kg);
+        let all = arrives.iter().chain(&wanted).map(|point| point.1);
+        let values = Axis::around(all, 0.01 * 1e3 * self.amounts.wanted_kg, false);
+        let note = self.note(|record| self.amounts.mass(record.transported));
+        let lines = vec![
+            Line {
+                marked: false,
+                note: format!("wanted: {}", mass(self.amounts.wanted_kg)),
+                colour: COLOURS[6],
+                points: wanted,
+            },
+            Line { marked: true, note, colour: COLOURS[1], points: arrives },
+        ];
+        Panel { caption: "powder that arrives (g)", values, lines, epoch_axis: false }
     }
 
     /// The parameters of one unit.
@@ -129,6 +144,7 @@ impl Curves<'_> {
         };
         let is_here = |k: &usize| (SKILL_PARAMETERS[*k].1 == "rad") == (unit == "deg");
         let line = |k: usize| Line {
+            marked: true,
             note: SKILL_PARAMETERS[k].0.into(),
             colour: COLOURS[k],
             points: self.points(|record| factor * self.map.parameters(&record.theta)[k]),
@@ -177,6 +193,9 @@ impl Curves<'_> {
     fn line(&self, chart: &mut Chart<'_, '_>, line: &Line) -> Drawn {
         let points = || line.points.iter().copied();
         chart.draw_series(LineSeries::new(points(), line.colour.stroke_width(2)))?;
+        if !line.marked {
+            return Ok(());
+        }
         chart.draw_series(points().map(|point| Circle::new(point, 2, line.colour.filled())))?;
         for (record, point) in self.history.iter().zip(points()) {
             if Some(record.epoch) == self.shipped {
@@ -258,7 +277,8 @@ mod tests {
 
     fn svg(evaluated: u32, epochs: u32, from: f64) -> String {
         let history: Vec<_> = (0..evaluated).map(|epoch| record(epoch, from)).collect();
-        let map = SkillMap::new(&Scene::load("bench").unwrap());
+        let scene = Scene::load("bench").unwrap();
+        let (map, amounts) = (SkillMap::new(&scene), Amounts::from(&scene));
         let curves = Curves {
             title: "bench, seed 1",
             history: &history,
@@ -267,6 +287,7 @@ mod tests {
             shipped: evaluated.checked_sub(2),
             passed_over: if evaluated > 0 { &[evaluated - 1] } else { &[] },
             map: &map,
+            amounts: &amounts,
         };
         curves.to_svg().unwrap()
     }
@@ -275,8 +296,16 @@ mod tests {
     fn draws_all_panels_at_any_time() {
         for epochs in [0, 1, 2, 31] {
             let svg = svg(epochs, 30, 1100.0);
-            for text in ["bench, seed 1", "loss (m)", "indicator", "(mm)", "(deg)", "pouring angle", "epoch"]
-            {
+            for text in [
+                "bench, seed 1",
+                "loss (m)",
+                "arrives (g)",
+                "wanted: 9.6 g",
+                "(mm)",
+                "(deg)",
+                "pouring angle",
+                "epoch",
+            ] {
                 assert!(svg.contains(text), "{text} after {epochs} epochs");
             }
             assert!(svg.trim_end().ends_with("</svg>") && !svg.contains("NaN"));

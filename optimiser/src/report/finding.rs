@@ -281,6 +281,8 @@ mod tests {
         scene.objective.aim = Aim::All;
         assert_eq!(Rule::of(&scene).choose(&amounts, &epochs), Some(2));
         assert_eq!(Rule::SmallestMiss.choose(&amounts, &judged(&[5], &[1.0], &[0])), None);
+        // The earliest of equals.
+        assert_eq!(Rule::SmallestMiss.choose(&amounts, &judged(&[5, 5, 5], &[2.0, 1.0, 1.0], &[])), Some(1));
     }
 
     #[test]

@@ -168,17 +168,23 @@ fn linear_marks(range: &Range<f64>, count: usize, is_whole: bool) -> Vec<(f64, S
 /// From the mark below to the mark above, with a little room, so that the lowest values too lie between two numbers.
 fn between_marks(low: f64, high: f64) -> Range<f64> {
     const ROOM: f64 = 0.02;
-    let near = |value: f64| [1.0, 2.0, 5.0, 10.0].map(|digit| digit * 10f64.powf(value.log10().floor()));
-    let below = near(low).into_iter().filter(|mark| *mark <= low).fold(0.5 * low, f64::max);
-    let above = near(high).into_iter().filter(|mark| *mark >= high).fold(10.0 * high, f64::min);
+    let digits = || log_digits(low, high).iter().copied().chain([10.0]);
+    let near = |value: f64| digits().map(move |digit| digit * 10f64.powf(value.log10().floor()));
+    let below = near(low).filter(|mark| *mark <= low).fold(0.1 * low, f64::max);
+    let above = near(high).filter(|mark| *mark >= high).fold(10.0 * high, f64::min);
     let room = (above / below).powf(ROOM);
     below / room..above * room
 }
 
+/// What the marks of a logarithmic axis are powers of ten times of: 1, 2 and 5, or only 1, if there are many.
+fn log_digits(low: f64, high: f64) -> &'static [f64] {
+    const MANY: f64 = 1e3;
+    if high > MANY * low { &[1.0] } else { &[1.0, 2.0, 5.0] }
+}
+
 /// 1, 2 and 5 times powers of ten, or only those, if there are many.
 fn log_marks(range: &Range<f64>) -> Vec<(f64, String)> {
-    const MANY: f64 = 1e3;
-    let digits: &[f64] = if range.end > MANY * range.start { &[1.0] } else { &[1.0, 2.0, 5.0] };
+    let digits = log_digits(range.start, range.end);
     let powers = range.start.log10().floor() as i32..=range.end.log10().floor() as i32;
     let mark = |power: i32, digit: f64| {
         let decimals = (-power).max(0);

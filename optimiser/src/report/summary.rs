@@ -41,7 +41,10 @@ impl Finding {
 
     /// The sentences after the headline: what spills, which epoch it is and why, and which could not be.
     pub fn sentences(&self) -> Vec<String> {
-        let spilled = self.plan.map(|plan| format!("{} spill.", self.amounts.powder(plan.spilled_particles)));
+        let spilled = self.plan.map(|plan| match plan.spilled_particles {
+            0 => "Nothing spills.".into(),
+            particles => format!("{} spill.", self.amounts.powder(particles)),
+        });
         spilled.into_iter().chain([self.choice()]).chain(self.passed_over_words()).collect()
     }
 

@@ -6,10 +6,11 @@ use libfuzzer_sys::fuzz_target;
 use powderline_fuzz::{assert_sentence, plant};
 use powderline_optimiser::cli::Progress;
 use powderline_optimiser::optim::{Method, Search};
-use powderline_optimiser::report::{curves::Curves, state::RunState};
+use powderline_optimiser::report::{amounts::Amounts, curves::Curves, state::RunState};
 use powderline_simulator::rollout::Evaluation;
-use powderline_simulator::scene::{DEFAULT_SCENE, Scene};
 use powderline_shared::plan::Precision;
+use powderline_simulator::scene::{DEFAULT_SCENE, Scene};
+use powderline_simulator::skill::SkillMap;
 use sha2::{Digest, Sha256};
 use std::sync::LazyLock;
 
@@ -18,8 +19,8 @@ const HEAD_BYTES: usize = 12;
 /// SHA-256.
 const CHECKSUM_BYTES: usize = 32;
 
-static METHOD: LazyLock<Method> =
-    LazyLock::new(|| Method::from(&Scene::load(DEFAULT_SCENE).expect("it is shipped").optimiser));
+static SCENE: LazyLock<Scene> = LazyLock::new(|| Scene::load(DEFAULT_SCENE).expect("it is shipped"));
+static METHOD: LazyLock<Method> = LazyLock::new(|| Method::from(&SCENE.optimiser));
 static HEAD: LazyLock<Vec<u8>> = LazyLock::new(|| state(0).to_bytes()[..HEAD_BYTES].to_vec());
 
 fuzz_target!(init: plant(seeds()), |bytes: &[u8]| {
@@ -50,14 +51,17 @@ fn go_on(mut search: Search) {
         record(&mut search);
     }
     if let Some(last) = search.history().last() {
-        progress.epoch(last, search.epochs(), search.history());
+        progress.epoch(last, &Amounts::from(&*SCENE), search.epochs(), search.history());
     }
     let curves = Curves {
         title: "fuzzed",
         history: search.history(),
         epochs: search.epochs(),
         curriculum_epochs: METHOD.rule.curriculum_epochs,
-        best: search.best(),
+        shipped: search.history().last().map(|record| record.epoch),
+        passed_over: &[0],
+        map: &SkillMap::new(&SCENE),
+        amounts: &Amounts::from(&*SCENE),
     };
     assert!(curves.to_svg().expect("curves can be drawn").ends_with("</svg>\n"));
     let state = RunState { search, ..state(0) };
@@ -73,6 +77,7 @@ fn record(search: &mut Search) {
         indicator: 1,
         transported: 2,
         spilled: 3,
+        on_tool: 4,
         gradient: request.want_gradient.then_some(request.theta),
     };
     let probes = search.probes(&METHOD, evaluation.gradient.as_ref());
