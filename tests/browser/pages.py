@@ -211,7 +211,7 @@ class Report:
         """Every mark has its sign on every curve, its word in the legend, and its reason where one points."""
         points = {kind: 0 for kind in ["chosen", "passed-over"]}
         for x, mark in chart["marks"]:
-            for series in chart["series"]:
+            for series in (series for series in chart["series"] if not series["reference"]):
                 points[mark["kind"]] += sum(at == x and y is not None for at, y in series["points"])
         for kind, count in points.items():
             signs = figure.find_elements(By.CSS_SELECTOR, f".sign.{kind}")
@@ -241,7 +241,8 @@ class Report:
             check(figure.find_element(By.TAG_NAME, "h2").text.strip() == chart["title"].strip(), "a chart's title")
             marks = figure.find_elements(By.CSS_SELECTOR, ".curve, .dot")
             drawn = {mark.get_attribute("class").split()[1] for mark in marks}
-            known = {f"c{(i if series['colour'] is None else series['colour']) % 6}" for i, series in enumerate(chart["series"])
+            known = {"reference" if series["reference"] else
+                     f"c{(i if series['colour'] is None else series['colour']) % 6}" for i, series in enumerate(chart["series"])
                      if any(None not in point for point in series["points"])}
             check(drawn == known, f"curves {drawn} of {known} in {chart['title']}")
             if known:

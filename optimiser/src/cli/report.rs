@@ -426,7 +426,10 @@ fn run_charts(record: &RunRecord, finding: &Finding) -> Vec<Chart> {
             "Powder that arrives",
             "epoch",
             "mass, g",
-            vec![over_epochs("arrives", epochs, grams), over_epochs("wanted", epochs, wanted)],
+            vec![
+                over_epochs("arrives", epochs, grams),
+                Series { reference: true, ..over_epochs("wanted", epochs, wanted) },
+            ],
         ),
         Chart::new("Loss", "epoch", "loss, m", vec![over_epochs("loss", epochs, |record| record.loss)])
             .scaled(Scale::LogIfWide),
@@ -474,9 +477,10 @@ fn comparison_charts(comparison: &Comparison) -> Vec<Chart> {
             name: band.name,
             points: band.points.iter().map(|[x, mean, _]| [*x, *mean]).collect(),
             band: Some(band.points.iter().map(|[_, mean, spread]| [mean - spread, mean + spread]).collect()),
-            colour: None,
+            ..Series::default()
         });
-        Chart::new(title, panel.x_name, panel.y_name, series.collect())
+        let scale = if panel.log_if_wide { Scale::LogIfWide } else { Scale::Linear };
+        Chart::new(title, panel.x_name, panel.y_name, series.collect()).scaled(scale)
     };
     vec![
         panel("Powder that the best skill so far misses", comparison.by_epoch()),

@@ -162,12 +162,11 @@ fn point(x: f64, values: Option<Vec<f64>>) -> Option<[f64; 3]> {
 
 fn draw_panel<B: DrawingBackend>(area: &DrawingArea<B, Shift>, panel: &Panel) -> Drawn<B> {
     let points = || panel.bands.iter().flat_map(|band| &band.points);
+    let bands = points().flat_map(|[_, mean, spread]| [mean - spread, mean + spread]);
     let values = match panel.log_if_wide {
         // What lies a deviation below the mean may have no logarithm: the means decide.
-        true => Axis::log_if_wide(points().map(|point| point[1])),
-        false => {
-            Axis::around(points().flat_map(|[_, mean, spread]| [mean - spread, mean + spread]), 1.0, true)
-        }
+        true => Axis::log_if_wide(points().map(|point| point[1]), bands),
+        false => Axis::around(bands, 0.0, false),
     };
     let y_name = format!("{}{}", panel.y_name, values.note());
     let along = Axis::from_zero(points().map(|point| point[0]).fold(1.0, f64::max), 8, true);

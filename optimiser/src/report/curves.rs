@@ -112,7 +112,7 @@ impl Curves<'_> {
 
     fn loss(&self) -> Panel {
         let points = self.points(|record| record.loss);
-        let values = Axis::log_if_wide(points.iter().map(|point| point.1));
+        let values = Axis::log_if_wide(points.iter().map(|point| point.1), std::iter::empty());
         let note = self.note(|record| format!("{:.3} m", record.loss));
         let lines = vec![Line { marked: true, note, colour: COLOURS[0], points }];
         Panel { caption: "loss (m)", values, lines, epoch_axis: false }

@@ -229,7 +229,15 @@ fn run_charts() -> Vec<Chart> {
     let charts = vec![
         Chart::new("Loss", "epoch", "loss, m", vec![Series::new("loss", curve(95.5, 3.4, 0.25))])
             .scaled(Scale::LogIfWide),
-        Chart::new("Arriving", "epoch", "particles", vec![Series::new("arriving", transported)]),
+        Chart::new(
+            "Arriving",
+            "epoch",
+            "particles",
+            vec![
+                Series::new("arriving", transported),
+                Series::reference("wanted", curve(1200.0, 1200.0, 1.0)),
+            ],
+        ),
         Chart::new("Skill: lengths", "epoch", "mm", lengths),
         Chart::new("Skill: angles", "epoch", "degrees", angles),
         Chart::new(
@@ -249,7 +257,7 @@ fn comparison_charts() -> Vec<Chart> {
             points.iter().map(|[x, y]| [y - half * (1.0 + x / 30.0), y + half * (1.0 + x / 20.0)]).collect(),
         ),
         points,
-        colour: None,
+        ..Series::default()
     };
     let by_rollouts = |points: Vec<[f64; 2]>| points.iter().map(|[x, y]| [x * 3.63, *y]).collect();
     let names =

@@ -5,6 +5,9 @@ const MARGIN = { top: 10, right: 14, bottom: 42, left: 58 };
 /** More room at the top, where a mark's label stands. */
 const LABEL_TOP = 22;
 const COLOURS = 6;
+const PRINTED_WIDTH = 320;
+/** Pixels from the middle of one number to that of the next, upwards. */
+const LEAST_APART = 15;
 
 /** An SVG element with attributes and children. */
 function svg(name, attributes = {}, children = []) {
@@ -52,20 +55,24 @@ function linearMarks(low, high, count, whole) {
   return Array.from({ length: Math.max(to - from + 1, 0) }, (_, i) => mark((from + i) * digit, power));
 }
 
-/** Marks at 1, 2 and 5 times powers of ten; only at those powers where there would be more than `most`. */
-function logMarks(low, high, most) {
+/** What the marks of a logarithmic axis are powers of ten times of: 1, 2 and 5, or only 1 where there is no room. */
+function logDigits(low, high, pixels) {
+  const most = Math.log10(high / low) + 2 * Math.log10(2.5);
+  return (Math.log10(2) * pixels) / most >= LEAST_APART ? [1, 2, 5] : [1];
+}
+
+/** Marks between two numbers at these digits times powers of ten. */
+function logMarks(low, high, digits) {
   const powers = [];
   for (let power = Math.floor(Math.log10(low)); power <= Math.log10(high); power += 1) powers.push(power);
-  const at = (digits) => powers.flatMap((power) => digits.map((digit) => mark(digit, power)))
+  return powers.flatMap((power) => digits.map((digit) => mark(digit, power)))
     .filter(({ value }) => value >= low && value <= high);
-  const fine = at([1, 2, 5]);
-  return fine.length <= most ? fine : at([1]);
 }
 
 /** Logarithms of the marks about two numbers, with a little room: the ends of a logarithmic axis. */
-function logEnds(low, high) {
-  const near = (value, beyond) => [1, 2, 5, 10].map((digit) => digit * 10 ** Math.floor(Math.log10(value))).filter(beyond);
-  const ends = [Math.max(...near(low, (mark) => mark <= low)), Math.min(...near(high, (mark) => mark >= high))];
+function logEnds(low, high, digits) {
+  const near = (value) => [...digits, 10].map((digit) => digit * 10 ** Math.floor(Math.log10(value)));
+  const ends = [near(low).findLast((mark) => mark <= low) ?? low, near(high).find((mark) => mark >= high) ?? high];
   const [from, to] = ends.map(Math.log10);
   return [from - 0.02 * (to - from), to + 0.02 * (to - from)];
 }
@@ -117,10 +124,12 @@ function upwards(chart, height) {
   const most = Math.max(3, Math.floor((height - LABEL_TOP - MARGIN.bottom) / 24));
   if (isLog(chart)) {
     const known = ys.filter(isNumber);
-    const [low, high] = logEnds(Math.min(...known), Math.max(...known));
+    const ends = [Math.min(...known), Math.max(...known)];
+    const digits = logDigits(...ends, height - LABEL_TOP - MARGIN.bottom);
+    const [low, high] = logEnds(...ends, digits);
     // A band may reach below zero, where there are no logarithms.
     const share = (y) => (Math.log10(Math.max(y, 10 ** low)) - low) / (high - low);
-    return { marks: logMarks(10 ** low, 10 ** high, most), share };
+    return { marks: logMarks(10 ** low, 10 ** high, digits), share };
   }
   const [low, high] = rangeOf([...ys, ...chart.series.flatMap((series) => series.band ?? []).flat()], 0.06);
   const marks = linearMarks(low, high, Math.min(most, 6), isWhole(ys));
@@ -190,7 +199,8 @@ function sign(kind) {
 /** Signs on every curve at the x of each mark; what was chosen has a line and its label besides. */
 function signs(chart, frame) {
   return chart.marks.filter(([x]) => x >= frame.xLow && x <= frame.xHigh).flatMap(([x, { kind, label }]) => {
-    const points = chart.series.flatMap(({ points }) => points.filter(([at, y]) => at === x && isNumber(y)));
+    const points = chart.series.filter(({ reference }) => !reference)
+      .flatMap(({ points }) => points.filter(([at, y]) => at === x && isNumber(y)));
     const on = points.map(([, y]) => {
       const placed = sign(kind);
       placed.setAttribute('transform', `translate(${frame.x(x).toFixed(1)},${frame.y(y).toFixed(1)})`);
@@ -209,13 +219,17 @@ function signs(chart, frame) {
   });
 }
 
-const colourOf = (series, index) => (series.colour ?? index) % COLOURS;
-const isAgain = (series, index) => (series.colour ?? index) >= COLOURS;
+/** The classes of a curve and its key: its colour, and whether that came before. */
+function classOf(series, index) {
+  if (series.reference) return 'reference';
+  const colour = series.colour ?? index;
+  return `c${colour % COLOURS}${colour >= COLOURS ? ' again' : ''}`;
+}
 
 /** A band with its curve on top; a point alone is a dot. */
 function curve(series, index, frame) {
   const place = ([x, y]) => [x === null ? null : frame.x(x), y === null ? null : frame.y(y)];
-  const classes = `c${colourOf(series, index)}${isAgain(series, index) ? ' again' : ''}`;
+  const classes = classOf(series, index);
   const parts = stretches(series.points.map(place)).map((points) => {
     if (points.length > 1) return svg('path', { class: `curve ${classes}`, d: line(points) });
     return svg('circle', { class: `dot ${classes}`, cx: points[0][0], cy: points[0][1], r: 3 });
@@ -253,7 +267,7 @@ function readout(chart, frame, x) {
   const rows = chart.series.map((series, index) => {
     const at = nearest(series.points, x);
     if (at < 0 || series.points[at][0] !== x) return null;
-    return { series, colour: `c${colourOf(series, index)}`, y: series.points[at][1], band: series.band?.[at] };
+    return { series, colour: classOf(series, index), y: series.points[at][1], band: series.band?.[at] };
   }).filter(Boolean);
   const numbers = rows.map(({ series, colour, y, band }) => {
     const range = band ? ` (${told(band[0], step(frame.yMarks))} to ${told(band[1], step(frame.yMarks))})` : '';
@@ -269,7 +283,7 @@ function readout(chart, frame, x) {
   return { marks: [hair, ...dots], text: [head, ...numbers, ...remarks] };
 }
 
-/** Draws a chart into its figure; calls of the returned function draw it again. */
+/** Draws a chart into its figure, at a width, as often as the returned function is called. */
 function drawer(chart, host) {
   const xs = [...new Set(chart.series.flatMap(({ points }) => points.map(([x]) => x)))]
     .filter((x) => x !== null).sort((a, b) => a - b);
@@ -307,8 +321,8 @@ function drawer(chart, host) {
     choose(chosen + steps[event.key]);
   };
 
-  return () => {
-    const width = Math.max(host.clientWidth, 200);
+  return (atWidth) => {
+    const width = Math.max(atWidth, 200);
     frame = frameOf(chart, width, Math.round(Math.min(Math.max(0.56 * width, 200), 320)));
     overlay = svg('g');
     const curves = chart.series.flatMap((series, index) => curve(series, index, frame));
@@ -344,7 +358,7 @@ const unitOf = (chart) => chart.y_label + (isLog(chart) ? ', logarithmic scale' 
 /** Names of several curves, what the signs mean and where they are, and what is shaded. */
 function legendOf(chart) {
   const curves = chart.series.map((series, index) =>
-    html('span', `key c${colourOf(series, index)}${isAgain(series, index) ? ' again' : ''}`, series.name));
+    html('span', `key ${classOf(series, index)}`, series.name));
   const labels = [...new Set(chart.marks.map(([, { label }]) => label))];
   const marks = labels.map((label) => {
     const alike = chart.marks.filter(([, mark]) => mark.label === label);
@@ -368,8 +382,11 @@ function showChart(chart) {
   new ResizeObserver(() => {
     if (plot.clientWidth === width) return;
     width = plot.clientWidth;
-    draw();
+    draw(width);
   }).observe(plot);
+  // Two of them share the width of a sheet: drawn so small, letters keep their size.
+  addEventListener('beforeprint', () => draw(PRINTED_WIDTH));
+  addEventListener('afterprint', () => draw(plot.clientWidth));
   return figure;
 }
 

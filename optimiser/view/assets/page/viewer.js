@@ -263,7 +263,9 @@ function nameTags(THREE, containers, host) {
         for (let other = hit(); other && top + tall < height; other = hit()) top = other.top + tall + 1;
         for (let other = hit(); other && top > 0; other = hit()) top = other.top - tall - 1;
         taken.push({ left, top, wide });
-        tag.style.transform = `translate(${left.toFixed(1)}px, ${top.toFixed(1)}px)`;
+        // In shares, for paper is of another size.
+        tag.style.left = `${((100 * (left + 0.5 * wide)) / width).toFixed(2)}%`;
+        tag.style.top = `${((100 * top) / height).toFixed(2)}%`;
       });
     },
   };
@@ -289,7 +291,8 @@ function makeStage({ THREE, OrbitControls }, replay, host) {
     path: path(THREE, about.poses, 0.1 * about.cell_m, '--executed'),
   };
   for (const { mesh, role } of about.containers) {
-    layers[role].add(glass(THREE, mesh, `--${role}`, role === 'target' ? 0.2 : 0.16, 0.85));
+    // Faint: the powder within is to keep its colour.
+    layers[role].add(glass(THREE, mesh, `--${role}`, 0.07, 0.9));
   }
   const plannedTool = ghost(THREE, about.tool);
   const plannedPoses = about.planned.filter((pose) => pose);
@@ -350,6 +353,7 @@ function makeStage({ THREE, OrbitControls }, replay, host) {
     },
     resize() {
       const { clientWidth: width, clientHeight: height } = host;
+      host.style.setProperty('--aspect', String(width / Math.max(height, 1)));
       renderer.setPixelRatio(Math.min(globalThis.devicePixelRatio, 2));
       renderer.setSize(width, height, false);
       camera.aspect = width / Math.max(height, 1);

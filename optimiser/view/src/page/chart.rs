@@ -73,6 +73,8 @@ pub struct Series {
     pub band: Option<Vec<[f64; 2]>>,
     /// Number of its colour, for what appears in several charts; by default, its place in this one.
     pub colour: Option<usize>,
+    /// Only something to hold the other curves against: drawn dotted and grey, without marks.
+    pub reference: bool,
 }
 
 impl Series {
@@ -80,6 +82,12 @@ impl Series {
     #[must_use]
     pub fn new(name: &str, points: Vec<[f64; 2]>) -> Self {
         Self { name: name.into(), points, ..Self::default() }
+    }
+
+    /// A curve that others are held against.
+    #[must_use]
+    pub fn reference(name: &str, points: Vec<[f64; 2]>) -> Self {
+        Self { reference: true, ..Self::new(name, points) }
     }
 
     /// In the colour of this number.
