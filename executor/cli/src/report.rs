@@ -4,6 +4,7 @@ use core::fmt::{self, Write as _};
 
 use powderline_executor::Telemetry;
 use powderline_host::jitter::JitterSummary;
+use powderline_host::words::counted;
 use powderline_shared::displacement::{Axis, Lsb, Setpoint};
 use powderline_shared::fault::{Fault, FaultCode};
 use powderline_shared::limits::PeakUse;
@@ -193,7 +194,10 @@ impl Report {
     #[must_use]
     pub fn cause(&self) -> String {
         match &self.stop {
-            None => format!("completed: {} of {} ticks", self.ticks.applied, self.ticks.planned),
+            None => {
+                let planned = counted(self.ticks.planned, "tick", "ticks");
+                format!("completed: {} of {planned}", self.ticks.applied)
+            }
             Some(stop) => {
                 format!("stopped at tick {}, fault {}: {}", self.ticks.applied, stop.code, stop.reason)
             }
@@ -258,14 +262,14 @@ impl fmt::Display for PlanFacts {
         writeln!(f)?;
         writeln!(
             f,
-            "  motion    {} steps of {} ms, {length_s:.3} s",
-            self.step_count,
+            "  motion    {} of {} ms, {length_s:.3} s",
+            counted(self.step_count, "step", "steps"),
             f64::from(self.control_period_us) / 1e3
         )?;
         writeln!(
             f,
-            "  predicts  {} particles ({:.2} g) transported, {} spilled, indicator {}, loss {:.6}",
-            self.predicted_transported_count,
+            "  predicts  {} ({:.2} g) transported, {} spilled, indicator {}, loss {:.6}",
+            counted(self.predicted_transported_count, "particle", "particles"),
             self.predicted_transported_kg * 1e3,
             self.predicted_spilled_count,
             self.predicted_indicator,
@@ -292,7 +296,10 @@ impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Ticks { planned, applied, lost } = self.ticks;
         match &self.stop {
-            None => writeln!(f, "Completed: {applied} of {planned} ticks in {:.3} s", self.duration_s)?,
+            None => {
+                let planned = counted(planned, "tick", "ticks");
+                writeln!(f, "Completed: {applied} of {planned} in {:.3} s", self.duration_s)?;
+            }
             Some(stop) => {
                 let what = if self.standstill { "Stopped" } else { "Given up" };
                 writeln!(f, "{what} at tick {applied} of {planned}, after {:.3} s", self.duration_s)?;
@@ -304,7 +311,8 @@ impl fmt::Display for Report {
             }
         }
         if lost > 0 {
-            writeln!(f, "  lost      {lost} setpoints were not there when the arm needed them")?;
+            let lost = counted(lost, "setpoint was", "setpoints were");
+            writeln!(f, "  lost      {lost} not there when the arm needed them")?;
         }
         if let Some(errors) = self.error_lsb {
             let worst = errors.iter().fold(0.0_f64, |worst, error| worst.max(error.abs()));
@@ -335,7 +343,9 @@ impl Report {
             writeln!(
                 f,
                 "  frames    {sent} sent, {received} received, {rejected} not understood, {not_taken} not taken by the wire, \
-                 {garbled} garbled; {resent} setpoints sent again, {retries} requests repeated"
+                 {garbled} garbled; {} sent again, {} repeated",
+                counted(resent, "setpoint", "setpoints"),
+                counted(retries, "request", "requests")
             )?;
         }
         if let (Some(_), Some(quickest), Some(longest)) =
