@@ -1,7 +1,7 @@
 //! `optimise run`: the optimisation, from a scene (or a run to resume) to a plan.
 
 use super::{
-    CliError, Context, Interrupt, Progress, Resources,
+    CliError, Context, Interrupt, Progress, Resources, next,
     options::{DEFAULT_PRECISION, PrecisionArg, precision_name},
 };
 use crate::{
@@ -340,8 +340,7 @@ impl Run {
         }
         let path = self.folder.file(PLAN);
         writeln!(context.out, "\nThe curves are in {}.", self.folder.file(CURVES).display())?;
-        writeln!(context.out, "Next, play the plan on the simulated arm:\n")?;
-        writeln!(context.out, "    cargo run --release --bin execute -- {}", path.display())?;
+        write!(context.out, "{}", next::play(&path))?;
         Ok(())
     }
 }
@@ -417,7 +416,7 @@ pub(super) fn safe_name(scene: &str) -> String {
 }
 
 fn resume_command(folder: &Path) -> String {
-    format!("cargo run --release --bin optimise -- --resume {}", folder.display())
+    next::optimise(&["--resume", &folder.to_string_lossy()])
 }
 
 /// A line of a file of JSON lines.

@@ -3,13 +3,17 @@
 use super::{
     CliError, Context, Progress,
     executed::ExecutedReport,
-    motion::{Motion, MotionArgs, Task},
+    motion::{Motion, MotionArgs, Task, collision_words},
     options::precision_name,
 };
-use crate::report::words::{grouped, hex};
+use crate::report::words::{count, grouped, hex};
 use clap::Args;
 use powderline_shared::plan::PlanHeader;
-use powderline_simulator::{rollout::Evaluation, skill::Theta};
+use powderline_simulator::{
+    rollout::Evaluation,
+    scene::ToolPart,
+    skill::{Collision, Theta},
+};
 use serde::Serialize;
 
 /// Arguments of `optimise simulate`.
@@ -27,6 +31,8 @@ pub(super) struct SimulateArgs {
 struct Report {
     scene: String,
     scene_digest: String,
+    /// Where the motion takes the tool through a container: nothing that an arm may do.
+    collision: Option<CollisionReport>,
     seed: u64,
     precision: &'static str,
     theta: Theta,
@@ -38,6 +44,28 @@ struct Report {
     seconds: f64,
     plan: Option<PlanReport>,
     executed: Option<ExecutedReport>,
+}
+
+#[derive(Serialize)]
+struct CollisionReport {
+    /// Of the tool: `body` or `handle`.
+    part: &'static str,
+    container: String,
+    /// From the beginning of the motion.
+    at_s: f64,
+    /// In words.
+    sentence: String,
+}
+
+impl From<Collision> for CollisionReport {
+    fn from(collision: Collision) -> Self {
+        let sentence = collision_words(&collision);
+        let part = match collision.part {
+            ToolPart::Body => "body",
+            ToolPart::Handle => "handle",
+        };
+        Self { part, container: collision.container, at_s: collision.at_s, sentence }
+    }
 }
 
 /// How the result compares with what the plan says about itself.
@@ -110,6 +138,7 @@ impl Task {
         Report {
             scene: self.scene.name.clone(),
             scene_digest: hex(&self.scene.digest()),
+            collision: self.collision().map(CollisionReport::from),
             seed: self.settings.seed,
             precision: precision_name(self.settings.precision),
             theta,
@@ -156,11 +185,13 @@ impl PlanReport {
 impl Report {
     fn text(&self) -> String {
         let Self { scene, seed, precision, loss, indicator, seconds, .. } = self;
-        let [transported, target, spilled] =
-            [self.transported.into(), self.target, self.spilled.into()].map(grouped);
-        let mut text = format!(
-            "{scene}, seed {seed}, {precision}: loss {loss} m, indicator {indicator} ({transported} of {target} wanted \
-             particles arrive, {spilled} spill), in {seconds:.1} s.\n"
+        let [transported, spilled] = [self.transported, self.spilled].map(|n| grouped(n.into()));
+        let wanted = count(self.target, "wanted particle");
+        let warning = self.collision.as_ref().map(|collision| format!("Warning: {}.\n", collision.sentence));
+        let mut text = warning.unwrap_or_default();
+        text += &format!(
+            "{scene}, seed {seed}, {precision}: loss {loss} m, indicator {indicator} ({transported} of {wanted} \
+             arrive, {spilled} spill), in {seconds:.1} s.\n"
         );
         text += &self.plan.as_ref().map(PlanReport::text).unwrap_or_default();
         text += &self.executed.as_ref().map(ExecutedReport::text).unwrap_or_default();
