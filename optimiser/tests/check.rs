@@ -35,14 +35,15 @@ fn json_is_one_object_and_nothing_else() {
 
 #[test]
 fn a_bad_scene_is_one_sentence_on_standard_error_and_exit_code_2() {
-    for arguments in [["check", "bnch"].as_slice(), &["check", "bnch", "--json"]] {
+    let sentence = "there is no scene and no file called `bnch`; the embedded scenes are bench, bench-small, bench-fine, vial; did \
+                    you mean `bench`?";
+    for (arguments, out) in [
+        (&["check", "bnch"][..], String::new()),
+        (&["check", "bnch", "--json"], format!("{{\"error\":\"{sentence}\",\"exit_code\":2}}\n")),
+    ] {
         let output = optimise(arguments);
         assert_eq!(output.status.code(), Some(2));
-        assert_eq!(text(&output.stdout), "");
-        assert_eq!(
-            text(&output.stderr),
-            "there is no scene and no file called `bnch`; the embedded scenes are bench, bench-small, bench-fine, vial\n"
-        );
+        assert_eq!((text(&output.stdout), text(&output.stderr)), (out, format!("{sentence}\n")));
     }
 }
 

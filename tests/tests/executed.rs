@@ -94,7 +94,7 @@ fn powder_goes_where_the_executed_motion_takes_it() {
     assert!(said.contains(&format!("it ends at tick {} of {steps}", steps / 2)), "{said}");
 
     let header = TrajectoryHeader { plan_hash: !planned.header.plan_hash, ..planned.header };
-    planned.execute(header, &planned.poses, &["--json"]).refused(2, "was executed from another plan");
+    planned.execute(header, &planned.poses, &[]).refused(2, "was executed from another plan");
 }
 
 #[test]

@@ -5,10 +5,14 @@
 //!
 //! Two scenes: `bench-small`, where the simulator matters, and the same on a coarser grid, where any simulator would do.
 
+mod changelog;
 mod executed;
 mod interrupted;
+mod next;
 mod pipeline;
+mod pipes;
 mod programs;
 mod refusals;
 mod resources;
+mod terminal;
 mod wire;

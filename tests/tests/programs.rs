@@ -11,6 +11,7 @@ use tempfile::TempDir;
 
 pub(crate) const OPTIMISE: &str = env!("CARGO_BIN_EXE_tested-optimise");
 pub(crate) const EXECUTE: &str = env!("CARGO_BIN_EXE_tested-execute");
+pub(crate) const FIRMWARE_SIM: &str = env!("CARGO_BIN_EXE_tested-firmware-sim");
 
 /// What a process left behind.
 #[derive(Debug)]

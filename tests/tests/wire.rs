@@ -18,9 +18,7 @@ use powderline_host::candump::{self, Content};
 use serde_json::Value;
 use tempfile::TempDir;
 
-use crate::programs::EXECUTE;
-
-const FIRMWARE_SIM: &str = env!("CARGO_BIN_EXE_tested-firmware-sim");
+use crate::programs::{EXECUTE, FIRMWARE_SIM};
 
 /// Nothing here takes longer.
 const PATIENCE: Duration = Duration::from_secs(60);

@@ -2,12 +2,13 @@
 
 use std::fs::File;
 use std::hash::{BuildHasher, Hasher, RandomState};
-use std::io::{self, BufWriter, IsTerminal, Write};
+use std::io::{self, BufWriter, Write};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use anyhow::{Context, anyhow, bail};
-use clap::Parser;
+use clap::{Arg, ArgMatches, CommandFactory, FromArgMatches, Parser, value_parser};
+use clap_complete::Shell;
 use powderline_executor::Config;
 use powderline_executor::guard::rehearse;
 use powderline_executor::schedule::DEFAULT_LOOK_AHEAD;
@@ -21,8 +22,10 @@ use powderline_host::candump::Writer;
 use powderline_host::link::Link;
 use powderline_host::realtime;
 use powderline_host::signals::Signals;
+use powderline_host::terminal::LiveLine;
 use powderline_host::transport::{self, LinkError, Transport};
 use powderline_host::wait::Interest;
+use powderline_host::words::counted;
 use powderline_shared::displacement::Lsb;
 use powderline_shared::plan::{PERIOD_US_MAX, PERIOD_US_MIN, PlanReader};
 use powderline_shared::wire::frame::Dialect;
@@ -54,7 +57,8 @@ const PRIORITY: u8 = 49;
     4  a person stopped the arm (Ctrl-C)\n  \
     5  anything else, such as an output that cannot be written\n  \
     6  the wire cannot be used, or is too slow or too coarse for the plan\n\n\
-    Ctrl-C is a controlled stop; a second one stops as hard as the arm can."
+    Ctrl-C is a controlled stop; a second one stops as hard as the arm can. \
+    Where nobody reads the output any more (as in `| head`) the arm goes on all the same, and the exit code says how it ended."
 )]
 struct Arguments {
     /// Plan file, as written by optimise (RUN/skill.plan)
@@ -117,8 +121,51 @@ impl From<LinkError> for WireError {
     }
 }
 
+const COMPLETIONS: &str = "completions";
+const MAN: &str = "man";
+
+/// The program's arguments, and what may be asked of the program itself: beside that no plan is needed.
+fn program() -> clap::Command {
+    let completions = Arg::new(COMPLETIONS)
+        .value_name("SHELL")
+        .value_parser(value_parser!(Shell))
+        .help("Print what completes the options in this shell, and do nothing else");
+    let man = Arg::new(MAN)
+        .value_name("DIR")
+        .value_parser(value_parser!(PathBuf))
+        .help("Write the manual page into this folder, and do nothing else");
+    let itself = [completions.long(COMPLETIONS), man.long(MAN)];
+    Arguments::command().args(itself.map(|argument| argument.exclusive(true)))
+}
+
+/// Answers what is asked of the program itself; `false` if nothing is.
+fn speak_of_itself(asked: &ArgMatches) -> anyhow::Result<bool> {
+    if let Some(shell) = asked.get_one::<Shell>(COMPLETIONS) {
+        let mut script = Vec::new();
+        clap_complete::generate(*shell, &mut program(), "execute", &mut script);
+        say(&String::from_utf8_lossy(&script))?;
+    } else if let Some(folder) = asked.get_one::<PathBuf>(MAN) {
+        std::fs::create_dir_all(folder)
+            .and_then(|()| clap_mangen::generate_to(program(), folder))
+            .with_context(|| format!("{}: cannot be written", folder.display()))?;
+        say(&format!("{}\n", folder.join("execute.1").display()))?;
+    } else {
+        return Ok(false);
+    }
+    Ok(true)
+}
+
 fn main() -> ExitCode {
-    let arguments = Arguments::parse();
+    let asked = program().get_matches();
+    match speak_of_itself(&asked) {
+        Ok(false) => {}
+        Ok(true) => return ExitCode::SUCCESS,
+        Err(error) => {
+            tell(&format!("execute: {error:#}\n"));
+            return ExitCode::from(EXIT_OTHER);
+        }
+    }
+    let arguments = Arguments::from_arg_matches(&asked).unwrap_or_else(|error| error.exit());
     match run(&arguments) {
         Ok(code) => code,
         Err(error) => ExitCode::from(fail(&arguments, &error)),
@@ -313,7 +360,8 @@ impl Record {
         let mut log = Writer::new(BufWriter::new(self.file), interface, dialect);
         let write = move || -> io::Result<()> {
             if self.recorder.forgotten() > 0 {
-                log.remark(&format!("{} frames before these are forgotten", self.recorder.forgotten()))?;
+                let (one, more) = ("frame before these is", "frames before these are");
+                log.remark(&format!("{} forgotten", counted(self.recorder.forgotten(), one, more)))?;
             }
             for recorded in self.recorder.frames() {
                 log.frame(recorded.at_us, &recorded.frame)?;
@@ -329,7 +377,7 @@ impl Record {
 struct Person {
     signals: Signals,
     step_count: u32,
-    shows_progress: bool,
+    progress: Option<LiveLine>,
     next_update_us: u64,
 }
 
@@ -337,24 +385,24 @@ impl Person {
     fn attend(arguments: &Arguments, plan: &PlanReader<'_>, takes_time: bool) -> anyhow::Result<Self> {
         let signals = Signals::install()
             .context("Ctrl-C cannot be caught, and an arm that cannot be stopped must not start")?;
-        let shows_progress = takes_time && !arguments.json && io::stderr().is_terminal();
-        Ok(Self { signals, step_count: plan.header().step_count, shows_progress, next_update_us: 0 })
+        let progress = LiveLine::on_stderr().filter(|_| takes_time && !arguments.json);
+        Ok(Self { signals, step_count: plan.header().step_count, progress, next_update_us: 0 })
     }
 
     fn finish(&self) {
-        if self.shows_progress {
-            tell("\r\x1b[K");
+        if let Some(line) = self.progress {
+            line.clear();
         }
     }
 }
 
 impl Observer for Person {
     fn observe(&mut self, now_us: u64, arm: &Status) -> StopWish {
-        if self.shows_progress && now_us >= self.next_update_us {
+        if let Some(line) = self.progress.filter(|_| now_us >= self.next_update_us) {
             self.next_update_us = now_us.saturating_add(PROGRESS_EVERY_US);
             let percent = 100.0 * f64::from(arm.applied_tick) / f64::from(self.step_count);
-            tell(&format!(
-                "\r\x1b[K  tick {} of {} ({percent:.0} %), {}, {} buffered",
+            line.draw(&format!(
+                "  tick {} of {} ({percent:.0} %), {}, {} buffered",
                 arm.applied_tick,
                 self.step_count,
                 arm.state.name(),

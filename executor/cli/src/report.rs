@@ -4,6 +4,7 @@ use core::fmt::{self, Write as _};
 
 use powderline_executor::Telemetry;
 use powderline_host::jitter::JitterSummary;
+use powderline_host::words::counted;
 use powderline_shared::displacement::{Axis, Lsb, Setpoint};
 use powderline_shared::fault::{Fault, FaultCode};
 use powderline_shared::limits::PeakUse;
@@ -194,7 +195,10 @@ impl Report {
     #[must_use]
     pub fn cause(&self) -> String {
         match &self.stop {
-            None => format!("completed: {} of {} ticks", self.ticks.applied, self.ticks.planned),
+            None => {
+                let planned = counted(self.ticks.planned, "tick", "ticks");
+                format!("completed: {} of {planned}", self.ticks.applied)
+            }
             Some(stop) => {
                 format!("stopped at tick {}, fault {}: {}", self.ticks.applied, stop.code, stop.reason)
             }
@@ -259,16 +263,23 @@ impl fmt::Display for PlanFacts {
         writeln!(f)?;
         writeln!(
             f,
-            "  motion    {} steps of {} ms, {length_s:.3} s",
-            self.step_count,
+            "  motion    {} of {} ms, {length_s:.3} s",
+            counted(self.step_count, "step", "steps"),
             f64::from(self.control_period_us) / 1e3
         )?;
         writeln!(
             f,
-            "  predicts  {} arrive ({} of {} wanted particles), {} spill",
+            "  predicts  {} arrive ({} of {} wanted), {} spill",
             Mass(self.predicted_transported_kg),
             self.predicted_transported_count,
-            self.predicted_indicator.saturating_add(self.predicted_transported_count.into()),
+            counted(
+                u32::try_from(
+                    self.predicted_indicator.saturating_add(self.predicted_transported_count.into())
+                )
+                .unwrap_or(0),
+                "particle",
+                "particles"
+            ),
             self.predicted_spilled_count
         )
     }
@@ -292,7 +303,10 @@ impl fmt::Display for Report {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Ticks { planned, applied, lost } = self.ticks;
         match &self.stop {
-            None => writeln!(f, "Completed: {applied} of {planned} ticks in {:.3} s", self.duration_s)?,
+            None => {
+                let planned = counted(planned, "tick", "ticks");
+                writeln!(f, "Completed: {applied} of {planned} in {:.3} s", self.duration_s)?;
+            }
             Some(stop) => {
                 let what = if self.standstill { "Stopped" } else { "Given up" };
                 writeln!(f, "{what} at tick {applied} of {planned}, after {:.3} s", self.duration_s)?;
@@ -304,7 +318,8 @@ impl fmt::Display for Report {
             }
         }
         if lost > 0 {
-            writeln!(f, "  lost      {lost} setpoints were not there when the arm needed them")?;
+            let lost = counted(lost, "setpoint was", "setpoints were");
+            writeln!(f, "  lost      {lost} not there when the arm needed them")?;
         }
         if let Some(errors) = self.error_lsb {
             let worst = errors.iter().fold(0.0_f64, |worst, error| worst.max(error.abs()));
@@ -335,7 +350,9 @@ impl Report {
             writeln!(
                 f,
                 "  frames    {sent} sent, {received} received, {rejected} not understood, {not_taken} not taken by the wire, \
-                 {garbled} garbled; {resent} setpoints sent again, {retries} requests repeated"
+                 {garbled} garbled; {} sent again, {} repeated",
+                counted(resent, "setpoint", "setpoints"),
+                counted(retries, "request", "requests")
             )?;
         }
         if let (Some(_), Some(quickest), Some(longest)) =

@@ -179,6 +179,28 @@ fn wrong_usage_is_exit_code_2() {
 }
 
 #[test]
+fn it_says_its_own_name() {
+    assert!(str::from_utf8(&execute(&["--version"]).stdout).unwrap().starts_with("execute 0."));
+    for arguments in [&[][..], &["a", "--nonsense"]] {
+        let error = execute(arguments).stderr;
+        assert!(str::from_utf8(&error).unwrap().contains("Usage: execute "), "{error:?}");
+    }
+}
+
+#[test]
+fn a_shell_and_a_reader_get_what_they_want_to_know_without_a_plan() {
+    let script = execute(&["--completions", "bash"]);
+    assert!(str::from_utf8(&script.stdout).unwrap().contains("--look-ahead"));
+    let dir = TempDir::new().unwrap();
+    let folder = path(&dir, "man1");
+    assert_eq!(execute(&["--man", &folder]).status.code(), Some(0));
+    let page = fs::read_to_string(format!("{folder}/execute.1")).unwrap();
+    assert!(page.contains(".TH execute") && page.contains("Exit codes"), "{page}");
+    assert_eq!(execute(&["--man", &folder, "a.plan"]).status.code(), Some(2));
+    assert_eq!(execute(&["--completions", "dosh"]).status.code(), Some(2));
+}
+
+#[test]
 #[cfg(unix)]
 fn a_standard_error_that_cannot_be_written_changes_nothing() {
     let Ok(full) = File::options().write(true).open("/dev/full") else { return };

@@ -1,31 +1,40 @@
 //! The simulated arm controller, as a program.
 
 use std::fs::{self, File};
-use std::io::{self, BufWriter, IsTerminal, Write};
+use std::io::{self, BufWriter, Write};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use anyhow::{Context, bail};
-use clap::{Args, Parser, Subcommand, ValueEnum};
+use clap::{Args, CommandFactory, Parser, Subcommand, ValueEnum};
+use clap_complete::{Shell, generate};
 use powderline_firmware_sim::controller::{ArmConfig, DEFAULT_WATCHDOG_US};
 use powderline_firmware_sim_cli::link::faults::Faults;
 use powderline_firmware_sim_cli::link::world::Logged;
 use powderline_firmware_sim_cli::serve::{self, Announcer, Options, bench_start};
-use powderline_firmware_sim_cli::storm;
+use powderline_firmware_sim_cli::storm::{self, Summary};
 use powderline_host::link::Link;
 use powderline_host::realtime;
+use powderline_host::terminal::LiveLine;
+use powderline_host::words::counted;
 use powderline_shared::plan::PlanReader;
 use powderline_shared::pose::Pose;
 use powderline_shared::trajectory::{Sample, TrajectoryHeader};
 use powderline_shared::wire::Context as WireContext;
 use powderline_shared::wire::frame::Dialect;
+use serde_json::{Value, json};
 
 /// The simulated arm controller: on a wire, or on a simulated one that has every fault
 #[derive(Debug, Parser)]
 #[command(name = "firmware-sim", bin_name = "firmware-sim", version)]
 #[command(args_conflicts_with_subcommands = true, arg_required_else_help = true)]
+#[command(after_help = "Exit codes:\n  \
+    0    done\n  \
+    1    it failed, or something took place that may never happen\n  \
+    2    wrong usage\n  \
+    141  nobody reads the output any more (as in `| head`); an arm on a wire goes on all the same")]
 struct Arguments {
     #[command(subcommand)]
     command: Option<Command>,
@@ -60,6 +69,9 @@ struct Serve {
     /// End after the first session that has moved the arm
     #[arg(long)]
     once: bool,
+    /// Print one JSON object in the end, of the motions made; what is said on the way goes to standard error
+    #[arg(long)]
+    json: bool,
 }
 
 /// Priority asked for under SCHED_FIFO: above the executor's, as the arm's own controller would be.
@@ -73,8 +85,8 @@ enum ArmKind {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Plays plans between executor and arm over a simulated wire, with faults drawn from seeds, and holds both to what
-    /// may never happen
+    /// Play plans between executor and arm over a simulated wire, with faults drawn from seeds, and hold both to what may
+    /// never happen
     Storm {
         /// Seeds to run, the last one not included
         #[arg(long, default_value = "0..1000", value_parser = parse_range)]
@@ -85,6 +97,20 @@ enum Command {
         /// Instead, a table of what comes of plain loss and delay
         #[arg(long, conflicts_with = "seed")]
         table: bool,
+        /// Print one JSON object
+        #[arg(long)]
+        json: bool,
+    },
+    /// Print what completes commands and options in a shell
+    Completions {
+        /// The shell
+        shell: Shell,
+    },
+    /// Write the manual pages
+    Man {
+        /// Folder for the pages, such as ~/.local/share/man/man1
+        #[arg(value_name = "DIR")]
+        folder: PathBuf,
     },
 }
 
@@ -95,21 +121,65 @@ fn parse_range(text: &str) -> Result<Range<u64>, String> {
     if from < to { Ok(from..to) } else { Err(wrong()) }
 }
 
+/// Whoever was to read the output went away.
+#[derive(Debug)]
+struct Unread;
+
+impl std::fmt::Display for Unread {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("nobody reads the output")
+    }
+}
+
+impl std::error::Error for Unread {}
+
+/// As a shell has it for a program that a closed pipe has ended.
+const EXIT_UNREAD: u8 = 141;
+
 fn main() -> ExitCode {
     let Arguments { command, serve } = Arguments::parse();
+    let json = match &command {
+        Some(Command::Storm { json, .. }) => *json,
+        Some(_) => false,
+        None => serve.json,
+    };
     let done = match command {
-        Some(Command::Storm { seed: Some(seed), .. }) => replay(seed),
-        Some(Command::Storm { seeds, table: true, .. }) => loss_table(seeds),
-        Some(Command::Storm { seeds, .. }) => storm(seeds),
+        Some(Command::Storm { seed: Some(seed), .. }) => replay(seed, json),
+        Some(Command::Storm { seeds, table: true, .. }) => loss_table(seeds, json),
+        Some(Command::Storm { seeds, .. }) => storm(seeds, json),
+        Some(Command::Completions { shell }) => completions(shell),
+        Some(Command::Man { folder }) => man(&folder),
         None => serve_arm(&serve),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
+        Err(error) if error.is::<Unread>() => ExitCode::from(EXIT_UNREAD),
         Err(error) => {
-            eprintln!("firmware-sim: {error:#}");
+            tell(&format!("firmware-sim: {error:#}"));
+            if json && !error.is::<Breached>() {
+                // There is no one left to tell if this fails too.
+                let _ = say(&format!("{}\n", json!({ "error": format!("{error:#}"), "exit_code": 1 })));
+            }
             ExitCode::FAILURE
         }
     }
+}
+
+fn completions(shell: Shell) -> anyhow::Result<()> {
+    let mut script = Vec::new();
+    generate(shell, &mut Arguments::command(), "firmware-sim", &mut script);
+    say(&String::from_utf8_lossy(&script))
+}
+
+fn man(folder: &Path) -> anyhow::Result<()> {
+    fs::create_dir_all(folder)
+        .and_then(|()| clap_mangen::generate_to(Arguments::command(), folder))
+        .with_context(|| format!("{}: cannot be written", folder.display()))?;
+    let pages = Arguments::command();
+    let commands = pages.get_subcommands().map(|command| format!("firmware-sim-{}", command.get_name()));
+    std::iter::once("firmware-sim".to_owned())
+        .chain(commands)
+        .try_for_each(|page| say(&format!("{}\n", folder.join(page + ".1").display())))
 }
 
 fn serve_arm(arguments: &Serve) -> anyhow::Result<()> {
@@ -125,7 +195,9 @@ fn serve_arm(arguments: &Serve) -> anyhow::Result<()> {
     // Whatever is granted helps; a controller that is held up all the same says so and stops.
     let _ = realtime::prepare((arguments.priority > 0).then_some(arguments.priority));
     let options = Options { on, arm, once: arguments.once };
-    serve::serve(&options, &mut Person { executed: arguments.executed.clone() })
+    let mut person = Person { executed: arguments.executed.clone(), motions: arguments.json.then(Vec::new) };
+    serve::serve(&options, &mut person)?;
+    person.motions.map_or(Ok(()), |motions| say(&format!("{}\n", json!({ "motions": motions }))))
 }
 
 fn start_of(plan: &Path) -> anyhow::Result<Pose> {
@@ -139,18 +211,36 @@ fn start_of(plan: &Path) -> anyhow::Result<Pose> {
 /// Whoever sits in front of the terminal.
 struct Person {
     executed: Option<PathBuf>,
+    /// The motions so far, where they are to be one JSON object in the end.
+    motions: Option<Vec<Value>>,
 }
 
 impl Announcer for Person {
     fn say(&mut self, line: &str) {
         // Should nobody listen any more, the arm goes on all the same.
-        let _ = writeln!(io::stdout(), "{line}");
+        if self.motions.is_some() {
+            tell(line);
+        } else {
+            let _ = writeln!(io::stdout(), "{line}");
+        }
     }
 
     fn executed(&mut self, context: &WireContext, period_us: u32, poses: &[Pose]) -> anyhow::Result<()> {
         let last = poses.last().map(|pose| pose.position_m).unwrap_or_default();
         let (ticks, x, y, z) = (poses.len(), last.x, last.y, last.z);
-        self.say(&format!("At rest after {ticks} ticks, at ({x:.6}, {y:.6}, {z:.6}) m."));
+        self.say(&format!(
+            "At rest after {}, at ({x:.6}, {y:.6}, {z:.6}) m.",
+            counted(ticks as u64, "tick", "ticks")
+        ));
+        if let Some(motions) = &mut self.motions {
+            motions.push(json!({
+                "plan_hash": format!("{:016x}", context.plan_hash),
+                "period_us": period_us,
+                "ticks": ticks,
+                "end_position_m": [x, y, z],
+                "executed": self.executed,
+            }));
+        }
         let Some(path) = &self.executed else { return Ok(()) };
         write_executed(path, context, period_us, poses)
             .with_context(|| format!("{}: the motion cannot be written", path.display()))?;
@@ -171,81 +261,140 @@ fn write_executed(path: &Path, context: &WireContext, period_us: u32, poses: &[P
     fs::rename(&unfinished, path)
 }
 
-fn storm(seeds: Range<u64>) -> anyhow::Result<()> {
-    let total = seeds.end - seeds.start;
-    let (done, shows) = (AtomicU64::new(0), io::stderr().is_terminal());
-    let summary = storm::run_seeds(seeds, |more| {
-        let so_far = done.fetch_add(more, Ordering::Relaxed) + more;
-        if shows && so_far.is_multiple_of(256) {
-            eprint!("\r  {so_far} of {total} runs");
-        }
-    });
-    if shows {
-        eprint!("\r\x1b[K");
+/// Something took place that may never happen; what was found is said already.
+#[derive(Debug)]
+struct Breached(String);
+
+impl std::fmt::Display for Breached {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(&self.0)
     }
-    say(&summary.to_string())?;
-    if summary.breach_count > 0 {
-        bail!("{} breaches; replay one with --seed", summary.breach_count);
-    }
-    Ok(())
 }
 
-fn replay(seed: u64) -> anyhow::Result<()> {
-    let (run, log) = storm::run_seed(seed, true);
-    for (at_us, logged) in log {
-        let (seconds, micros) = (at_us / 1_000_000, at_us % 1_000_000);
-        match logged {
-            Logged::Frame(frame) => {
-                let data: String = frame.data.iter().map(|byte| format!("{byte:02X}")).collect();
-                let mark = if frame.data.len() > 8 { "##0" } else { "#" };
-                say(&format!("({seconds:010}.{micros:06}) sim0 {:03X}{mark}{data}\n", frame.id))?;
-            }
-            Logged::Remark(text) => say(&format!("# {seconds}.{micros:06} {text}\n"))?,
+impl std::error::Error for Breached {}
+
+/// A failure if there are breaches, whether or not somebody has read of them; else whatever became of the reading.
+fn unless_breached(breaches: u64, remark: &str, said: anyhow::Result<()>) -> anyhow::Result<()> {
+    if breaches == 0 {
+        return said;
+    }
+    Err(Breached(format!("{}{remark}", counted(breaches, "breach", "breaches"))).into())
+}
+
+fn storm(seeds: Range<u64>, json: bool) -> anyhow::Result<()> {
+    let total = seeds.end - seeds.start;
+    let (done, line) = (AtomicU64::new(0), LiveLine::on_stderr());
+    let summary = storm::run_seeds(seeds, |more| {
+        let so_far = done.fetch_add(more, Ordering::Relaxed) + more;
+        if let Some(line) = line.filter(|_| so_far.is_multiple_of(256)) {
+            line.draw(&format!("  {so_far} of {}", counted(total, "run", "runs")));
         }
+    });
+    if let Some(line) = line {
+        line.clear();
     }
-    if !run.breaches.is_empty() {
-        bail!("{} breaches, the first: {}", run.breaches.len(), run.breaches[0].what);
+    let text = if json { format!("{}\n", summary_object(&summary)) } else { summary.to_string() };
+    unless_breached(summary.breach_count, "; replay one with --seed", say(&text))
+}
+
+fn summary_object(summary: &Summary) -> Value {
+    let (silence_us, silence_seed) = summary.worst_silence_us;
+    let breaches: Vec<Value> =
+        summary.breaches.iter().map(|(seed, what)| json!({ "seed": seed, "what": what })).collect();
+    json!({
+        "runs": summary.runs,
+        "completed": summary.completed,
+        "simulated_us": summary.simulated_us,
+        "frames": summary.frames,
+        "events": summary.events,
+        "endings": summary.endings,
+        "arm_faults": summary.arm_faults,
+        "worst_silence": { "us": silence_us, "seed": silence_seed },
+        "worst_end_error_lsb": summary.worst_end_error_lsb,
+        "worst_tracking_m": summary.worst_tracking_m,
+        "breach_count": summary.breach_count,
+        "breaches": breaches,
+    })
+}
+
+fn replay(seed: u64, json: bool) -> anyhow::Result<()> {
+    let (run, log) = storm::run_seed(seed, true);
+    let mut lines = log.into_iter().map(|(at_us, logged)| log_line(at_us, logged));
+    let breaches: Vec<&str> = run.breaches.iter().map(|breach| breach.what.as_str()).collect();
+    let said = if json {
+        let log: Vec<String> = lines.collect();
+        say(&format!("{}\n", json!({ "seed": seed, "breaches": breaches, "log": log })))
+    } else {
+        lines.try_for_each(|line| say(&format!("{line}\n")))
+    };
+    let first = breaches.first().map(|first| format!(", the first: {first}")).unwrap_or_default();
+    unless_breached(breaches.len() as u64, &first, said)
+}
+
+/// As candump has it.
+fn log_line(at_us: u64, logged: Logged) -> String {
+    let (seconds, micros) = (at_us / 1_000_000, at_us % 1_000_000);
+    match logged {
+        Logged::Frame(frame) => {
+            let data: String = frame.data.iter().map(|byte| format!("{byte:02X}")).collect();
+            let mark = if frame.data.len() > 8 { "##0" } else { "#" };
+            format!("({seconds:010}.{micros:06}) sim0 {:03X}{mark}{data}", frame.id)
+        }
+        Logged::Remark(text) => format!("# {seconds}.{micros:06} {text}"),
     }
-    Ok(())
 }
 
 /// Loss by delay: how many plans complete, and how far the arm is from where it was due, at the worst.
-fn loss_table(seeds: Range<u64>) -> anyhow::Result<()> {
+fn loss_table(seeds: Range<u64>, json: bool) -> anyhow::Result<()> {
     const LOSSES: [f64; 5] = [0.0, 0.001, 0.01, 0.05, 0.2];
     const DELAYS_US: [u64; 5] = [0, 1_000, 5_000, 20_000, 50_000];
-    let mut breaches = 0;
+    // With one object to come in the end, the table is for nobody.
+    let cell = |text: &str| if json { Ok(()) } else { say(text) };
+    let (mut breaches, mut rows) = (0, Vec::new());
     for dialect in [Dialect::Classic, Dialect::Fd] {
-        say(&format!(
-            "\n{dialect:?}, 100 Hz, {} plans each: completed (largest deviation on the way, mm)\n",
-            seeds.end - seeds.start
+        let plans = counted(seeds.end - seeds.start, "plan", "plans");
+        cell(&format!(
+            "\n{dialect:?}, 100 Hz, {plans} each: completed (largest deviation on the way, mm)\n   loss"
         ))?;
-        say("   loss")?;
-        DELAYS_US.iter().try_for_each(|delay_us| say(&format!("  {:>10} ms", *delay_us as f64 / 1e3)))?;
-        say("\n")?;
+        DELAYS_US.iter().try_for_each(|delay_us| cell(&format!("  {:>10} ms", *delay_us as f64 / 1e3)))?;
+        cell("\n")?;
         for loss in LOSSES {
-            say(&format!("{:>5.1} %", 100.0 * loss))?;
+            cell(&format!("{:>5.1} %", 100.0 * loss))?;
             for delay_us in DELAYS_US {
                 let summary = storm::run_loss(seeds.clone(), &Faults::none(dialect, 10_000), loss, delay_us);
                 let share = 100.0 * summary.completed as f64 / summary.runs as f64;
                 breaches += summary.breach_count;
-                say(&format!("  {share:>5.1} % ({:.2})", 1e3 * summary.worst_tracking_m))?;
+                cell(&format!("  {share:>5.1} % ({:.2})", 1e3 * summary.worst_tracking_m))?;
+                rows.push(json!({
+                    "dialect": format!("{dialect:?}").to_lowercase(),
+                    "loss": loss,
+                    "delay_us": delay_us,
+                    "runs": summary.runs,
+                    "completed": summary.completed,
+                    "worst_tracking_m": summary.worst_tracking_m,
+                }));
             }
-            say("\n")?;
+            cell("\n")?;
         }
     }
-    say("\nEvery plan that is not completed is stopped with its reason, which is latched.\n")?;
-    if breaches > 0 {
-        bail!("{breaches} breaches of what may never happen");
-    }
-    Ok(())
+    let said = match json {
+        true => say(&format!("{}\n", json!({ "rows": rows, "breach_count": breaches }))),
+        false => say("\nEvery plan that is not completed is stopped with its reason, which is latched.\n"),
+    };
+    unless_breached(breaches, " of what may never happen", said)
 }
 
-/// Writes to standard output. A reader that went away (`| head`) is no error of ours.
+/// One line on standard error; where that fails, nobody is left to be told.
+fn tell(line: &str) {
+    let _ = writeln!(io::stderr(), "{line}");
+}
+
+/// Writes to standard output.
 fn say(text: &str) -> anyhow::Result<()> {
-    match io::stdout().write_all(text.as_bytes()) {
-        Err(error) if error.kind() != io::ErrorKind::BrokenPipe => {
-            Err(error).context("standard output cannot be written")
-        }
-        _ => Ok(()),
+    let mut out = io::stdout().lock();
+    match out.write_all(text.as_bytes()).and_then(|()| out.flush()) {
+        Ok(()) => Ok(()),
+        Err(error) if error.kind() == io::ErrorKind::BrokenPipe => Err(Unread.into()),
+        Err(error) => Err(error).context("standard output cannot be written"),
     }
 }

@@ -5,6 +5,7 @@ use std::fmt;
 use std::ops::Range;
 
 use powderline_executor::Outcome;
+use powderline_host::words::counted;
 use powderline_shared::plan::PlanReader;
 use rayon::prelude::*;
 
@@ -165,8 +166,12 @@ fn ending(outcome: Option<Outcome>) -> String {
 
 impl fmt::Display for Summary {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let hours = self.simulated_us as f64 / 3.6e9;
-        writeln!(f, "{} runs, {hours:.2} simulated hours", self.runs)?;
+        let simulated_s = self.simulated_us as f64 / 1e6;
+        let simulated = match simulated_s {
+            3600.0.. => format!("{:.2} hours", simulated_s / 3600.0),
+            _ => format!("{simulated_s:.0} seconds"),
+        };
+        writeln!(f, "{}, {simulated} of simulated time", counted(self.runs, "run", "runs"))?;
         table(f, "Frames", &self.frames)?;
         table(f, "Events", &self.events)?;
         table(f, "How the executor's last session ended", &self.endings)?;

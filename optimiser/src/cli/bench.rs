@@ -1,7 +1,7 @@
 //! `optimise bench`: what each stage of the simulator takes.
 
 use super::{CliError, Context, Progress, format_size, options::PrecisionArg, parse_size};
-use crate::report::words::grouped;
+use crate::report::words::{count, grouped};
 use clap::Args;
 use powderline_shared::plan::Precision;
 use powderline_simulator::bench::{Arithmetic, BenchError, Report, Settings, Timing, run};
@@ -100,15 +100,14 @@ fn text(report: &Report) -> String {
 }
 
 fn write_text(out: &mut String, report: &Report) -> std::fmt::Result {
-    let threads = if report.threads == 1 { "thread" } else { "threads" };
     writeln!(
         out,
-        "{} particles in {}^3 cells, {}, {} {threads}; {} substeps after {} to warm up.",
-        grouped(report.particles as i64),
+        "{} in {}^3 cells, {}, {}; {} after {} to warm up.",
+        count(report.particles as i64, "particle"),
         report.grid,
         report.precision,
-        report.threads,
-        report.substeps,
+        count(report.threads as i64, "thread"),
+        count(report.substeps as i64, "substep"),
         report.warm_up_substeps
     )?;
     let machine = &report.machine;
@@ -146,8 +145,10 @@ fn write_text(out: &mut String, report: &Report) -> std::fmt::Result {
     if let Some(gradient) = report.whole.iter().find(|whole| whole.advances > 1.0) {
         writeln!(
             out,
-            "\nThe gradient of {} substeps keeps {} states and advances each substep {:.2} times, beside the adjoint.",
-            gradient.substeps, gradient.kept_states, gradient.advances
+            "\nThe gradient of {} keeps {} and advances each substep {:.2} times, beside the adjoint.",
+            count(gradient.substeps as i64, "substep"),
+            count(gradient.kept_states as i64, "state"),
+            gradient.advances
         )?;
     }
     write_memory(out, report)

@@ -3,6 +3,7 @@
 use super::{
     CliError, Context, Progress, Resources,
     motion::{Motion, Task},
+    next,
     options::{DEFAULT_PRECISION, PrecisionArg},
     report::read_history,
     run::{self, RunArgs},
@@ -12,7 +13,7 @@ use crate::{
     compare::{Budget, Comparison, Method, Row, Track, Try, summarise},
     report::amounts::Amounts,
     report::folder::{COMPARISON, CURVES, METRICS, RunFolder, SCENE},
-    report::words::{duration, hex},
+    report::words::{count, duration, hex, precision_name},
 };
 use clap::Args;
 use powderline_baseline::Search;
@@ -102,6 +103,20 @@ pub(super) struct CompareArgs {
     /// Go on with the comparison in this folder
     #[arg(long, value_name = "DIR")]
     pub resume: Option<PathBuf>,
+    /// Print one JSON object
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(Serialize)]
+struct Report<'a> {
+    folder: &'a Path,
+    scene: &'a str,
+    scene_digest: String,
+    precision: &'static str,
+    seeds: &'a [u64],
+    /// As the table has them, one for each method and budget.
+    rows: Vec<Row>,
 }
 
 /// What a comparison was begun with.
@@ -132,11 +147,13 @@ pub(super) fn execute(arguments: &CompareArgs, context: &mut Context<'_>) -> Res
         Some(folder) => Experiment::open(folder, arguments.resources)?.prolonged(arguments)?,
         None => Experiment::start(arguments)?,
     };
-    let folder = experiment.folder.path().display();
-    let remark = format!(
-        "what was evaluated is saved, go on with: cargo run --release --bin optimise -- compare --resume {folder}"
-    );
+    let folder = experiment.folder.path().to_string_lossy();
+    let again = next::optimise(&["compare", "--resume", &folder]);
+    let remark = format!("what was evaluated is saved, go on with: {again}");
     let comparison = experiment.complete(context).map_err(|error| error.with_remark(&remark))?;
+    if arguments.json {
+        return context.json(&experiment.report(&comparison));
+    }
     write!(context.out, "\n{}", experiment.summary(&comparison))?;
     writeln!(context.out, "\nThe figure is in {}.", experiment.folder.file(CURVES).display())?;
     Ok(())
@@ -367,6 +384,17 @@ impl Experiment {
         Ok(self.folder.replace(SUMMARY, self.summary(comparison).as_bytes())?)
     }
 
+    fn report(&self, comparison: &Comparison) -> Report<'_> {
+        Report {
+            folder: self.folder.path(),
+            scene: &self.scene.name,
+            scene_digest: hex(&self.plan.scene),
+            precision: precision_name(self.plan.precision),
+            seeds: &self.plan.seeds,
+            rows: self.rows(comparison),
+        }
+    }
+
     /// The table, as Markdown and for people who read it as it is.
     fn summary(&self, comparison: &Comparison) -> String {
         let mut lines = vec![Row::headings(self.plan.budget.epochs)];
@@ -490,10 +518,10 @@ impl Tracing {
         let name = self.track.method.name();
         let mut progress = Progress::new(context.err, context.live);
         progress.line(&format!(
-            "{}: {name}, seed {}, {} rollouts, into {}",
+            "{}: {name}, seed {}, {}, into {}",
             scene.name,
             settings.seed,
-            self.most,
+            count(self.most.into(), "rollout"),
             self.folder.path().display()
         ));
         while !self.is_done() {
@@ -527,13 +555,13 @@ impl Tracing {
         let Some(best) = tries.iter().min_by(|a, b| a.loss.total_cmp(&b.loss)) else { return String::new() };
         let seconds = tries.last().map_or(0.0, |last| last.seconds);
         format!(
-            "{}, seed {}: lowest loss {:.3} m ({} arrive) after {} of {} rollouts, {}",
+            "{}, seed {}: lowest loss {:.3} m ({} arrive) after {} of {}, {}",
             self.track.method.name(),
             self.track.seed,
             best.loss,
             amounts.powder(best.transported),
             best.rollouts,
-            tries.len(),
+            count(tries.len() as i64, "rollout"),
             duration(seconds)
         )
     }

@@ -15,6 +15,9 @@ pub enum CliError {
     Missed(String),
     /// Stopped by the person: exit code 130.
     Interrupted(String),
+    /// Whoever was to read the results went away (`| head`): nobody is told, and the exit code is 141, as a shell has it for a
+    /// program that the closed pipe has ended.
+    Unread,
 }
 
 impl CliError {
@@ -30,6 +33,7 @@ impl CliError {
             Self::Input(_) => 2,
             Self::Missed(_) => 3,
             Self::Interrupted(_) => 130,
+            Self::Unread => 141,
         }
     }
 
@@ -40,14 +44,19 @@ impl CliError {
             Self::Failed(text) => Self::Failed(format!("{text}; {remark}")),
             Self::Missed(text) => Self::Missed(format!("{text}; {remark}")),
             Self::Interrupted(text) => Self::Interrupted(format!("{text}; {remark}")),
+            Self::Unread => Self::Unread,
         }
     }
 }
 
 impl fmt::Display for CliError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (Self::Input(text) | Self::Failed(text) | Self::Missed(text) | Self::Interrupted(text)) = self;
-        f.write_str(text)
+        match self {
+            Self::Input(text) | Self::Failed(text) | Self::Missed(text) | Self::Interrupted(text) => {
+                f.write_str(text)
+            }
+            Self::Unread => f.write_str("nobody reads the output"),
+        }
     }
 }
 
@@ -97,6 +106,9 @@ impl From<RecordError> for CliError {
 /// Standard output that went away (a closed pipe) or is full.
 impl From<io::Error> for CliError {
     fn from(error: io::Error) -> Self {
-        Self::Failed(format!("the output cannot be written: {error}"))
+        match error.kind() {
+            io::ErrorKind::BrokenPipe => Self::Unread,
+            _ => Self::Failed(format!("the output cannot be written: {error}")),
+        }
     }
 }

@@ -2,7 +2,7 @@
 
 use super::{
     CliError, Context, Progress,
-    motion::{Motion, Task},
+    motion::{Motion, Task, collision_words},
 };
 use crate::report::view;
 use powderline_shared::{displacement::Displacement, pose::Pose};
@@ -67,6 +67,9 @@ impl<'a> Film<'a> {
         let mut simulator = (context.factory)(&task.scene, &task.settings)?;
         let interrupt = context.interrupt.clone();
         let mut progress = Progress::new(context.err, context.live);
+        if let Some(collision) = task.collision() {
+            progress.line(&format!("Warning: {}.", collision_words(&collision)));
+        }
         progress.begin("simulating", 0, &[]);
         let mut tick = |done, total| {
             progress.tick(done, total);

@@ -1,8 +1,11 @@
 //! Ctrl-C: the first one asks the run to stop where it can go on later, the second one ends the process.
 
-use std::sync::{
-    Arc,
-    atomic::{AtomicBool, Ordering},
+use std::{
+    io::{self, Write},
+    sync::{
+        Arc,
+        atomic::{AtomicBool, Ordering},
+    },
 };
 
 /// Whether the person asked to stop.
@@ -18,10 +21,10 @@ impl Interrupt {
             if requested.0.swap(true, Ordering::Relaxed) {
                 std::process::exit(130);
             }
-            eprintln!("\nstopping (once more to end at once; what is saved stays resumable either way)");
+            say("\nstopping (once more to end at once; what is saved stays resumable either way)");
         };
         if let Err(error) = ctrlc::set_handler(handler) {
-            eprintln!("Ctrl-C will end the process at once, since it cannot be listened to: {error}");
+            say(&format!("Ctrl-C will end the process at once, since it cannot be listened to: {error}"));
         }
         interrupt
     }
@@ -35,4 +38,9 @@ impl Interrupt {
     pub fn request(&self) {
         self.0.store(true, Ordering::Relaxed);
     }
+}
+
+/// To whom it may concern: a standard error that nobody reads any more must not end what listens here.
+fn say(text: &str) {
+    let _ = writeln!(io::stderr(), "{text}");
 }

@@ -1,9 +1,10 @@
 //! The `optimise` command: arguments, progress, files, words.
 //!
 //! Exit codes: 0 success; 1 the command failed, or a plan did not reproduce; 2 the input makes no sense, or asks for what cannot be
-//! done; 3 a run is finished and its plan written, but misses the wanted amount by more than the tolerance; 130 interrupted.
-//! Results go to standard output, progress and errors (one sentence) to standard error. With `--json` standard output
-//! holds one JSON object and nothing else.
+//! done; 3 a run is finished and its plan written, but misses the wanted amount by more than the tolerance; 130 interrupted;
+//! 141 nobody reads the output any more. Results go to standard output, progress and errors (one sentence) to standard
+//! error. With `--json` standard output holds one JSON object and nothing else: the command's, or, where it came to none,
+//! `error` with the sentence and `exit_code`. Only arguments that cannot be parsed leave it empty.
 
 mod bench;
 mod check;
@@ -16,11 +17,15 @@ mod gradcheck;
 mod inspect;
 mod interrupt;
 mod motion;
+mod new;
+mod next;
 mod options;
 mod progress;
 mod render;
 mod report;
 mod run;
+mod scenes;
+mod shell;
 mod simulate;
 mod size;
 mod steps;
@@ -31,18 +36,19 @@ pub use check::{CheckArgs, CheckReport, MemoryRow};
 pub use error::CliError;
 pub use interrupt::Interrupt;
 pub use options::{PrecisionArg, Resources};
-pub use progress::Progress;
+pub use progress::{Progress, is_live};
 pub use size::{format_size, parse_size};
 
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use powderline_simulator::{
     rollout::{Evaluate, RolloutError, SimulatorSettings, boxed_simulator},
-    scene::Scene,
+    scene::{EMBEDDED_SCENES, Scene, nearest},
 };
 use serde::Serialize;
 use std::{
     ffi::OsString,
-    io::{self, IsTerminal, Write},
+    io::{self, Write},
+    path::Path,
     process::ExitCode,
 };
 
@@ -50,7 +56,13 @@ use std::{
 #[derive(Debug, Parser)]
 #[command(name = "optimise", bin_name = "optimise", version, args_conflicts_with_subcommands = true)]
 #[command(
-    after_help = "Without a command, `optimise [OPTIONS] [SCENE]` means `optimise run [OPTIONS] [SCENE]`."
+    after_help = "Without a command, `optimise [OPTIONS] [SCENE]` means `optimise run [OPTIONS] [SCENE]`.\n\n\
+    Exit codes:\n  \
+    0    success\n  \
+    1    the command failed, or a plan did not reproduce\n  \
+    2    the input makes no sense\n  \
+    130  interrupted (Ctrl-C)\n  \
+    141  nobody reads the output any more (as in `| head`)"
 )]
 struct Cli {
     #[command(subcommand)]
@@ -59,29 +71,38 @@ struct Cli {
     run: run::RunArgs,
 }
 
+/// In the order in which they are needed.
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Optimise a skill and write the plan (the default)
-    Run(run::RunArgs),
+    /// List the scenes that come with the program
+    Scenes(scenes::ScenesArgs),
+    /// Write a scene to begin from
+    New(new::NewArgs),
     /// Validate a scene and say what it will cost
     Check(check::CheckArgs),
-    /// Simulate one skill, a plan again, or what the arm made of a plan
-    Simulate(simulate::SimulateArgs),
-    /// Compare the gradient with finite differences
-    Gradcheck(gradcheck::GradcheckArgs),
-    /// Compare ways to search for a skill, each with the same number of rollouts
-    Compare(compare::CompareArgs),
+    /// Optimise a skill and write the plan (the default)
+    Run(run::RunArgs),
     /// Make one page of a run, a comparison or a plan: curves, tables, a replay in 3-D
     Report(report::ReportArgs),
+    /// Say what a plan holds
+    Inspect(inspect::InspectArgs),
+    /// Simulate one skill, a plan again, or what the arm made of a plan
+    Simulate(simulate::SimulateArgs),
     /// Draw pictures and animations of a motion
     Render(render::RenderArgs),
     /// Write a motion as files for ParaView, MeshLab or pandas
     Export(export::ExportArgs),
-    /// Say what a plan holds
-    Inspect(inspect::InspectArgs),
+    /// Compare ways to search for a skill, each with the same number of rollouts
+    Compare(compare::CompareArgs),
+    /// Compare the gradient with finite differences
+    Gradcheck(gradcheck::GradcheckArgs),
     /// Measure what each stage of the simulator takes
     #[command(after_help = "The scene that is called bench runs by `optimise`, or `optimise run bench`.")]
     Bench(bench::BenchArgs),
+    /// Print what completes commands and options in a shell
+    Completions(shell::CompletionsArgs),
+    /// Write the manual pages
+    Man(shell::ManArgs),
 }
 
 /// Where a command gets its simulator from.
@@ -116,13 +137,15 @@ pub fn main() -> ExitCode {
         interrupt: Interrupt::install(),
         out: &mut io::stdout(),
         err: &mut io::stderr(),
-        live: io::stderr().is_terminal(),
+        live: is_live(),
     };
     match execute(std::env::args_os(), &mut context) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            // With nowhere to write to, the exit code has to do.
-            let _ = writeln!(context.err, "{error}");
+            if error != CliError::Unread {
+                // With nowhere to write to, the exit code has to do.
+                let _ = writeln!(context.err, "{error}");
+            }
             error.exit_code()
         }
     }
@@ -139,18 +162,94 @@ where
     I: IntoIterator<Item = T>,
     T: Into<OsString> + Clone,
 {
-    let cli = Cli::parse_from(arguments);
+    let arguments: Vec<OsString> = arguments.into_iter().map(Into::into).collect();
+    mistyped(arguments.get(1))?;
+    let matches = Cli::command().get_matches_from(&arguments);
+    let cli = Cli::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
+    let of_command = matches.subcommand().map_or(&matches, |(_, of_command)| of_command);
+    let json = matches!(of_command.try_get_one::<bool>("json"), Ok(Some(true)));
+
+    let mut out = Watched { out: &mut *context.out, used: false };
+    let mut within = Context {
+        factory: context.factory,
+        interrupt: context.interrupt.clone(),
+        out: &mut out,
+        err: &mut *context.err,
+        live: context.live,
+    };
+    let result = run_command(cli, &mut within);
+    if let Err(error) = &result
+        && json
+        && !out.used
+    {
+        let failure = Failure { error: error.to_string(), exit_code: error.code() };
+        // The sentence goes to standard error all the same.
+        let _ = context.json(&failure);
+    }
+    result
+}
+
+fn run_command(cli: Cli, context: &mut Context<'_>) -> Result<(), CliError> {
     match cli.command {
         None => run::execute(&cli.run, context),
-        Some(Command::Run(arguments)) => run::execute(&arguments, context),
+        Some(Command::Scenes(arguments)) => scenes::execute(&arguments, context),
+        Some(Command::New(arguments)) => new::execute(&arguments, context),
         Some(Command::Check(arguments)) => check::run(&arguments, context.out),
-        Some(Command::Simulate(arguments)) => simulate::execute(&arguments, context),
-        Some(Command::Gradcheck(arguments)) => gradcheck::execute(&arguments, context),
-        Some(Command::Compare(arguments)) => compare::execute(&arguments, context),
+        Some(Command::Run(arguments)) => run::execute(&arguments, context),
         Some(Command::Report(arguments)) => report::execute(&arguments, context),
+        Some(Command::Inspect(arguments)) => inspect::execute(&arguments, context),
+        Some(Command::Simulate(arguments)) => simulate::execute(&arguments, context),
         Some(Command::Render(arguments)) => render::execute(&arguments, context),
         Some(Command::Export(arguments)) => export::execute(&arguments, context),
-        Some(Command::Inspect(arguments)) => inspect::execute(&arguments, context),
+        Some(Command::Compare(arguments)) => compare::execute(&arguments, context),
+        Some(Command::Gradcheck(arguments)) => gradcheck::execute(&arguments, context),
         Some(Command::Bench(arguments)) => bench::execute(&arguments, context),
+        Some(Command::Completions(arguments)) => shell::completions(arguments, context),
+        Some(Command::Man(arguments)) => shell::man(&arguments, context),
+    }
+}
+
+/// Refuses a first word that is most like a command: taken for a scene, it would be refused for what comes after it.
+fn mistyped(word: Option<&OsString>) -> Result<(), CliError> {
+    let Some(word) = word.and_then(|word| word.to_str()) else { return Ok(()) };
+    if word.contains(['-', '/', '\\', '.']) || Path::new(word).exists() {
+        return Ok(());
+    }
+    let program = Cli::command();
+    let commands: Vec<&str> =
+        program.get_subcommands().map(clap::Command::get_name).chain(["help"]).collect();
+    let scenes = EMBEDDED_SCENES.map(|(name, _)| name);
+    if commands.contains(&word) {
+        return Ok(());
+    }
+    match nearest(word, scenes.into_iter().chain(commands)) {
+        Some(meant) if !scenes.contains(&meant) => Err(CliError::Input(format!(
+            "there is no command, no scene and no file called `{word}`; did you mean the command `{meant}`?"
+        ))),
+        _ => Ok(()),
+    }
+}
+
+/// What `--json` gives where a command came to no object of its own.
+#[derive(Serialize)]
+struct Failure {
+    error: String,
+    exit_code: u8,
+}
+
+/// Standard output, and whether anything was written to it.
+struct Watched<'a> {
+    out: &'a mut (dyn Write + Send),
+    used: bool,
+}
+
+impl Write for Watched<'_> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.used = true;
+        self.out.write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.out.flush()
     }
 }

@@ -15,8 +15,8 @@ use powderline_shared::{
 };
 use powderline_simulator::{
     rollout::SimulatorSettings,
-    scene::{DEFAULT_SCENE, Scene},
-    skill::{SkillMap, Theta, check_theta, controls_of},
+    scene::{DEFAULT_SCENE, EMBEDDED_SCENES, Scene},
+    skill::{Collision, SkillMap, Theta, check_theta, collision, controls_of},
 };
 use std::path::{Path, PathBuf};
 
@@ -24,7 +24,8 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Debug, Args)]
 #[group(id = "motion", required = true, multiple = false, args = ["theta", "plan"])]
 pub(super) struct MotionArgs {
-    /// Scene: an embedded name or a TOML file [default: the scene.toml beside the plan, otherwise bench]
+    /// Scene: an embedded name or a TOML file [default: the scene that the plan was made for, if it is the scene.toml beside it
+    /// or an embedded one; bench for a skill]
     #[arg(value_name = "SCENE")]
     pub scene: Option<String>,
     /// Skill: depth, scoop angle, lift, transport, pour angle, each in [-1, 1]
@@ -74,6 +75,24 @@ pub(super) enum Motion {
     },
 }
 
+impl Task {
+    /// Where the motion takes the tool through a container, of which the simulation says nothing.
+    pub(super) fn collision(&self) -> Option<Collision> {
+        let map = SkillMap::new(&self.scene);
+        let start = map.start_pose();
+        match &self.motion {
+            Motion::Skill(theta) => collision(&self.scene, start, &map.quantised(theta).ok()?.controls),
+            Motion::Plan { controls, .. } => collision(&self.scene, start, controls),
+            Motion::Executed { executed, .. } => collision(&self.scene, &executed.anchor, &executed.controls),
+        }
+    }
+}
+
+/// A collision as one sentence without its end.
+pub(super) fn collision_words(collision: &Collision) -> String {
+    format!("{collision}: the simulated tool can do that, an arm cannot")
+}
+
 impl MotionArgs {
     /// What the arguments ask for.
     ///
@@ -101,15 +120,10 @@ impl MotionArgs {
         let plan = PlanReader::new(&bytes)
             .map_err(|error| CliError::Input(format!("{} is no usable plan: {error}", path.display())))?;
         let (header, content_hash) = (*plan.header(), plan.content_hash());
-        let name = self.scene.clone().or_else(|| scene_beside(path)).unwrap_or_else(|| DEFAULT_SCENE.into());
-        let scene = Scene::load(&name)?;
-        if scene.digest() != header.scene_digest {
-            let [plan, scene] = [header.scene_digest, scene.digest()].map(|digest| hex(&digest[..4]));
-            let path = path.display();
-            return Err(CliError::Input(format!(
-                "{path} was made for another scene than {name} (digest {plan}, not {scene})"
-            )));
-        }
+        let scene = match &self.scene {
+            Some(name) => scene_given(name, path, &header)?,
+            None => scene_found(path, &header)?,
+        };
         let settings = self.resources.settings(header.seed, header.precision);
         let header = Box::new(header);
         let motion = match &self.executed {
@@ -129,10 +143,42 @@ impl MotionArgs {
     }
 }
 
-fn scene_beside(plan: &Path) -> Option<String> {
-    let scene = plan.parent()?.join(folder::SCENE);
+/// The scene that was named, if it is the plan's.
+fn scene_given(name: &str, plan: &Path, header: &PlanHeader) -> Result<Scene, CliError> {
+    let scene = Scene::load(name)?;
+    if scene.digest() == header.scene_digest {
+        return Ok(scene);
+    }
+    let [wanted, found] = [header.scene_digest, scene.digest()].map(|digest| hex(&digest[..4]));
+    let plan = plan.display();
+    Err(CliError::Input(format!(
+        "{plan} was made for another scene than {name} (digest {wanted}, not {found})"
+    )))
+}
+
+/// The plan's scene: that beside it, or else the embedded one that it was made for, wherever the plan is now.
+fn scene_found(plan: &Path, header: &PlanHeader) -> Result<Scene, CliError> {
     // A bare `scene.toml` is fine: no embedded scene has a dot in its name.
-    scene.exists().then(|| scene.to_string_lossy().into_owned())
+    let beside = plan.with_file_name(folder::SCENE);
+    let beside = beside.exists().then(|| scene_given(&beside.to_string_lossy(), plan, header));
+    if let Some(Ok(scene)) = beside {
+        return Ok(scene);
+    }
+    let embedded = EMBEDDED_SCENES.into_iter().filter_map(|(name, _)| Scene::load(name).ok());
+    if let Some(scene) = embedded.into_iter().find(|scene| scene.digest() == header.scene_digest) {
+        return Ok(scene);
+    }
+    let wanted = hex(&header.scene_digest[..4]);
+    let (plan, scene) = (plan.display(), folder::SCENE);
+    Err(match beside {
+        Some(Err(error)) => {
+            error.with_remark("nor is it an embedded one; the scene.toml of its run would be right")
+        }
+        _ => CliError::Input(format!(
+            "the scene that {plan} was made for (digest {wanted}) is not beside it, nor is it an embedded one; the {scene} of \
+             its run would be right, beside it or as SCENE, as in `optimise simulate SCENE --plan {plan}`"
+        )),
+    })
 }
 
 /// Five numbers in [-1, 1], separated by commas.

@@ -1,4 +1,8 @@
 //! Live progress on standard error: a line that is redrawn on a terminal, one line per epoch elsewhere.
+//!
+//! A carriage return goes back to the beginning of a row, not of a line: the line is kept shorter than a row, by the width that
+//! the terminal has at each redraw. A terminal that understands nothing (`TERM=dumb`) gets what a file gets. There is no colour
+//! that `NO_COLOR` would have to take away.
 
 use crate::optim::EpochRecord;
 use crate::report::{
@@ -6,33 +10,57 @@ use crate::report::{
     words::{duration, grouped},
 };
 use std::{
-    io::Write,
+    io::{self, IsTerminal, Write},
     time::{Duration, Instant},
 };
 
 /// Time between two redraws.
 const REDRAW: Duration = Duration::from_millis(100);
 
-const BAR_CELLS: usize = 20;
+/// How long a window keeps its new width before something is drawn in it: while it is dragged narrower, every line that was
+/// drawn wider may leave a row behind.
+const SETTLED: Duration = Duration::from_millis(300);
 
-/// Epochs in the small chart, and its bars.
+/// Columns of a terminal that does not tell, and the most that are used: only in a window narrower than that can a change of
+/// its width do harm.
+const COLUMNS: usize = 80;
+
+/// Cells of the bar and of the small chart, best first: the first that fits is drawn.
+const LAYOUTS: [[usize; 2]; 5] = [[20, 20], [10, 12], [20, 0], [10, 0], [0, 0]];
+
+/// Epochs in the small chart at most, and its bars.
 const CHART_CELLS: usize = 20;
 const BARS: [char; 8] =
     ['\u{2581}', '\u{2582}', '\u{2583}', '\u{2584}', '\u{2585}', '\u{2586}', '\u{2587}', '\u{2588}'];
+
+/// Whether standard error is a terminal on which a line can be drawn over.
+pub fn is_live() -> bool {
+    let understands = std::env::var_os("TERM").is_some_and(|term| !term.is_empty() && term != "dumb");
+    io::stderr().is_terminal() && (understands || cfg!(windows))
+}
+
+/// Columns of the terminal on standard error, as it is now.
+fn columns() -> Option<usize> {
+    terminal_size::terminal_size_of(io::stderr()).map(|(width, _)| width.0.into())
+}
 
 /// Shows how far a command is.
 pub struct Progress<'a> {
     out: &'a mut (dyn Write + Send),
     /// Whether `out` is a terminal, on which a line can be drawn over.
     live: bool,
+    /// Asks the terminal for its columns.
+    columns: fn() -> Option<usize>,
+    /// Its columns when last asked, and when they were found to be others than before.
+    window: Option<(usize, Option<Instant>)>,
     /// What is being done, such as `epoch 3/30`.
     task: String,
     started: Instant,
     drawn: Option<Instant>,
     /// Evaluations to come after the present one, and what one has taken on average, seconds.
     later: Option<(u32, f64)>,
-    /// The indicator of the epochs before, drawn small, where the terminal can show it.
-    chart: String,
+    /// The indicator of the latest epochs, drawn small, where the terminal can show it.
+    indicators: Vec<i64>,
     /// Shares of the task at the beginning and at the end of its present part.
     span: [f64; 2],
 }
@@ -43,11 +71,13 @@ impl<'a> Progress<'a> {
         Self {
             out,
             live,
+            columns,
+            window: None,
             task: String::new(),
             started: Instant::now(),
             drawn: None,
             later: None,
-            chart: String::new(),
+            indicators: Vec::new(),
             span: [0.0, 1.0],
         }
     }
@@ -59,7 +89,11 @@ impl<'a> Progress<'a> {
         self.started = Instant::now();
         self.drawn = None;
         self.later = (!history.is_empty()).then_some((later, mean_s));
-        self.chart = if self.live && has_blocks() { chart(history) } else { String::new() };
+        self.indicators.clear();
+        if self.live && has_blocks() {
+            let latest = &history[history.len().saturating_sub(CHART_CELLS)..];
+            self.indicators.extend(latest.iter().map(|record| record.indicator));
+        }
         self.span = [0.0, 1.0];
         self.tick(0, 1);
     }
@@ -80,24 +114,47 @@ impl<'a> Progress<'a> {
         if !self.live || self.drawn.is_some_and(|drawn| drawn.elapsed() < REDRAW) {
             return;
         }
+        let Some(room) = self.room() else { return };
         self.drawn = Some(Instant::now());
         let [start, end] = self.span;
         let part = (done as f64 / total.max(1) as f64).clamp(0.0, 1.0);
-        let share = start + (end - start) * part;
-        let filled = (share * BAR_CELLS as f64) as usize;
-        let left =
-            self.left_s(share).map(|left| format!(", about {} left", duration(left))).unwrap_or_default();
+        let line = self.fitting(room, start + (end - start) * part);
         // A terminal that cannot be written to is no reason to stop a run.
-        let _ = write!(
-            self.out,
-            "\r\x1b[2K{}{} [{}{}] {:3.0} %{left}",
-            self.task,
-            self.chart,
-            "#".repeat(filled),
-            ".".repeat(BAR_CELLS - filled),
-            100.0 * share
-        );
+        let _ = write!(self.out, "\r\x1b[2K{line}");
         let _ = self.out.flush();
+    }
+
+    /// Columns for a line that is drawn over: one fewer than there are, as a full row may already begin the next. None while
+    /// the window's width changes.
+    fn room(&mut self) -> Option<usize> {
+        let now = (self.columns)().unwrap_or(COLUMNS).min(COLUMNS);
+        let settled = match self.window {
+            None => {
+                self.window = Some((now, None));
+                true
+            }
+            Some((before, since)) if before == now => since.is_none_or(|since| since.elapsed() >= SETTLED),
+            Some(_) => {
+                self.window = Some((now, Some(Instant::now())));
+                false
+            }
+        };
+        settled.then_some(now - 1)
+    }
+
+    /// The live line in at most so many columns.
+    fn fitting(&self, room: usize, share: f64) -> String {
+        let left = self.left_s(share).map(|left| format!(", about {} left", duration(left)));
+        let left = left.unwrap_or_default();
+        let line = |[bar_cells, chart_cells]: [usize; 2]| {
+            let Self { task, indicators, .. } = self;
+            let latest = &indicators[indicators.len().saturating_sub(chart_cells)..];
+            let (chart, bar) = (chart(latest), bar(share, bar_cells));
+            format!("{task}{chart}{bar} {:3.0} %{left}", 100.0 * share)
+        };
+        let lines = LAYOUTS.map(line);
+        let best = lines.iter().find(|line| line.chars().count() <= room);
+        best.unwrap_or(&lines[LAYOUTS.len() - 1]).chars().take(room).collect()
     }
 
     /// Seconds to the end of the command, once there is something to judge by.
@@ -109,7 +166,7 @@ impl<'a> Progress<'a> {
         }
     }
 
-    /// Reports an epoch that is done.
+    /// Reports an epoch that is done, on a narrow terminal in fewer columns.
     pub fn epoch(&mut self, record: &EpochRecord, amounts: &Amounts, epochs: u32, history: &[EpochRecord]) {
         let mean_s = history.iter().map(|record| record.seconds).sum::<f64>() / history.len().max(1) as f64;
         let left_s = mean_s * f64::from(epochs - record.epoch);
@@ -117,15 +174,24 @@ impl<'a> Progress<'a> {
             true => format!("  about {} left", duration(left_s)),
             false => String::new(),
         };
-        self.line(&format!(
-            "epoch {:>3}/{epochs}  {:>9} arrive ({:>7})  {:>9} spill  loss {:>9.3} m {:>6.1} s{left}",
+        let done = format!(
+            "epoch {:>3}/{epochs} {:>9} arrive ({:>7}) {:>8} spill  loss {:>8.3} m {:>5.1} s",
             record.epoch,
             amounts.mass(record.transported),
             signed(amounts.miss(record.transported)),
             amounts.mass(record.spilled),
             record.loss,
             record.seconds,
-        ));
+        );
+        let columns = if self.live { (self.columns)().unwrap_or(COLUMNS) } else { usize::MAX };
+        // The time that is left is in the live line too, and the columns stand below each other only where there is room.
+        if done.len() + left.len() < columns {
+            self.line(&(done + &left));
+        } else if done.len() < columns {
+            self.line(&done);
+        } else {
+            self.line(&done.split_whitespace().collect::<Vec<_>>().join(" "));
+        }
     }
 
     /// Writes a whole line, over the live one if there is one.
@@ -154,17 +220,26 @@ fn signed(miss: f64) -> String {
     }
 }
 
-/// The indicator of the latest epochs as a row of bars, none below the lowest of them, and its latest value.
-fn chart(history: &[EpochRecord]) -> String {
-    let latest = &history[history.len().saturating_sub(CHART_CELLS)..];
-    let Some(last) = latest.last() else { return String::new() };
-    let values = || latest.iter().map(|record| record.indicator);
-    let (low, high) = (values().min().unwrap_or_default(), values().max().unwrap_or_default());
-    let bar = |value: i64| {
+/// A bar that is filled to this share.
+fn bar(share: f64, cells: usize) -> String {
+    let filled = (share * cells as f64) as usize;
+    if cells == 0 {
+        String::new()
+    } else {
+        format!(" [{}{}]", "#".repeat(filled), ".".repeat(cells - filled))
+    }
+}
+
+/// Particles that are missing as a row of bars, none below the lowest of them, and the last of them as a number.
+fn chart(indicators: &[i64]) -> String {
+    let Some(last) = indicators.last() else { return String::new() };
+    let ends = (indicators.iter().min(), indicators.iter().max());
+    let (low, high) = (ends.0.copied().unwrap_or_default(), ends.1.copied().unwrap_or_default());
+    let bar = |value: &i64| {
         let share = value.abs_diff(low) as f64 / high.abs_diff(low).max(1) as f64;
         BARS[(share * (BARS.len() - 1) as f64).round() as usize]
     };
-    format!("  indicator {} {}", values().map(bar).collect::<String>(), grouped(last.indicator))
+    format!("  missing {} {}", indicators.iter().map(bar).collect::<String>(), grouped(*last))
 }
 
 /// Whether the terminal's character set has bars.
@@ -244,13 +319,67 @@ mod tests {
 
     #[test]
     fn the_chart_rises_and_falls_with_the_indicator() {
-        let history: Vec<_> =
-            [100, 50, 0, -100].map(|indicator| EpochRecord { indicator, ..EpochRecord::default() }).into();
-        assert_eq!(chart(&history), "  indicator \u{2588}\u{2586}\u{2585}\u{2581} -100");
-        assert_eq!(chart(&history[..1]), "  indicator \u{2581} 100");
+        let indicators = [100, 50, 0, -100];
+        assert_eq!(chart(&indicators), "  missing \u{2588}\u{2586}\u{2585}\u{2581} -100");
+        assert_eq!(chart(&indicators[..1]), "  missing \u{2581} 100");
         assert_eq!(chart(&[]), "");
-        let many: Vec<_> = history.iter().cycle().take(70).copied().collect();
-        assert_eq!(chart(&many).chars().filter(|c| BARS.contains(c)).count(), CHART_CELLS);
+    }
+
+    #[test]
+    fn the_line_is_never_as_wide_as_its_terminal() {
+        let mut out = Vec::new();
+        let mut progress = Progress::new(&mut out, true);
+        progress.begin("epoch 10/30", 20, &[record(9)]);
+        progress.indicators = vec![-1_000; CHART_CELLS];
+        progress.later = Some((20, 0.0));
+        for columns in 1..=200 {
+            let line = progress.fitting(columns - 1, 1.0);
+            assert!(line.chars().count() < columns, "{columns}: {line}");
+        }
+        let at = |columns: usize| progress.fitting(columns - 1, 0.5);
+        let chart = |cells: usize| format!("  missing {} -1,000", "\u{2581}".repeat(cells));
+        assert_eq!(at(100), format!("epoch 10/30{} [##########..........]  50 %, about 0 s left", chart(20)));
+        assert_eq!(at(80), format!("epoch 10/30{} [#####.....]  50 %, about 0 s left", chart(12)));
+        assert_eq!(at(60), "epoch 10/30 [##########..........]  50 %, about 0 s left");
+        assert_eq!(at(50), "epoch 10/30 [#####.....]  50 %, about 0 s left");
+        assert_eq!(at(40), "epoch 10/30  50 %, about 0 s left");
+        assert_eq!(at(20), "epoch 10/30  50 %, ");
+    }
+
+    #[test]
+    fn an_epoch_takes_one_row_of_eighty_columns() {
+        let mut out = Vec::new();
+        let mut progress = Progress::new(&mut out, true);
+        let widths: [fn() -> Option<usize>; 4] = [|| Some(120), || Some(95), || Some(80), || Some(79)];
+        for columns in widths {
+            progress.columns = columns;
+            progress.epoch(&record(3), &amounts(), 30, &[record(3)]);
+        }
+        let text = String::from_utf8(out).unwrap();
+        let rows: Vec<&str> = text.split("\r\x1b[2K").skip(1).collect();
+        assert!(rows[0].ends_with("   24 mg spill  loss 1158.940 m   2.0 s  about 54 s left\n"), "{text}");
+        assert!(rows[1].ends_with("   24 mg spill  loss 1158.940 m   2.0 s\n"), "{text}");
+        assert_eq!(
+            rows[2],
+            "epoch   3/30   14.83 g arrive ( -7.3 %)    24 mg spill  loss 1158.940 m   2.0 s\n"
+        );
+        assert_eq!(rows[3], "epoch 3/30 14.83 g arrive ( -7.3 %) 24 mg spill loss 1158.940 m 2.0 s\n");
+    }
+
+    #[test]
+    fn nothing_is_drawn_while_the_window_changes() {
+        let mut out = Vec::new();
+        let mut progress = Progress::new(&mut out, true);
+        progress.columns = || Some(100);
+        assert_eq!((progress.room(), progress.room()), (Some(79), Some(79)));
+        // Wider than what is ever used, it may be drawn as it likes.
+        progress.columns = || Some(90);
+        assert_eq!(progress.room(), Some(79));
+        progress.columns = || Some(60);
+        assert_eq!((progress.room(), progress.room()), (None, None));
+        progress.window =
+            progress.window.map(|(columns, since)| (columns, since.map(|since| since - SETTLED)));
+        assert_eq!(progress.room(), Some(59));
     }
 
     #[test]

@@ -6,7 +6,8 @@ use powderline_view::{
     Bench, Destination, Frame, Sink, ViewError,
     picture::{Animation, Camera, Colouring, Containers, Look, Stills},
 };
-use std::path::PathBuf;
+use serde::Serialize;
+use std::path::{Path, PathBuf};
 
 /// Pictures of a motion when none are asked for.
 const PICTURES: usize = 6;
@@ -47,6 +48,14 @@ pub(super) struct RenderArgs {
     /// Folder for the pictures
     #[arg(long, value_name = "DIR", default_value = "pictures")]
     pub out: PathBuf,
+    /// Print one JSON object
+    #[arg(long)]
+    pub json: bool,
+}
+
+#[derive(Serialize)]
+struct Report<'a> {
+    files: Vec<&'a Path>,
 }
 
 /// What the powder's colour says.
@@ -111,7 +120,11 @@ pub(super) fn execute(arguments: &RenderArgs, context: &mut Context<'_>) -> Resu
         .map(|animation| animation.with_progress(Box::new(watch)));
     let mut both = Both { stills, animation };
     film.shoot(&mut both, context)?;
-    let written = both.stills.iter().flat_map(|stills| stills.written()).chain(files);
+    let written: Vec<&Path> =
+        both.stills.iter().flat_map(|stills| stills.written()).chain(files).map(PathBuf::as_path).collect();
+    if arguments.json {
+        return context.json(&Report { files: written });
+    }
     for path in written {
         writeln!(context.out, "{}", path.display())?;
     }

@@ -1,7 +1,7 @@
 //! `optimise run`: the optimisation, from a scene (or a run to resume) to a plan.
 
 use super::{
-    CliError, Context, Interrupt, Progress, Resources,
+    CliError, Context, Interrupt, Progress, Resources, next,
     options::{DEFAULT_PRECISION, PrecisionArg},
 };
 use crate::{
@@ -379,8 +379,7 @@ impl Run {
         } else {
             write!(context.out, "\n{}", finding.text(&self.record))?;
             writeln!(context.out, "\nThe curves are in {}.", self.folder.file(CURVES).display())?;
-            writeln!(context.out, "Next, play the plan on the simulated arm:\n")?;
-            writeln!(context.out, "    cargo run --release --bin execute -- {}", path.display())?;
+            write!(context.out, "{}", next::play(&path))?;
         }
         finding.shortfall().map_or(Ok(()), |shortfall| Err(CliError::Missed(shortfall)))
     }
@@ -449,7 +448,7 @@ pub(super) fn safe_name(scene: &str) -> String {
 }
 
 fn resume_command(folder: &Path) -> String {
-    format!("cargo run --release --bin optimise -- --resume {}", folder.display())
+    next::optimise(&["--resume", &folder.to_string_lossy()])
 }
 
 /// A line of a file of JSON lines.

@@ -3,7 +3,7 @@
 use super::{
     CliError, Context, Progress,
     executed::ExecutedReport,
-    motion::{Motion, MotionArgs, Task},
+    motion::{Motion, MotionArgs, Task, collision_words},
 };
 use crate::report::{
     amounts::Amounts,
@@ -12,7 +12,11 @@ use crate::report::{
 };
 use clap::Args;
 use powderline_shared::plan::PlanHeader;
-use powderline_simulator::{rollout::Evaluation, scene::figures::mass, skill::Theta};
+use powderline_simulator::{
+    rollout::Evaluation,
+    scene::{ToolPart, figures::mass},
+    skill::{Collision, Theta},
+};
 use serde::Serialize;
 
 /// Arguments of `optimise simulate`.
@@ -30,6 +34,8 @@ pub(super) struct SimulateArgs {
 struct Report {
     scene: String,
     scene_digest: String,
+    /// Where the motion takes the tool through a container: nothing that an arm may do.
+    collision: Option<CollisionReport>,
     seed: u64,
     precision: &'static str,
     theta: Theta,
@@ -45,6 +51,28 @@ struct Report {
     seconds: f64,
     plan: Option<PlanReport>,
     executed: Option<ExecutedReport>,
+}
+
+#[derive(Serialize)]
+struct CollisionReport {
+    /// Of the tool: `body` or `handle`.
+    part: &'static str,
+    container: String,
+    /// From the beginning of the motion.
+    at_s: f64,
+    /// In words.
+    sentence: String,
+}
+
+impl From<Collision> for CollisionReport {
+    fn from(collision: Collision) -> Self {
+        let sentence = collision_words(&collision);
+        let part = match collision.part {
+            ToolPart::Body => "body",
+            ToolPart::Handle => "handle",
+        };
+        Self { part, container: collision.container, at_s: collision.at_s, sentence }
+    }
 }
 
 /// How the result compares with what the plan says about itself.
@@ -119,6 +147,7 @@ impl Task {
         Report {
             scene: self.scene.name.clone(),
             scene_digest: hex(&self.scene.digest()),
+            collision: self.collision().map(CollisionReport::from),
             seed: self.settings.seed,
             precision: precision_name(self.settings.precision),
             theta,
@@ -165,7 +194,9 @@ impl PlanReport {
 impl Report {
     fn text(&self) -> String {
         let Self { scene, seed, precision, loss, seconds, amounts, .. } = self;
-        let mut text = format!(
+        let warning = self.collision.as_ref().map(|collision| format!("Warning: {}.\n", collision.sentence));
+        let mut text = warning.unwrap_or_default();
+        text += &format!(
             "{scene}, seed {seed}, {precision}: {} of the {} wanted arrive, {}; {} spill.\nLoss {loss} m, in {seconds:.1} s.\n",
             amounts.powder(self.transported),
             mass(amounts.wanted_kg),

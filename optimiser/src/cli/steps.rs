@@ -9,7 +9,7 @@ use crate::{
     optim::{EpochRecord, steps::StepRule},
     report::amounts::Amounts,
     report::folder::{RunFolder, STATE},
-    report::words::duration,
+    report::words::{count, duration},
 };
 use powderline_simulator::{
     rollout::{Evaluate, Evaluation, RolloutError, SimulatorSettings, Slope, check_memory},
@@ -77,9 +77,9 @@ impl Stepping<'_> {
         let name = Method::GradientSteps.name();
         let seed = self.track.origin.seed;
         progress.line(&format!(
-            "{}: {name}, seed {seed}, {} epochs, into {}",
+            "{}: {name}, seed {seed}, {}, into {}",
             self.scene.name,
-            self.epochs,
+            count(self.epochs.into(), "epoch"),
             self.folder.path().display()
         ));
         while !self.is_done() {

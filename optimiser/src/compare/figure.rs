@@ -2,6 +2,7 @@
 
 use super::{Comparison, Curve, summary::spread};
 use crate::report::ink::{self, Axis, COLOURS, Chart, Drawn, FONT, INK};
+use crate::report::words::count;
 use plotters::{backend::DrawingBackend, coord::Shift, prelude::*};
 use thiserror::Error;
 
@@ -78,9 +79,9 @@ impl Comparison {
         root.fill(&WHITE)?;
         let seeds = self.curves().first().map_or(0, |curve| self.tracks_of(*curve).count());
         let title = format!(
-            "{}: best skill so far, mean and standard deviation over {seeds} seed{}",
+            "{}: best skill so far, mean and standard deviation over {}",
             self.scene,
-            if seeds == 1 { "" } else { "s" }
+            count(seeds as i64, "seed")
         );
         let body = root.margin(10, 6, 8, 14).titled(&title, (FONT, 18).into_font().color(&INK))?;
         let (charts, legend) = body.split_vertically(SIZE.1 - 60);

@@ -1,6 +1,6 @@
 //! Particles as the powder that they stand for: grams first, particles beside them.
 
-use super::words::grouped;
+use super::words::count;
 use powderline_simulator::scene::{Aim, Scene, figures::mass};
 use serde::Serialize;
 
@@ -78,7 +78,7 @@ impl Amounts {
 
 /// Such as `1,198 particles`, `1 particle`.
 pub fn counted(particles: u32) -> String {
-    format!("{} particle{}", grouped(particles.into()), if particles == 1 { "" } else { "s" })
+    count(particles.into(), "particle")
 }
 
 /// A share in per cent: two digits below ten, whole numbers above.

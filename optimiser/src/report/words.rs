@@ -1,7 +1,7 @@
 //! Numbers in words.
 
 use powderline_shared::plan::{Precision, SKILL_PARAMETERS};
-pub(crate) use powderline_simulator::scene::figures::grouped;
+pub(crate) use powderline_simulator::scene::figures::{count, grouped};
 
 /// A duration to the precision that a waiting person needs.
 pub(crate) fn duration(seconds: f64) -> String {

@@ -23,12 +23,10 @@ mod tests {
     #[test]
     fn the_likest_word_is_meant_or_none() {
         let known = ["bench", "bench-small", "bench-fine"];
-        for (word, meant) in
-            [("bnch", "bench"), ("BENCH", "bench"), ("bench_smal", "bench-small"), ("fine-bench", "bench")]
-        {
+        for (word, meant) in [("bnch", "bench"), ("BENCH", "bench"), ("bench_smal", "bench-small")] {
             assert_eq!(nearest(word, known), Some(meant), "{word}");
         }
-        for word in ["", "x", "kitchen sink"] {
+        for word in ["", "x", "fine-bench", "kitchen sink"] {
             assert_eq!(did_you_mean(word, known), "", "{word}");
         }
         assert_eq!(did_you_mean("amout", ["amount", "all"]), "; did you mean `amount`?");

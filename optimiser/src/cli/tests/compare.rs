@@ -46,6 +46,14 @@ fn a_comparison_leaves_figure_table_and_summary() {
     }
     let summary = String::from_utf8(bytes(&folder, "summary.md")).unwrap();
     assert!(done.out.contains(&summary), "{}", done.out);
+    let again = optimise(&["compare", "--resume", &folder, "--json"]);
+    let report: Value = serde_json::from_str(&again.out).unwrap();
+    let named: Vec<&str> =
+        report["rows"].as_array().unwrap().iter().map(|row| row["name"].as_str().unwrap()).collect();
+    assert!(report["folder"] == *folder && report["seeds"] == serde_json::json!([1, 2]), "{report}");
+    let rows: Vec<&str> =
+        summary.lines().skip(2).map(|line| line.split('|').nth(1).unwrap().trim()).collect();
+    assert_eq!(named, rows);
     // A heading, a line below it, two gradients, and three methods with their budget and twice that.
     assert_eq!(summary.lines().count(), 2 + 2 + 3 * 2, "{summary}");
     let widths: Vec<usize> = summary.lines().map(str::len).collect();

@@ -77,6 +77,9 @@ fn a_skill_is_drawn_at_chosen_moments_and_as_a_whole() {
     assert_eq!(names.len(), 3, "{}", done.out);
     assert!(names[1].ends_with("bench-small-0001.000s.png"), "{}", names[1]);
     assert!(names.iter().all(|name| Path::new(name).is_file()));
+    let done = optimise(&[&skill[..], &moments, &["--json"]].concat());
+    let report: Value = serde_json::from_str(&done.out).unwrap();
+    assert_eq!(report, serde_json::json!({ "files": names }));
     // Without moments there are six.
     let folder = place.text("more");
     let done = optimise(&[&skill[..], &["--out", &folder, "--cut"]].concat());
