@@ -61,7 +61,7 @@ fn a_run_stopped_in_the_middle_of_an_epoch_goes_on_to_the_same_bits() {
         let evaluated = Path::new(&folder).join("metrics.jsonl").exists().then(|| metrics(&folder).len());
         assert!((saved..=saved + 1).contains(&evaluated.unwrap_or(0)), "{said}");
         assert!(!Path::new(&folder).join("skill.plan").exists());
-        run(OPTIMISE, &["--resume", &folder]).succeeded();
+        run(OPTIMISE, &["--resume", &folder]).finished();
         assert_same_bits(&folder, &whole);
     }
 }
@@ -75,7 +75,7 @@ fn a_run_that_was_killed_goes_on_to_the_same_bits() {
     sleep(part_of_an_epoch);
     child.kill().unwrap();
     child.wait().unwrap();
-    run(OPTIMISE, &["--resume", &folder]).succeeded();
+    run(OPTIMISE, &["--resume", &folder]).finished();
     assert_same_bits(&folder, &whole);
 }
 
@@ -92,7 +92,7 @@ fn a_second_run_into_one_folder_is_refused_and_the_first_not_disturbed() {
     }
     let mut said = String::new();
     err.read_to_string(&mut said).unwrap();
-    wait(first).succeeded();
+    wait(first).finished();
     assert_eq!(metrics(&folder).len(), 4);
     let plan = bytes(&folder, "skill.plan");
     run(OPTIMISE, &[&scene, "--out", &folder]).refused(2, "which is not overwritten");

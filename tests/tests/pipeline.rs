@@ -10,8 +10,8 @@ fn a_skill_is_optimised_played_and_reproduced_with_the_same_bits_for_any_number_
     let place = Place::new();
     let [folder, alone] = ["two-threads", "one-thread"].map(|name| place.path(name));
     let epochs = ["run", "bench-small", "--epochs", "2"];
-    run(OPTIMISE, &[&epochs[..], &["--threads", "2", "--out", &folder]].concat()).succeeded();
-    run(OPTIMISE, &[&epochs[..], &["--threads", "1", "--out", &alone]].concat()).succeeded();
+    run(OPTIMISE, &[&epochs[..], &["--threads", "2", "--out", &folder]].concat()).finished();
+    run(OPTIMISE, &[&epochs[..], &["--threads", "1", "--out", &alone]].concat()).finished();
     assert_same_bits(&folder, &alone);
 
     let plan = &format!("{folder}/skill.plan");
@@ -62,7 +62,7 @@ fn the_wanted_amount_arrives_and_no_more() {
         scene.objective.aim = aim;
         let file = place.write("wanted.toml", scene.to_toml().as_bytes());
         let folder = place.path(if aim == Aim::All { "all" } else { "amount" });
-        run(OPTIMISE, &[&file, "--epochs", "8", "--out", &folder]).succeeded();
+        run(OPTIMISE, &[&file, "--epochs", "8", "--out", &folder]).finished();
         let plan = run(OPTIMISE, &["inspect", &format!("{folder}/skill.plan"), "--json"]).json();
         plan["predicted_indicator"].as_i64().unwrap()
     });
@@ -90,6 +90,6 @@ fn a_finished_run_is_taken_further_to_the_bits_of_a_longer_one() {
     let place = Place::new();
     let long = place.tiny_run("long", 2);
     let folder = place.tiny_run("short", 1);
-    run(OPTIMISE, &["--resume", &folder, "--epochs", "2"]).succeeded();
+    run(OPTIMISE, &["--resume", &folder, "--epochs", "2"]).finished();
     assert_same_bits(&folder, &long);
 }

@@ -31,7 +31,7 @@ fn a_memory_budget_holds_as_the_operating_system_counts_and_changes_no_bit() {
             peak = peak_kib(child.id()).unwrap_or(peak);
             sleep(Duration::from_millis(5));
         }
-        wait(child).succeeded();
+        wait(child).finished();
         peak
     };
     let (all, some) = (run_with("1GiB", &free), run_with("64MiB", &bound));
@@ -67,7 +67,7 @@ fn a_disk_that_fills_up_during_a_run_costs_nothing_that_was_saved() {
     done.ended(1, "curves.svg cannot be written");
     assert!(done.err.contains("the epochs before are saved, go on with"), "{}", done.err);
     assert_eq!(metrics(&folder), metrics(&whole)[..1]);
-    run(OPTIMISE, &["--resume", &folder]).succeeded();
+    run(OPTIMISE, &["--resume", &folder]).finished();
     assert_same_bits(&folder, &whole);
     let leftovers = fs::read_dir(&folder).unwrap().map(|entry| entry.unwrap().file_name());
     let leftovers: Vec<_> = leftovers.filter(|name| name.to_string_lossy().ends_with(".new")).collect();
@@ -79,7 +79,7 @@ fn a_disk_that_is_full_from_the_start_leaves_the_way_free() {
     let place = Place::new();
     let folder = place.path("run");
     on_a_full_disk(1, &[&place.tiny(), "--out", &folder]).refused(1, "scene.toml cannot be written");
-    run(OPTIMISE, &[&place.tiny(), "--epochs", "0", "--out", &folder]).succeeded();
+    run(OPTIMISE, &[&place.tiny(), "--epochs", "0", "--out", &folder]).finished();
 }
 
 #[test]

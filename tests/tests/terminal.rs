@@ -89,10 +89,10 @@ impl Terminal {
         self.rows().iter().filter(|row| row.contains(mark)).count()
     }
 
-    /// The last screen of a program that succeeded.
+    /// The last screen of a program that succeeded, or of a run whose plan misses the wanted amount.
     #[track_caller]
     fn ended(&mut self) -> Vec<String> {
-        assert!(self.child.wait().unwrap().success(), "{}", self.text);
+        assert!(matches!(self.child.wait().unwrap().code(), Some(0 | 3)), "{}", self.text);
         self.rows()
     }
 }
