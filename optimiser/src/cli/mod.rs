@@ -74,7 +74,7 @@ enum Command {
     Report(report::ReportArgs),
     /// Draw pictures and animations of a motion
     Render(render::RenderArgs),
-    /// Write a motion as files for ParaView, MeshLab or pandas
+    /// Write the motion of a plan for a robot, ROS 2 or pandas, or the powder for ParaView and MeshLab
     Export(export::ExportArgs),
     /// Say what a plan holds
     Inspect(inspect::InspectArgs),
