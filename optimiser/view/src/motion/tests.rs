@@ -30,8 +30,23 @@ fn limits() -> Limits {
     }
 }
 
+fn minimum_jerk(s: f64) -> f64 {
+    s * s * s * (10.0 + s * (6.0 * s - 15.0))
+}
+
 /// The bytes of a plan that moves and turns with minimum jerk, from a place in front of the arm at the origin.
 fn plan(ticks: u32, way_m: [f64; 3], turn_rad: [f64; 3], limits: Limits) -> Vec<u8> {
+    plan_along(minimum_jerk, ticks, way_m, turn_rad, limits)
+}
+
+/// The same, of which a share has been done after a share of the time.
+fn plan_along(
+    done: fn(f64) -> f64,
+    ticks: u32,
+    way_m: [f64; 3],
+    turn_rad: [f64; 3],
+    limits: Limits,
+) -> Vec<u8> {
     let header = PlanHeader {
         scene_digest: [0xab; 32],
         optimiser_version: Version { major: 1, minor: 2, patch: 3 },
@@ -50,10 +65,7 @@ fn plan(ticks: u32, way_m: [f64; 3], turn_rad: [f64; 3], limits: Limits) -> Vec<
         predicted_transported_kg: 0.0,
         predicted_spilled_count: 0,
     };
-    let at = |tick: u32| {
-        let s = f64::from(tick) / f64::from(ticks);
-        s * s * s * (10.0 + s * (6.0 * s - 15.0))
-    };
+    let at = |tick: u32| done(f64::from(tick) / f64::from(ticks));
     let mut bytes = Vec::new();
     let sink = |part: &[u8]| {
         bytes.extend_from_slice(part);
@@ -223,25 +235,70 @@ fn joints_that_would_be_too_fast_are_refused() {
     assert!(refusal.to_string().contains("rad/s, and turns at 3.1416 rad/s at the most"), "{refusal}");
 }
 
+/// Turning about the flange's axis is wrist 3 alone.
+fn on_axis() -> (Mount, Vector3<f64>) {
+    let axis = motion().poses[0].orientation * Vector3::z();
+    (Mount { flange_from_tool: Pose::identity(), ..mount() }, axis)
+}
+
+/// Wrist 3 where such a motion begins, in the second of its turns.
+fn far_turned() -> (Mount, f64) {
+    let (mount, axis) = on_axis();
+    let motion = motion_of(&plan(400, [0.0; 3], axis.into(), limits()));
+    let mut near = ArmMotion::new(&motion, &mount, CYCLE_US).expect("a turn").joints[0];
+    near[5] += 2.0 * PI;
+    (Mount { near: Some(near), ..mount }, near[5])
+}
+
 #[test]
 fn joints_beyond_their_range_are_refused() {
-    // Turning about the tool's own axis, by wrist 3 alone.
-    let along = motion().poses[0].orientation * Vector3::z();
-    let turn = along * 3.0;
-    let motion = motion_of(&plan(400, [0.0; 3], turn.into(), limits()));
-    let on_axis = Mount { flange_from_tool: Pose::identity(), ..mount() };
-    let joints = ArmMotion::new(&motion, &on_axis, CYCLE_US).expect("half a turn");
-    let near = |turned: f64| {
-        let mut near = joints.joints[0];
-        near[5] += turned * 2.0 * PI * (joints.joints[400][5] - joints.joints[0][5]).signum();
-        Mount { near: Some(near), ..on_axis }
-    };
-    let refusal = refused(&motion, &near(1.0), CYCLE_US);
+    let (mount, begin_rad) = far_turned();
+    let turned = |turn_rad: f64| plan(400, [0.0; 3], (on_axis().1 * turn_rad).into(), limits());
+    let left_rad = 2.0 * PI - begin_rad;
+    ArmMotion::new(&motion_of(&turned(left_rad - 1e-3)), &mount, CYCLE_US).expect("within its range");
+    let refusal = refused(&motion_of(&turned(left_rad + 0.2)), &mount, CYCLE_US);
     let is_limit = |error| matches!(error, ArmError::JointLimit { joint: 6, .. });
     assert!(
         matches!(refusal, Refusal::Arm { error, all_postures: false, .. } if is_limit(error)),
         "{refusal}"
     );
+}
+
+#[test]
+fn joints_beyond_their_range_between_ticks_are_refused() {
+    // There and back, with the furthest point amid two ticks, which lie 3 / 201^2 of the way before it.
+    let bump = |s: f64| 64.0 * (s * (1.0 - s)).powi(3);
+    let (mount, begin_rad) = far_turned();
+    let turn_rad = 2.0 * PI - begin_rad + 6e-5;
+    let motion = motion_of(&plan_along(bump, 201, [0.0; 3], (on_axis().1 * turn_rad).into(), limits()));
+    let refusal = refused(&motion, &mount, CYCLE_US);
+    let is_limit = |error| matches!(error, ArmError::JointLimit { joint: 6, .. });
+    assert!(
+        matches!(refusal, Refusal::Arm { time_s, error, .. } if is_limit(error) && (time_s - 1.005).abs() < 0.004),
+        "{refusal}"
+    );
+    ArmMotion::new(&motion, &mount, PERIOD_US).expect("within its range at every tick");
+}
+
+#[test]
+fn joints_too_fast_between_ticks_are_refused() {
+    // Fastest amid two ticks, by 1.0002 of what the way over that tick comes to.
+    let (mount, axis) = on_axis();
+    let turn_rad = 1.0001 * PI * 0.41 / 1.875;
+    let motion = motion_of(&plan(41, [0.0; 3], (axis * turn_rad).into(), limits()));
+    let refusal = refused(&motion, &mount, CYCLE_US);
+    assert!(
+        matches!(refusal, Refusal::Arm { error: ArmError::JointSpeed { joint: 6, .. }, .. }),
+        "{refusal}"
+    );
+    ArmMotion::new(&motion, &mount, PERIOD_US).expect("slow enough from tick to tick");
+}
+
+#[test]
+fn a_pose_beyond_the_workspace_by_its_rounding_is_within() {
+    let tight = Limits { workspace_max_m: [-0.45 - 4e-8, 2.0, 2.0], ..limits() };
+    let motion = motion_of(&plan(100, [0.0, 0.1, 0.0], [0.0; 3], tight));
+    ArmMotion::new(&motion, &mount(), CYCLE_US).expect("what the plan's own check takes");
 }
 
 #[test]
@@ -283,8 +340,8 @@ fn what_breaks_a_limit_between_ticks_only_is_refused_for_cycles_shorter_than_tic
     let tight = Limits { linear_jerk_m_s3: 0.9 * 60.0 * 0.1 / 0.064, ..limits() };
     let motion = motion_of(&plan(40, [0.1, 0.0, 0.0], [0.0; 3], tight));
     let refusal = refused(&motion, &mount(), CYCLE_US);
-    let Refusal::Between { violation, .. } = refusal else { panic!("{refusal}") };
-    assert_eq!(violation.limit, Limit::LinearJerk);
+    let Refusal::Between { time_s, violation } = refusal else { panic!("{refusal}") };
+    assert!(violation.limit == Limit::LinearJerk && time_s < 0.05, "{refusal}");
     assert!(refusal.to_string().contains("m/s^3, but the plan's limit is 84.375 m/s^3"), "{refusal}");
     ArmMotion::new(&motion, &mount(), PERIOD_US).expect("what the plan's own check looks at");
 }
