@@ -1,10 +1,10 @@
 """Opens reports in headless Chromium and checks what a reader would see: pages.py [--made-up] SCREENSHOTS REPORT...
 
 For each report: it asks for nothing but itself, says nothing in the console, fits screens of 400, 800 and 1400 pixels,
-draws every chart, with marks of the axes exactly where their numbers say, and reads values out; a replay is not blank,
-plays, stops, is at the right frame after scrubbing and stepping, changes with colours, layers and points of view, and
-names its containers; without WebGL there is a sentence in its place. With --made-up, the first report is the package's
-example, whose particle 0 is where a formula says.
+lets fingers do what a mouse does, draws every chart, with marks of the axes exactly where their numbers say, and reads
+values out; a replay is not blank, plays, stops, is at the right frame after scrubbing and stepping, changes with colours,
+layers and points of view, and names its containers; without WebGL there is a sentence in its place. With --made-up, the
+first report is the package's example, whose particle 0 is where a formula says.
 """
 
 import base64
@@ -44,7 +44,7 @@ SMALL = """
 return [...document.querySelectorAll('button, select, label, input[type=range], summary')].filter((element) => {
   const { width, height } = element.getBoundingClientRect();
   const inLabel = element.closest('label') && element.tagName !== 'LABEL';
-  return !inLabel && width > 0 && (height < 36 || width < 28);
+  return !inLabel && width > 0 && (height < 40 || width < 28);
 }).map((element) => `${element.tagName} ${element.id} ${element.textContent.trim()}`);
 """
 
@@ -419,6 +419,42 @@ class Report:
         self.click("[data-layer=names]")
         check(self.find("#names").is_displayed(), "names do not come back")
 
+    def touch(self, kind, *points):
+        at = [{"x": x, "y": y} for x, y in points]
+        self.driver.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": kind, "touchPoints": at})
+
+    def middle(self, selector):
+        """Where the middle of something is on the screen, scrolled to."""
+        self.script("arguments[0].scrollIntoView({block: 'center'})", self.find(selector))
+        return self.script("const { x, y, width, height } = arguments[0].getBoundingClientRect();"
+                           "return [x + width / 2, y + height / 2];", self.find(selector))
+
+    def check_touch(self):
+        """A finger reads a chart, ticks a box, and turns the picture."""
+        self.emulate(400, 900, "light")
+        self.driver.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": True})
+        if self.find_all(".chart"):
+            self.touch("touchStart", self.middle(".chart .plot svg"))
+            self.touch("touchEnd")
+            self.settle()
+            check(self.find(".chart .tip").is_displayed(), "a chart that is touched tells nothing")
+        if self.has_replay:
+            shown = self.pixels()["hash"]
+            self.touch("touchStart", self.middle("#layers label"))
+            self.touch("touchEnd")
+            until(lambda: self.pixels()["hash"] != shown, "a finger ticks a box")
+            self.click("#layers input")
+            shown = self.pixels()["hash"]
+            x, y = self.middle("#stage")
+            self.touch("touchStart", (x, y))
+            for step in range(1, 9):
+                self.touch("touchMove", (x + 8 * step, y))
+            self.touch("touchEnd")
+            self.settle()
+            check(self.pixels()["hash"] != shown, "a finger does not turn the picture")
+            self.click("[data-view=oblique]")
+        self.driver.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": False})
+
     def check_colours(self):
         """No colour that powder may have is that of a container."""
         told = self.script(COLOURS)
@@ -491,6 +527,7 @@ def check_report(driver, path, shots, made_up):
         if made_up:
             report.check_particle()
     report.check_widths()
+    report.check_touch()
     report.take_screenshots()
     report.check_quiet()
     print(f"{path.name}: {told}; {path.stat().st_size / 1e6:.2f} MB, no request, nothing in the console")
