@@ -1,55 +1,166 @@
-//! `optimise export`: a motion as files for other programs.
+//! `optimise export`: the motion of a plan for robots and other programs, and the powder for those who ask for it.
 
-use super::{CliError, Context, film::Film, motion::MotionArgs, run::safe_name};
+mod destination;
+
+use super::{
+    CliError, Context, PrecisionArg, Resources,
+    film::Film,
+    inspect::read_plan,
+    motion::{MotionArgs, Task},
+    run::safe_name,
+};
 use clap::{Args, ValueEnum};
-use powderline_view::export::{Format, Series};
-use std::path::{Path, PathBuf};
+use destination::{Destination, STDOUT};
+use nalgebra::Vector3;
+use powderline_shared::{
+    arm::Joints,
+    limits::PeakUse,
+    plan::PlanReader,
+    pose::{Pose, exp_so3, renormalised},
+};
+use powderline_view::{
+    export::{Format, Series},
+    motion::{
+        Motion,
+        arm::{ArmMotion, Figures, Mount},
+        mcap, table, urscript,
+    },
+};
+use std::{
+    io::{self, Write},
+    path::{Path, PathBuf},
+};
+
+/// Control steps from one frame of powder to the next.
+const DEFAULT_EVERY: u32 = 2;
+
+const FORMATS: &str = "\
+A motion (nothing is simulated; one file, beside the plan unless --out says where):
+  urscript  program for a UR e-Series controller; needs --arm
+  csv       table, a row for each tick of the plan: time_s; x_m y_m z_m qw qx qy qz, the tool in the world;
+            vx_m_s vy_m_s vz_m_s wx_rad_s wy_rad_s wz_rad_s, its velocities along the world's axes;
+            with --arm joint1_rad .. joint6_rad and joint1_rad_s .. joint6_rad_s
+  json      one object: plan, scene, period, arm, and the table's columns by name under \"motion\"
+  mcap      ROS 2 messages: /tool_pose, /tf; with --arm /joint_trajectory, /joint_states; with --particles /powder
+Powder (simulated for it, which takes as long as `optimise simulate`; many files, a folder):
+  vtk       XML PolyData and a collection of it, for ParaView
+  ply       binary PLY, for MeshLab
+  csv       with --particles: tables of particles and tool, instead of the motion's
+
+Base and tool of the arm, for a UR5e where firmware-sim puts it beside the scene `bench`:
+  optimise export PLAN --format urscript --arm ur5e --base 0.26,-0.7,0,0,0,-90 --tool 0,0,0.1,90,0,-90";
 
 /// Arguments of `optimise export`.
 #[derive(Clone, Debug, Args)]
+#[command(after_help = FORMATS)]
 pub(super) struct ExportArgs {
-    /// The motion.
-    #[command(flatten)]
-    pub motion: MotionArgs,
-    /// For which programs
+    /// The plan
+    #[arg(value_name = "PLAN", required_unless_present_any = ["plan_option", "theta"])]
+    pub plan: Option<PathBuf>,
+    /// The same
+    #[arg(long = "plan", value_name = "FILE", hide = true, conflicts_with = "plan")]
+    pub plan_option: Option<PathBuf>,
+    /// What to write, see below
     #[arg(long, value_enum)]
     pub format: FormatArg,
-    /// Every so many control steps; 1 writes them all
-    #[arg(long, value_name = "N", default_value = "2", value_parser = clap::value_parser!(u32).range(1..))]
-    pub every: u32,
-    /// Folder to write into, without a series in this format [default: export/<scene>-<format>]
-    #[arg(long, value_name = "DIR")]
+    /// File, - for standard output, or the powder's folder [default: beside the plan; for powder export/<scene>-<format>]
+    #[arg(long, value_name = "PATH", allow_hyphen_values = true)]
     pub out: Option<PathBuf>,
+    /// Write over a file that is there
+    #[arg(long)]
+    pub force: bool,
+    /// The arm.
+    #[command(flatten)]
+    pub arm: ArmArgs,
+    /// The powder.
+    #[command(flatten)]
+    pub powder: PowderArgs,
 }
 
-/// A format of particle series.
+/// Arguments about the arm.
+#[derive(Clone, Debug, Args)]
+#[command(next_help_heading = "Arm")]
+pub(super) struct ArmArgs {
+    /// Arm that makes the motion: adds its joints, and checks that it can
+    #[arg(long, value_enum, requires_all = ["base", "tool"])]
+    pub arm: Option<ArmKind>,
+    /// Its base in the scene's world: position in metres; roll, pitch, yaw in degrees (about the fixed x, y, z in turn)
+    #[arg(long, value_name = "X,Y,Z,R,P,Y", allow_hyphen_values = true, requires = "arm", value_parser = parse_pose)]
+    pub base: Option<Pose>,
+    /// The plan's tool frame in the flange, likewise
+    #[arg(long, value_name = "X,Y,Z,R,P,Y", allow_hyphen_values = true, requires = "arm", value_parser = parse_pose)]
+    pub tool: Option<Pose>,
+    /// Joints near which to begin, degrees [default: elbow up, reaching forward, if that can make the motion]
+    #[arg(long, value_name = "J1,..,J6", allow_hyphen_values = true, requires = "arm", value_parser = parse_joints)]
+    pub near: Option<[f64; 6]>,
+    /// Setpoints a second of a URScript program; a whole part of 500 [default: 500, the e-Series' own]
+    #[arg(long, value_name = "HZ", value_parser = parse_rate, requires = "arm")]
+    pub rate: Option<u32>,
+}
+
+/// Arguments about the powder.
+#[derive(Clone, Debug, Args)]
+#[command(next_help_heading = "Powder")]
+pub(super) struct PowderArgs {
+    /// Write the powder: with csv instead of the motion, with mcap beside it
+    #[arg(long)]
+    pub particles: bool,
+    /// Every so many control steps; 1 writes them all [default: 2]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub every: Option<u32>,
+    /// Scene: an embedded name or a TOML file [default: the scene.toml beside the plan, otherwise bench]
+    #[arg(long, value_name = "SCENE")]
+    pub scene: Option<String>,
+    /// Powder of a skill instead of a plan: depth, scoop angle, lift, transport, pour angle, each in [-1, 1]
+    #[arg(long, value_name = "A,B,C,D,E", allow_hyphen_values = true, conflicts_with_all = ["plan", "plan_option"])]
+    pub theta: Option<String>,
+    /// Powder under the motion that the arm made of the plan, as recorded
+    #[arg(long, value_name = "FILE", conflicts_with = "theta")]
+    pub executed: Option<PathBuf>,
+    /// Seed of a skill's packing [default: 1]
+    #[arg(long, value_name = "N", conflicts_with_all = ["plan", "plan_option"])]
+    pub seed: Option<u64>,
+    /// Precision of a skill's simulation [default: f32]
+    #[arg(long, conflicts_with_all = ["plan", "plan_option"])]
+    pub precision: Option<PrecisionArg>,
+    /// Threads and memory.
+    #[command(flatten)]
+    pub resources: Resources,
+}
+
+/// What is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(super) enum FormatArg {
-    /// XML PolyData and a collection of it, for ParaView
-    Vtk,
-    /// Binary PLY, for MeshLab
-    Ply,
-    /// Tables, for pandas and spreadsheets
+    Urscript,
     Csv,
+    Json,
+    Mcap,
+    Vtk,
+    Ply,
+}
+
+/// An arm whose kinematics are known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(super) enum ArmKind {
+    /// Universal Robots UR5e
+    Ur5e,
 }
 
 impl FormatArg {
     fn name(self) -> &'static str {
         match self {
+            Self::Urscript => "urscript",
+            Self::Csv => "csv",
+            Self::Json => "json",
+            Self::Mcap => "mcap",
             Self::Vtk => "vtk",
             Self::Ply => "ply",
-            Self::Csv => "csv",
         }
     }
-}
 
-impl From<FormatArg> for Format {
-    fn from(argument: FormatArg) -> Self {
-        match argument {
-            FormatArg::Vtk => Self::Vtk,
-            FormatArg::Ply => Self::Ply,
-            FormatArg::Csv => Self::Csv,
-        }
+    /// Ending of a motion's file.
+    fn ending(self) -> &'static str {
+        if self == Self::Urscript { "script" } else { self.name() }
     }
 }
 
@@ -58,21 +169,237 @@ impl From<FormatArg> for Format {
 /// # Errors
 /// One sentence.
 pub(super) fn execute(arguments: &ExportArgs, context: &mut Context<'_>) -> Result<(), CliError> {
-    let task = arguments.motion.task()?;
-    let film = Film::new(&task, f64::from(arguments.every) * task.scene.time.control_period_s())?;
-    let bench = film.bench();
-    let usual =
-        || Path::new("export").join(format!("{}-{}", safe_name(&bench.name), arguments.format.name()));
-    let folder = arguments.out.clone().unwrap_or_else(usual);
-    let mut series = Series::new(&bench, arguments.format.into(), &folder, 1)?;
-    film.shoot(&mut series, context)?;
-    writeln!(
-        context.out,
-        "{} frames of {} particles, {} s apart, are in {}.",
-        bench.frames,
-        bench.particles,
-        bench.period_s,
-        folder.display()
-    )?;
-    Ok(())
+    arguments.check()?;
+    match arguments.series() {
+        Some(format) => arguments.write_series(format, context),
+        None => arguments.write_motion(context),
+    }
+}
+
+impl ExportArgs {
+    /// Refuses what does not go together, before any file is read.
+    fn check(&self) -> Result<(), CliError> {
+        use FormatArg::{Json, Urscript};
+        let Self { format, arm, powder, .. } = self;
+        let (is_series, to_stdout) =
+            (self.series().is_some(), self.out.as_deref() == Some(Path::new(STDOUT)));
+        let has_powder = is_series || powder.particles;
+        let name = format.name();
+        let sentence = match () {
+            () if *format == Urscript && arm.arm.is_none() => {
+                "--format urscript needs an arm: give --arm ur5e, --base X,Y,Z,R,P,Y and --tool X,Y,Z,R,P,Y".into()
+            }
+            () if matches!(format, Urscript | Json) && powder.particles => {
+                format!("--particles goes with csv, mcap, vtk and ply, but {name} holds a motion alone")
+            }
+            () if is_series && arm.arm.is_some() => {
+                "--arm goes with a motion (urscript, csv, json, mcap), not with files of powder".into()
+            }
+            () if *format != Urscript && arm.rate.is_some() => {
+                format!("--rate goes with urscript, but {name} has the ticks of the plan")
+            }
+            () if !is_series && (powder.theta.is_some() || powder.executed.is_some()) => {
+                "--theta and --executed go with files of powder (vtk, ply, csv with --particles); a motion is that of a plan"
+                    .into()
+            }
+            () if !has_powder && powder.every.is_some() => {
+                "--every goes with powder, but a motion has every tick of the plan".into()
+            }
+            () if has_powder && to_stdout => {
+                "powder goes into files, not to standard output: name where by --out".into()
+            }
+            () if is_series && self.force => {
+                "--force writes over a file, but powder takes a folder: name one without a series by --out".into()
+            }
+            () => return Ok(()),
+        };
+        Err(CliError::Input(sentence))
+    }
+
+    /// The kind of files that hold powder alone, if it is that.
+    fn series(&self) -> Option<Format> {
+        match self.format {
+            FormatArg::Vtk => Some(Format::Vtk),
+            FormatArg::Ply => Some(Format::Ply),
+            FormatArg::Csv if self.powder.particles => Some(Format::Csv),
+            FormatArg::Csv | FormatArg::Urscript | FormatArg::Json | FormatArg::Mcap => None,
+        }
+    }
+
+    fn plan(&self) -> Option<&Path> {
+        self.plan.as_deref().or(self.plan_option.as_deref())
+    }
+
+    /// What is to be simulated.
+    fn task(&self) -> Result<Task, CliError> {
+        let PowderArgs { scene, theta, executed, seed, precision, resources, .. } = self.powder.clone();
+        let plan = self.plan().map(Path::to_path_buf);
+        MotionArgs { scene, theta, plan, executed, seed, precision, resources }.task()
+    }
+
+    fn film<'a>(&self, task: &'a Task) -> Result<Film<'a>, CliError> {
+        let every = f64::from(self.powder.every.unwrap_or(DEFAULT_EVERY));
+        Film::new(task, every * task.scene.time.control_period_s())
+    }
+
+    fn write_series(&self, format: Format, context: &mut Context<'_>) -> Result<(), CliError> {
+        let task = self.task()?;
+        let film = self.film(&task)?;
+        let bench = film.bench();
+        let usual = || Path::new("export").join(format!("{}-{}", safe_name(&bench.name), self.format.name()));
+        let folder = self.out.clone().unwrap_or_else(usual);
+        let mut series = Series::new(&bench, format, &folder, 1)?;
+        film.shoot(&mut series, context)?;
+        writeln!(
+            context.out,
+            "{} frames of {} particles, {} s apart, are in {}.",
+            bench.frames,
+            bench.particles,
+            bench.period_s,
+            folder.display()
+        )?;
+        Ok(())
+    }
+
+    fn write_motion(&self, context: &mut Context<'_>) -> Result<(), CliError> {
+        let plan = self.plan().unwrap_or(Path::new(""));
+        let motion = self.motion(plan)?;
+        let task = (self.powder.particles || self.powder.scene.is_some()).then(|| self.task()).transpose()?;
+        let usual = || plan.with_extension(self.format.ending());
+        let destination = Destination::new(self.out.clone().unwrap_or_else(usual), self.force)?;
+        let written = match task.filter(|_| self.powder.particles) {
+            Some(task) => {
+                let film = self.film(&task)?;
+                destination.record(&motion, &film, context)?;
+                format!(", with {} frames of {} particles", film.bench().frames, film.bench().particles)
+            }
+            None => {
+                destination.write(context.out, |out| self.write_to(out, &motion))?;
+                String::new()
+            }
+        };
+        let text = format!("{destination}: {}{written}.\n{}", ticks(&motion), self.text(&motion));
+        let words = if destination.is_stdout() { &mut *context.err } else { &mut *context.out };
+        words.write_all(text.as_bytes())?;
+        Ok(())
+    }
+
+    /// The motion of the plan, and of the arm where there is one.
+    fn motion(&self, path: &Path) -> Result<Motion, CliError> {
+        let wrong = |why: String| CliError::Input(format!("{} {why}", path.display()));
+        let bytes = read_plan(path)?;
+        let plan = PlanReader::new(&bytes).map_err(|error| wrong(format!("is no usable plan: {error}")))?;
+        let broken = |violation| wrong(format!("breaks its own limits: {violation}; make it anew"));
+        let mut motion = Motion::new(&plan).map_err(broken)?;
+        if self.format == FormatArg::Urscript && motion.last_tick() > urscript::MAX_TICKS {
+            return Err(wrong(format!(
+                "has {} ticks, but a URScript program of more than {} is more than a controller loads; write mcap or csv \
+                 and send that by UR's ROS driver or RTDE",
+                motion.last_tick(),
+                urscript::MAX_TICKS
+            )));
+        }
+        if let Some(mount) = self.arm.mount() {
+            let refused = |refusal| wrong(format!("is no motion for this arm: {refusal}"));
+            motion.arm = Some(ArmMotion::new(&motion, &mount, self.arm.cycle_us()).map_err(refused)?);
+        }
+        Ok(motion)
+    }
+
+    fn write_to(&self, out: &mut dyn Write, motion: &Motion) -> io::Result<()> {
+        match (self.format, &motion.arm) {
+            (FormatArg::Urscript, Some(arm)) => urscript::write(out, motion, arm, self.arm.cycle_us()),
+            (FormatArg::Json, _) => table::write_json(out, motion),
+            (FormatArg::Mcap, _) => mcap::write(out, motion),
+            _ => table::write_csv(out, motion),
+        }
+    }
+
+    /// Sentences on what the arm has to do.
+    fn text(&self, motion: &Motion) -> String {
+        let Some(ArmMotion { model, figures, .. }) = &motion.arm else { return String::new() };
+        let Figures { fastest_joint, speed_rad_s, singular_joint, margin, limit_use } = figures;
+        let reach = if model.posture.reaches_forward { "forward" } else { "backward over its base" };
+        let elbow = if model.posture.elbow_is_up() { "up" } else { "down" };
+        let share = 100.0 * speed_rad_s / model.joint_speed_rad_s[fastest_joint - 1];
+        let percent = |share: f64| format!("{:.0} %", 100.0 * share);
+        let PeakUse {
+            linear_velocity,
+            linear_acceleration,
+            linear_jerk,
+            angular_velocity,
+            angular_acceleration,
+            angular_jerk,
+        } = *limit_use;
+        format!(
+            "The UR5e reaches {reach}, elbow {elbow}. Joint {fastest_joint} comes nearest to its speed, {speed_rad_s:.2} rad/s \
+             ({share:.0} %); joint {singular_joint} nearest to a singularity, {margin:.2} (1 is best, {:.2} the least).\n\
+             Looked at every {} ms it uses, of the plan's limits: linear velocity {}, acceleration {}, jerk {}; angular \
+             velocity {}, acceleration {}, jerk {}.\n",
+            model.singularity_margin,
+            f64::from(self.arm.cycle_us()) / 1e3,
+            percent(linear_velocity),
+            percent(linear_acceleration),
+            percent(linear_jerk),
+            percent(angular_velocity),
+            percent(angular_acceleration),
+            percent(angular_jerk),
+        )
+    }
+}
+
+fn ticks(motion: &Motion) -> String {
+    format!(
+        "{} ticks of {} ms, {:.2} s",
+        motion.last_tick(),
+        motion.period_us as f64 / 1e3,
+        motion.duration_s()
+    )
+}
+
+impl ArmArgs {
+    fn mount(&self) -> Option<Mount> {
+        let near = self.near.map(|joints| joints.map(f64::to_radians));
+        let (ArmKind::Ur5e, world_from_base, flange_from_tool) = (self.arm?, self.base?, self.tool?);
+        Some(Mount { world_from_base, flange_from_tool, near })
+    }
+
+    /// From setpoint to setpoint; what is between ticks is looked at as often.
+    fn cycle_us(&self) -> u32 {
+        1_000_000 / self.rate.unwrap_or(urscript::CONTROLLER_HZ)
+    }
+}
+
+/// Numbers with commas between them, as many as have `names`.
+fn parse_numbers<const N: usize>(text: &str, names: &str) -> Result<[f64; N], String> {
+    let right = || format!("{N} numbers with commas between them would be right: {names}");
+    let number = |part: &str| {
+        let part = part.trim();
+        part.parse()
+            .ok()
+            .filter(|number: &f64| number.is_finite())
+            .ok_or(format!("`{part}` is no number; {}", right()))
+    };
+    let numbers = text.split(',').map(number).collect::<Result<Vec<f64>, _>>()?;
+    numbers.try_into().map_err(|numbers: Vec<f64>| format!("there are {}; {}", numbers.len(), right()))
+}
+
+fn parse_pose(text: &str) -> Result<Pose, String> {
+    let [x, y, z, roll, pitch, yaw] =
+        parse_numbers(text, "x, y, z in metres, then roll, pitch, yaw in degrees")?;
+    let about = |axis: Vector3<f64>, angle_deg: f64| exp_so3(&(axis * angle_deg.to_radians()));
+    let orientation = about(Vector3::z(), yaw) * about(Vector3::y(), pitch) * about(Vector3::x(), roll);
+    Ok(Pose { position_m: Vector3::new(x, y, z), orientation: renormalised(orientation) })
+}
+
+fn parse_joints(text: &str) -> Result<Joints, String> {
+    parse_numbers(text, "degrees, from the base to the flange")
+}
+
+fn parse_rate(text: &str) -> Result<u32, String> {
+    let most = urscript::CONTROLLER_HZ;
+    let rate = text.parse().ok().filter(|rate| (1..=most).contains(rate) && most.is_multiple_of(*rate));
+    rate.ok_or(format!(
+        "the controller takes {most} setpoints a second or a whole part of that: 500, 250, 125, 100, 50, ..."
+    ))
 }

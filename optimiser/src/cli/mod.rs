@@ -90,7 +90,7 @@ enum Command {
     Simulate(simulate::SimulateArgs),
     /// Draw pictures and animations of a motion
     Render(render::RenderArgs),
-    /// Write a motion as files for ParaView, MeshLab or pandas
+    /// Write the motion of a plan for a robot, ROS 2 or pandas, or the powder for ParaView and MeshLab
     Export(export::ExportArgs),
     /// Compare ways to search for a skill, each with the same number of rollouts
     Compare(compare::CompareArgs),

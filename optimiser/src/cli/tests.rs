@@ -28,6 +28,7 @@ use std::{
 
 mod commands;
 mod compare;
+mod export;
 mod motion;
 mod pages;
 
@@ -258,6 +259,11 @@ fn arguments_are_consistent() {
         "scenes --json",
         "new mine.toml --from bench-small",
         "completions fish",
+        "export p --format csv",
+        "export --plan p --format vtk",
+        "export p --format csv --arm ur5e --base -1,0,0,0,0,-90 --tool 0,0,0.1,0,0,0 --near -1,2,3,4,5,6",
+        "export --format ply --theta 0,0,0,0,0 --scene bench --seed 3",
+        "export p --format csv --out -",
     ] {
         let arguments = ["optimise"].into_iter().chain(line.split_whitespace());
         assert!(Cli::try_parse_from(arguments).is_ok(), "{line}");
@@ -269,6 +275,20 @@ fn arguments_are_consistent() {
         "simulate --plan p --seed 1",
         "simulate --executed e",
         "simulate --theta 0,0,0,0,0 --executed e",
+        "export --format csv",
+        "export p",
+        "export p --plan p --format csv",
+        "export p --format xml",
+        "export p --format csv --arm ur5e",
+        "export p --format csv --base 0,0,0,0,0,0",
+        "export p --format csv --arm ur3 --base 0,0,0,0,0,0 --tool 0,0,0,0,0,0",
+        "export p --format csv --arm ur5e --base 0,0,0,0,0 --tool 0,0,0,0,0,0",
+        "export p --format csv --arm ur5e --base 0,0,0,0,0,x --tool 0,0,0,0,0,0",
+        "export p --format csv --arm ur5e --base 0,0,0,0,0,nan --tool 0,0,0,0,0,0",
+        "export p --format urscript --arm ur5e --base 0,0,0,0,0,0 --tool 0,0,0,0,0,0 --rate 300",
+        "export p --format urscript --arm ur5e --base 0,0,0,0,0,0 --tool 0,0,0,0,0,0 --rate 1000",
+        "export p --format vtk --theta 0,0,0,0,0",
+        "export p --format vtk --seed 3",
         "--threads 0",
         "--memory 5x",
     ] {

@@ -1,4 +1,4 @@
-//! Motions of powder and tool as pictures, as a page with a 3-D replay, and as files for other programs.
+//! Motions of powder and tool as pictures, as a page with a 3-D replay, and as files for robots and other programs.
 //!
 //! The simulator hands over a [`Bench`] once, then a [`Frame`] after another, to a [`Sink`]. It knows nothing of what
 //! becomes of them, and this package nothing of where they come from.
@@ -7,8 +7,10 @@
 
 pub mod export;
 pub mod mesh;
+pub mod motion;
 pub mod page;
 pub mod picture;
+pub mod whole;
 
 use powderline_shared::pose::Pose;
 pub use powderline_simulator::rollout::Destination;

@@ -1,4 +1,4 @@
-//! `optimise report`, `render` and `export` with the stand-in, whose powder is two particles.
+//! `optimise report` and `render` with the stand-in, whose powder is two particles.
 
 use super::*;
 
@@ -104,47 +104,4 @@ fn what_cannot_be_drawn_is_refused() {
     assert_sentence(&render(&["--at", "1", "--size", "32x32"]), 1, "pictures");
     let interrupted = optimise_for(1, &["render", "bench-small", "--theta", "0,0,0,0,0", "--out", &folder]);
     assert_sentence(&interrupted, 130, "stopped");
-}
-
-#[test]
-fn a_skill_is_exported_in_every_format_and_never_over_another() {
-    let place = Place::new();
-    for (format, files) in [
-        ("csv", ["particles.csv", "tool.csv", "destinations.csv"]),
-        ("ply", ["powder-0000.ply", "tool-0000.ply", "containers.ply"]),
-        ("vtk", ["series.pvd", "powder-0000.vtp", "containers.vtp"]),
-    ] {
-        let folder = place.text(format);
-        let export = [
-            "export",
-            "bench-small",
-            "--theta",
-            "0,0,0,0,0",
-            "--format",
-            format,
-            "--every",
-            "33",
-            "--out",
-            &folder,
-        ];
-        let done = optimise(&export);
-        assert_eq!(done.code, 0, "{}", done.err);
-        assert!(done.out.contains("11 frames of"), "{}", done.out);
-        for file in files {
-            assert!(Path::new(&folder).join(file).is_file(), "{format}: {file}");
-        }
-        assert_sentence(&optimise(&export), 2, &folder);
-    }
-    let done = optimise(&[
-        "export",
-        "bench-small",
-        "--theta",
-        "2,0,0,0,0",
-        "--format",
-        "csv",
-        "--out",
-        &place.text("no"),
-    ]);
-    assert_sentence(&done, 2, "theta");
-    assert!(!place.path("no").exists());
 }

@@ -170,7 +170,9 @@ fn write(path: &Path, contents: impl FnOnce(&mut dyn Write) -> io::Result<()>) -
 }
 
 /// Position, velocity and speed of each particle, metres and m/s. A particle without a velocity is at rest.
-fn particles<'a>(frame: &'a Frame<'_>) -> impl Iterator<Item = ([f32; 3], [f32; 3], f32)> + use<'a> {
+pub(crate) fn particles<'a>(
+    frame: &'a Frame<'_>,
+) -> impl Iterator<Item = ([f32; 3], [f32; 3], f32)> + use<'a> {
     frame.positions_m.iter().enumerate().map(|(index, position)| {
         let velocity = frame.velocities_m_s.get(index).copied().unwrap_or_default();
         (*position, velocity, velocity.iter().map(|part| part * part).sum::<f32>().sqrt())

@@ -140,7 +140,7 @@ impl Sink for Animation {
             }
         }
         let whole: Result<Vec<_>, _> = movies.into_iter().map(Movie::finish).collect();
-        whole?.into_iter().try_for_each(super::encode::Whole::commit)
+        whole?.into_iter().try_for_each(crate::whole::Whole::commit)
     }
 }
 

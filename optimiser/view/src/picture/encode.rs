@@ -3,14 +3,15 @@
 //! Of an animation's later pictures only the rectangle is stored in which something changed, and in it only the pixels
 //! that did, the others being transparent: most of a bench stands still.
 
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::{self, BufWriter, Write as _};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use color_quant::NeuQuant;
 
 use super::{Image, Rgb};
 use crate::ViewError;
+use crate::whole::Whole;
 
 /// A channel may differ by so much from what was drawn before it is drawn again: of 255, unseen.
 const UNSEEN: u8 = 2;
@@ -40,52 +41,8 @@ impl Image {
     /// If the system refuses; what was there is then there still.
     pub fn write(&self, path: &Path) -> Result<(), ViewError> {
         let whole = Whole::new(path)?;
-        (&whole.file).write_all(&self.to_png()).map_err(|source| whole.error(source))?;
+        whole.file().write_all(&self.to_png()).map_err(|source| whole.error(source))?;
         whole.commit()
-    }
-}
-
-/// A file that has its name only when it is complete, and otherwise vanishes.
-pub(super) struct Whole {
-    path: PathBuf,
-    part: PathBuf,
-    file: File,
-    is_complete: bool,
-}
-
-impl Whole {
-    pub(super) fn new(path: &Path) -> Result<Self, ViewError> {
-        let mut name = path.file_name().unwrap_or_default().to_os_string();
-        name.push(".part");
-        let part = path.with_file_name(name);
-        let error = |source| ViewError::File { path: path.to_path_buf(), source };
-        if let Some(folder) = path.parent() {
-            fs::create_dir_all(folder).map_err(error)?;
-        }
-        let file = File::create(&part).map_err(error)?;
-        Ok(Self { path: path.to_path_buf(), part, file, is_complete: false })
-    }
-
-    fn error(&self, source: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> ViewError {
-        ViewError::File { path: self.path.clone(), source: io::Error::other(source) }
-    }
-
-    pub(super) fn commit(mut self) -> Result<(), ViewError> {
-        self.file
-            .sync_all()
-            .and_then(|()| fs::rename(&self.part, &self.path))
-            .map_err(|source| self.error(source))?;
-        self.is_complete = true;
-        Ok(())
-    }
-}
-
-impl Drop for Whole {
-    fn drop(&mut self) {
-        if !self.is_complete {
-            // Nobody is left to be told.
-            let _ = fs::remove_file(&self.part);
-        }
     }
 }
 
@@ -163,7 +120,7 @@ impl PngMovie {
     fn new(path: &Path, [width, height]: [usize; 2], shown_s: &[f64]) -> Result<Self, ViewError> {
         let whole = Whole::new(path)?;
         let open = || -> io::Result<_> {
-            let file = BufWriter::new(whole.file.try_clone()?);
+            let file = BufWriter::new(whole.file().try_clone()?);
             let mut encoder = png::Encoder::new(file, width as u32, height as u32);
             encoder.set_color(png::ColorType::Rgba);
             encoder.set_compression(png::Compression::High);
@@ -207,7 +164,7 @@ impl GifMovie {
     fn new(path: &Path, size_px: [usize; 2], shown_s: &[f64], colours: &[Rgb]) -> Result<Self, ViewError> {
         let whole = Whole::new(path)?;
         let open = || -> io::Result<_> {
-            let file = BufWriter::new(whole.file.try_clone()?);
+            let file = BufWriter::new(whole.file().try_clone()?);
             let [width, height] = size_px.map(|size| size as u16);
             let mut table = colours.concat();
             table.resize(3 * 256, 0);
@@ -357,6 +314,8 @@ pub(super) fn decoded(bytes: &[u8]) -> Image {
 
 #[cfg(test)]
 mod tests {
+    use std::fs;
+
     use super::*;
 
     fn image(width_px: usize, height_px: usize) -> Image {

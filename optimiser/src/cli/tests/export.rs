@@ -1,0 +1,253 @@
+//! `optimise export`: motions, and powder with the stand-in, whose powder is two particles.
+
+use super::*;
+
+/// A plan of 100 ticks that an arm can make, pinned where plans are at home.
+const GOLDEN: &[u8] = include_bytes!("../../../../shared/tests/golden/plan-v1.plan");
+
+/// An arm that can make it.
+const ARM: [&str; 6] = ["--arm", "ur5e", "--base", "0.6,0.25,0,0,0,0", "--tool", "0,0,0.1,20,0,0"];
+
+/// A place with the plan in it.
+fn with_plan() -> (Place, String) {
+    let place = Place::new();
+    fs::write(place.path("skill.plan"), GOLDEN).unwrap();
+    let plan = place.text("skill.plan");
+    (place, plan)
+}
+
+fn export(plan: &str, format: &str, more: &[&str]) -> Done {
+    optimise(&[&["export", plan, "--format", format], more].concat())
+}
+
+fn names(place: &Place) -> Vec<String> {
+    let entries = fs::read_dir(place.0.path()).unwrap();
+    let mut names: Vec<_> =
+        entries.map(|entry| entry.unwrap().file_name().to_string_lossy().into_owned()).collect();
+    names.sort();
+    names
+}
+
+// --- motions ---
+
+#[test]
+fn a_motion_is_written_beside_its_plan_in_every_format() {
+    for (format, name, begins) in [
+        ("csv", "skill.csv", "time_s,x_m,"),
+        ("json", "skill.json", "{\"plan_hash\":\""),
+        ("mcap", "skill.mcap", "MCAP"),
+        ("urscript", "skill.script", "# Motion of Powderline's plan "),
+    ] {
+        let (place, plan) = with_plan();
+        let done = export(&plan, format, &ARM);
+        assert_eq!(done.code, 0, "{format}: {}", done.err);
+        assert!(done.out.contains(name) && done.out.contains("100 ticks of 10 ms, 1.00 s."), "{}", done.out);
+        assert!(done.out.contains("The UR5e reaches forward, elbow up. Joint"), "{}", done.out);
+        assert_eq!(names(&place).len(), 2);
+        let bytes = fs::read(place.path(name)).unwrap();
+        assert!(String::from_utf8_lossy(&bytes[..40]).contains(begins), "{format}");
+    }
+}
+
+#[test]
+fn without_an_arm_there_are_no_joints() {
+    let (place, plan) = with_plan();
+    assert_eq!(export(&plan, "csv", &[]).code, 0);
+    let table = fs::read_to_string(place.path("skill.csv")).unwrap();
+    assert!(!table.contains("joint") && table.lines().count() == 102);
+}
+
+#[test]
+fn standard_output_holds_the_motion_and_nothing_else() {
+    let (place, plan) = with_plan();
+    let done = export(&plan, "json", &[&ARM[..], &["--out", "-"]].concat());
+    assert_eq!(done.code, 0, "{}", done.err);
+    assert_eq!(serde_json::from_str::<Value>(&done.out).unwrap()["steps"], 100);
+    assert!(done.err.starts_with("standard output: 100 ticks"), "{}", done.err);
+    assert_eq!(names(&place), ["skill.plan"]);
+}
+
+#[test]
+fn a_closed_pipe_is_one_sentence() {
+    struct Closed;
+    impl Write for Closed {
+        fn write(&mut self, _: &[u8]) -> io::Result<usize> {
+            Err(io::ErrorKind::BrokenPipe.into())
+        }
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+    let (_place, plan) = with_plan();
+    let mut err = Vec::new();
+    let mut context = Context {
+        factory: &|_, _| Err(RolloutError::Stopped),
+        interrupt: Interrupt::default(),
+        out: &mut Closed,
+        err: &mut err,
+        live: false,
+    };
+    for format in ["csv", "json", "mcap"] {
+        let error = execute(["optimise", "export", &plan, "--format", format, "--out", "-"], &mut context);
+        let error = error.unwrap_err();
+        assert!(error.to_string().starts_with("the output cannot be written"), "{format}: {error}");
+        assert_eq!(error.code(), 1);
+    }
+}
+
+#[test]
+fn a_file_that_is_there_stays_unless_it_is_to_be_replaced() {
+    let (place, plan) = with_plan();
+    fs::write(place.path("skill.csv"), "mine").unwrap();
+    assert_sentence(&export(&plan, "csv", &[]), 2, "is there already; name another file by --out");
+    assert_eq!(fs::read_to_string(place.path("skill.csv")).unwrap(), "mine");
+    let done = export(&plan, "csv", &["--force"]);
+    assert_eq!(done.code, 0, "{}", done.err);
+    assert!(fs::read_to_string(place.path("skill.csv")).unwrap().starts_with("time_s"));
+    // Neither a folder nor a device is replaced, whatever is asked.
+    let folder = place.text("folder");
+    fs::create_dir(&folder).unwrap();
+    assert_sentence(&export(&plan, "csv", &["--force", "--out", &folder]), 2, "is a folder");
+    #[cfg(unix)]
+    assert_sentence(&export(&plan, "csv", &["--force", "--out", "/dev/null"]), 2, "is no ordinary file");
+}
+
+#[test]
+fn a_file_that_cannot_be_written_is_said() {
+    let (place, plan) = with_plan();
+    fs::write(place.path("file"), "no folder").unwrap();
+    let out = place.text("file/skill.csv");
+    assert_sentence(&export(&plan, "csv", &["--out", &out]), 1, "cannot be written");
+    assert_eq!(names(&place), ["file", "skill.plan"]);
+}
+
+#[test]
+fn what_is_no_plan_is_refused() {
+    let (place, plan) = with_plan();
+    assert_sentence(&export(&place.text("none.plan"), "csv", &[]), 2, "none.plan cannot be read");
+    fs::write(&plan, &GOLDEN[..GOLDEN.len() - 7]).unwrap();
+    assert_sentence(&export(&plan, "csv", &[]), 2, "is no usable plan: its checksum is");
+    fs::write(&plan, "a text").unwrap();
+    assert_sentence(&export(&plan, "csv", &[]), 2, "is no usable plan");
+    assert_eq!(names(&place), ["skill.plan"]);
+}
+
+#[test]
+fn a_plan_of_another_scene_is_refused_where_a_scene_is_given() {
+    let (place, plan) = with_plan();
+    assert_sentence(&export(&plan, "csv", &["--scene", "bench"]), 2, "was made for another scene than bench");
+    assert_sentence(&export(&plan, "mcap", &["--particles"]), 2, "was made for another scene than bench");
+    assert_eq!(names(&place), ["skill.plan"]);
+}
+
+#[test]
+fn a_plan_longer_than_a_controller_takes_is_refused_for_a_program_alone() {
+    let (place, plan) = with_plan();
+    fs::write(&plan, long_plan(10_001)).unwrap();
+    assert_sentence(&export(&plan, "urscript", &ARM), 2, "has 10001 ticks");
+    let done = export(&plan, "csv", &[]);
+    assert_eq!(done.code, 0, "{}", done.err);
+    assert_eq!(names(&place), ["skill.csv", "skill.plan"]);
+}
+
+/// The golden plan with more ticks at its end, in which nothing moves.
+fn long_plan(ticks: u32) -> Vec<u8> {
+    let golden = PlanReader::new(GOLDEN).unwrap();
+    let header = powderline_shared::plan::PlanHeader { step_count: ticks, ..*golden.header() };
+    let mut bytes = Vec::new();
+    let sink = |part: &[u8]| {
+        bytes.extend_from_slice(part);
+        Ok::<(), std::convert::Infallible>(())
+    };
+    let mut writer = powderline_shared::plan::PlanWriter::new(sink, &header).unwrap();
+    for step in golden.steps().chain(std::iter::repeat([0; 6])).take(ticks as usize) {
+        writer.step(step).unwrap();
+    }
+    writer.finish().unwrap();
+    bytes
+}
+
+#[test]
+fn a_base_out_of_reach_is_refused_with_time_value_limit_and_remedy() {
+    let (place, plan) = with_plan();
+    let far = ["--arm", "ur5e", "--base", "3,0,0,0,0,0", "--tool", "0,0,0,0,0,0"];
+    for format in ["urscript", "csv", "json", "mcap"] {
+        let done = export(&plan, format, &far);
+        assert_sentence(&done, 2, "is no motion for this arm: at 0.000 s the wrist would be 2.");
+        assert_sentence(&done, 2, "m from the shoulder, and can be 0.8172 m at the most");
+        assert_sentence(&done, 2, "put --base at least");
+    }
+    assert_eq!(names(&place), ["skill.plan"]);
+}
+
+#[test]
+fn what_does_not_go_together_is_refused_before_anything_is_read() {
+    for (format, more, about) in [
+        ("urscript", &[][..], "--format urscript needs an arm"),
+        ("json", &["--particles"], "json holds a motion alone"),
+        ("urscript", &[&ARM[..], &["--particles"]].concat(), "urscript holds a motion alone"),
+        ("vtk", &ARM, "--arm goes with a motion"),
+        ("csv", &[&ARM[..], &["--particles"]].concat(), "--arm goes with a motion"),
+        ("csv", &[&ARM[..], &["--rate", "125"]].concat(), "--rate goes with urscript"),
+        ("csv", &["--executed", "x"], "--theta and --executed go with files of powder"),
+        ("mcap", &["--particles", "--executed", "x"], "--theta and --executed go with files of powder"),
+        ("csv", &["--every", "3"], "--every goes with powder"),
+        ("mcap", &["--particles", "--out", "-"], "powder goes into files"),
+        ("ply", &["--out", "-"], "powder goes into files"),
+        ("ply", &["--force"], "powder takes a folder"),
+    ] {
+        assert_sentence(&export("no such plan", format, more), 2, about);
+    }
+}
+
+// --- powder ---
+
+#[test]
+fn powder_is_written_in_every_format_and_never_over_another() {
+    let place = Place::new();
+    let plan = format!("{}/skill.plan", place.finished("run", 1));
+    for (format, files) in [
+        ("csv", ["particles.csv", "tool.csv", "destinations.csv"]),
+        ("ply", ["powder-0000.ply", "tool-0000.ply", "containers.ply"]),
+        ("vtk", ["series.pvd", "powder-0000.vtp", "containers.vtp"]),
+    ] {
+        let folder = place.text(format);
+        let export = || self::export(&plan, format, &["--particles", "--every", "33", "--out", &folder]);
+        let done = export();
+        assert_eq!(done.code, 0, "{}", done.err);
+        assert!(done.out.contains("11 frames of"), "{}", done.out);
+        for file in files {
+            assert!(Path::new(&folder).join(file).is_file(), "{format}: {file}");
+        }
+        assert_sentence(&export(), 2, &folder);
+    }
+}
+
+#[test]
+fn messages_hold_the_powder_too_and_are_not_left_half_written() {
+    let place = Place::new();
+    let plan = format!("{}/skill.plan", place.finished("run", 1));
+    let out = place.text("powder.mcap");
+    let words = ["export", &plan, "--format", "mcap", "--particles", "--out", &out];
+    let interrupted = optimise_for(1, &words);
+    assert_sentence(&interrupted, 130, "stopped");
+    assert_eq!(names(&place), ["run"]);
+    let done = optimise(&words);
+    assert_eq!(done.code, 0, "{}", done.err);
+    assert!(done.out.contains("with 166 frames of"), "{}", done.out);
+    let topics = String::from_utf8_lossy(&fs::read(&out).unwrap()).matches("/powder").count();
+    assert!(topics >= 1);
+}
+
+#[test]
+fn the_powder_of_a_skill_needs_no_plan() {
+    let place = Place::new();
+    let skill = |theta, folder: &str| {
+        let begin = ["export", "--scene", "bench-small", "--format", "csv", "--particles", "--theta", theta];
+        optimise(&[&begin[..], &["--every", "33", "--out", folder]].concat())
+    };
+    let done = skill("0,0,0,0,0", &place.text("yes"));
+    assert_eq!(done.code, 0, "{}", done.err);
+    assert_sentence(&skill("2,0,0,0,0", &place.text("no")), 2, "theta");
+    assert!(!place.path("no").exists());
+}

@@ -1,0 +1,132 @@
+//! The motion as a table: columns with their units in their names, a row for each tick.
+//!
+//! | columns                                   | what                                                              |
+//! |-------------------------------------------|-------------------------------------------------------------------|
+//! | `time_s`                                  | since the beginning                                               |
+//! | `x_m`, `y_m`, `z_m`                       | origin of the tool's frame in the world                           |
+//! | `qw`, `qx`, `qy`, `qz`                    | unit quaternion from tool to world coordinates                    |
+//! | `vx_m_s`, `vy_m_s`, `vz_m_s`              | velocity of the origin, world axes                                |
+//! | `wx_rad_s`, `wy_rad_s`, `wz_rad_s`        | angular velocity, world axes                                      |
+//! | `joint1_rad` .. `joint6_rad`              | joints from the base to the flange, where there is an arm         |
+//! | `joint1_rad_s` .. `joint6_rad_s`          | their speeds                                                      |
+//!
+//! Numbers are the shortest that read back as the same bits.
+
+use std::io::{self, Write};
+
+use powderline_shared::arm::ArmModel;
+use powderline_shared::plan::StartPose;
+use powderline_shared::pose::Pose;
+use serde::ser::{Serialize, SerializeMap, Serializer};
+
+use super::Motion;
+
+const POSE: [&str; 7] = ["x_m", "y_m", "z_m", "qw", "qx", "qy", "qz"];
+const VELOCITY: [&str; 6] = ["vx_m_s", "vy_m_s", "vz_m_s", "wx_rad_s", "wy_rad_s", "wz_rad_s"];
+const JOINTS: [&str; 6] =
+    ["joint1_rad", "joint2_rad", "joint3_rad", "joint4_rad", "joint5_rad", "joint6_rad"];
+const SPEEDS: [&str; 6] =
+    ["joint1_rad_s", "joint2_rad_s", "joint3_rad_s", "joint4_rad_s", "joint5_rad_s", "joint6_rad_s"];
+
+/// Writes the table as comma-separated values.
+///
+/// # Errors
+/// What the system says.
+pub fn write_csv(out: &mut dyn Write, motion: &Motion) -> io::Result<()> {
+    writeln!(out, "{}", names(motion).join(","))?;
+    for tick in 0..=motion.last_tick() {
+        let row: Vec<String> = row(motion, tick).iter().map(f64::to_string).collect();
+        writeln!(out, "{}", row.join(","))?;
+    }
+    Ok(())
+}
+
+/// Writes one JSON object on one line: what the motion is of, and under `motion` the table's columns by their names.
+///
+/// # Errors
+/// What the system says.
+pub fn write_json(out: &mut dyn Write, motion: &Motion) -> io::Result<()> {
+    serde_json::to_writer(&mut *out, &Document::new(motion))?;
+    writeln!(out)
+}
+
+fn names(motion: &Motion) -> Vec<&'static str> {
+    let joints = motion.arm.iter().flat_map(|_| JOINTS.into_iter().chain(SPEEDS));
+    ["time_s"].into_iter().chain(POSE).chain(VELOCITY).chain(joints).collect()
+}
+
+fn row(motion: &Motion, tick: usize) -> Vec<f64> {
+    let StartPose { position_m, orientation_wxyz } = StartPose::from(&motion.poses[tick]);
+    let joints = motion.arm.iter().flat_map(|arm| arm.joints[tick].into_iter().chain(arm.speeds[tick]));
+    let pose = position_m.into_iter().chain(orientation_wxyz);
+    std::iter::once(motion.time_s(tick)).chain(pose).chain(motion.velocities[tick]).chain(joints).collect()
+}
+
+/// The JSON object.
+#[derive(serde::Serialize)]
+struct Document<'a> {
+    plan_hash: String,
+    scene_digest: String,
+    optimiser_version: String,
+    period_s: f64,
+    steps: usize,
+    translation_lsb_m: f64,
+    rotation_lsb_rad: f64,
+    arm: Option<Arm>,
+    motion: Columns<'a>,
+}
+
+#[derive(serde::Serialize)]
+struct Arm {
+    model: &'static str,
+    world_from_base: StartPose,
+    flange_from_tool: StartPose,
+    reaches_forward: bool,
+    elbow_up: bool,
+    wrist_positive: bool,
+}
+
+impl<'a> Document<'a> {
+    fn new(motion: &'a Motion) -> Self {
+        Self {
+            plan_hash: format!("{:016x}", motion.plan_hash),
+            scene_digest: motion.scene_digest.iter().map(|byte| format!("{byte:02x}")).collect(),
+            optimiser_version: motion.version_text(),
+            period_s: motion.period_s(),
+            steps: motion.last_tick(),
+            translation_lsb_m: motion.lsb.translation_m(),
+            rotation_lsb_rad: motion.lsb.rotation_rad(),
+            arm: motion.arm.as_ref().map(|arm| Arm::new(&arm.model)),
+            motion: Columns(motion),
+        }
+    }
+}
+
+impl Arm {
+    fn new(model: &ArmModel) -> Self {
+        let pose = |pose: &Pose| StartPose::from(pose);
+        Self {
+            model: "ur5e",
+            world_from_base: pose(&model.world_from_base),
+            flange_from_tool: pose(&model.flange_from_tool),
+            reaches_forward: model.posture.reaches_forward,
+            elbow_up: model.posture.elbow_is_up(),
+            wrist_positive: model.posture.wrist_positive,
+        }
+    }
+}
+
+struct Columns<'a>(&'a Motion);
+
+impl Serialize for Columns<'_> {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let rows: Vec<Vec<f64>> = (0..=self.0.last_tick()).map(|tick| row(self.0, tick)).collect();
+        let names = names(self.0);
+        let mut map = serializer.serialize_map(Some(names.len()))?;
+        for (column, name) in names.into_iter().enumerate() {
+            let values: Vec<f64> = rows.iter().map(|row| row[column]).collect();
+            map.serialize_entry(name, &values)?;
+        }
+        map.end()
+    }
+}

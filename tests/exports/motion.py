@@ -1,0 +1,499 @@
+"""Opens exported motions with programs that are not ours, and compares them with the plan that they are of.
+
+    python3 tests/exports/motion.py [--spoil] [--base X,Y,Z,R,P,Y --tool X,Y,Z,R,P,Y] PLAN DIR
+
+DIR holds what `optimise export` made of PLAN: `skill.csv`, `skill.json`, `skill.mcap`; with an arm, at this base and with this
+tool, `skill.script` as well; without one, and with its powder in `skill.mcap`, a folder `powder` with the same powder as
+tables. The program is run by the interpreter in urscript.py and its joints turned into poses by ur5e.py; tables are opened with
+pandas, messages with mcap and mcap-ros2-support. The plan is read by plan.py. Nothing of this knows the code that wrote the
+files.
+
+Prints the largest deviations. With --spoil single values are then changed in copies, and each change must be found.
+"""
+
+import argparse
+import json
+import pathlib
+import shutil
+import struct
+import sys
+import tempfile
+
+import numpy
+import pandas
+from mcap.exceptions import McapError
+from mcap.reader import make_reader
+from mcap.writer import Writer
+from mcap_ros2.decoder import DecoderFactory
+
+import plan as plans
+import ur5e
+import urscript
+from check import Differs, close, same, spoil_byte
+
+# Numbers in text read back as the same bits; sines and roots are taken by other libraries.
+SAME = 1e-14
+
+# Splines are solved by elimination there and by a dense matrix here; speeds are up to a few rad/s.
+SOLVED = 1e-11
+
+JOINT_NAMES = ["shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3"]
+
+
+def slopes(values, period_s):
+    """Derivatives at the ticks of the cubic spline through values that rests at both ends."""
+    last = len(values) - 1
+    matrix, right = numpy.eye(last + 1), numpy.zeros_like(values)
+    for k in range(1, last):
+        matrix[k, k - 1 : k + 2] = 1, 4, 1
+        right[k] = 3 * (values[k + 1] - values[k - 1]) / period_s
+    return numpy.linalg.solve(matrix, right)
+
+
+def spline(values, period_s, times_s):
+    """The cubic spline itself, by its second derivatives' other form: Hermite's polynomials."""
+    at = numpy.minimum((times_s / period_s + 1e-9).astype(int), len(values) - 2)
+    s = (times_s / period_s - at)[:, None]
+    m = slopes(values, period_s) * period_s
+    h = [(1 + 2 * s) * (1 - s) ** 2, s * (1 - s) ** 2, s * s * (3 - 2 * s), s * s * (s - 1)]
+    return h[0] * values[at] + h[1] * m[at] + h[2] * values[at + 1] + h[3] * m[at + 1]
+
+
+class Motion:
+    """What must be in the files."""
+
+    def __init__(self, plan, base, tool):
+        self.plan, self.has_arm = plan, base is not None
+        if self.has_arm:
+            self.base, self.tool = ur5e.placed(*base), ur5e.placed(*tool)
+        self.period_s = plan.period_us / 1e6
+        turns = [plans.turn(b @ a.T) for a, b in zip(plan.rotations, plan.rotations[1:])]
+        # The sine is not the angle.
+        turns = [t * (numpy.arcsin(n) / n if (n := numpy.linalg.norm(t)) else 1) for t in turns]
+        ways = numpy.hstack([plan.positions, numpy.vstack([numpy.zeros(3), numpy.cumsum(turns, axis=0)])])
+        self.velocities = slopes(ways, self.period_s)
+
+    def tools(self, joints):
+        """Position and orientation of the tool in the world for each row of joints."""
+        matrices = numpy.array([self.base @ ur5e.flange(row) @ self.tool for row in joints])
+        return matrices[:, :3, 3], matrices[:, :3, :3]
+
+    def off_lsb(self, positions, rotations, ticks):
+        """Largest deviation from the plan at these ticks, along any axis, in LSB: of translation, of rotation."""
+        moved = abs(positions - self.plan.positions[ticks]).max()
+        pairs = zip(rotations, self.plan.rotations[ticks])
+        turned = max(abs(plans.turn(found @ expected.T)).max() for found, expected in pairs)
+        return moved / self.plan.lsb[0], turned / self.plan.lsb[1]
+
+    def on_the_plan(self, what, positions, rotations, ticks):
+        off = self.off_lsb(positions, rotations, ticks)
+        if not max(off) <= 0.5:
+            raise Differs(f"{what}: {off[0]:.3g} and {off[1]:.3g} LSB off the plan, which is more than a half")
+        return f"at most {off[0]:.1e} LSB of translation and {off[1]:.1e} LSB of rotation off the plan's ticks"
+
+
+def derivatives(values, step_s):
+    """Largest norms of velocity, acceleration and jerk from row to row, at rest before and after."""
+    values = numpy.vstack([values[:1]] * 3 + [values] + [values[-1:]] * 3)
+    found = []
+    for _ in range(3):
+        values = numpy.diff(values, axis=0) / step_s
+        found.append(numpy.linalg.norm(values, axis=1).max())
+    return found
+
+
+def check_script(folder, motion):
+    program = urscript.Program((folder / "skill.script").read_text())
+    plan = motion.plan
+    arm = urscript.Arm()
+    same("skill.script: runs to its end", program.run(arm), True)
+    cycle_s = arm.setpoints[0][0]
+    same("skill.script: cycles of another length", [t for t, _ in arm.setpoints if t != cycle_s], [])
+    same("skill.script: stops", (len(arm.moves), len(arm.stops)), (1, 1))
+    start, acceleration, speed = arm.moves[0]
+    if speed > 0.25 or acceleration > 0.5:
+        raise Differs(f"skill.script: goes to the start at {speed} rad/s, with {acceleration} rad/s^2")
+
+    # From the start, then a setpoint each cycle until the end is held.
+    joints = numpy.array([start] + [q for _, q in arm.setpoints])
+    cycles = round(plan.times_us[-1] / 1e6 / cycle_s)
+    held = joints[cycles:]
+    if len(held) * cycle_s < 0.25:
+        raise Differs(f"skill.script: the end is held for {len(held) * cycle_s} s only")
+    close("skill.script: joints while the end is held", held, held[:1].repeat(len(held), 0), 1e-15, 1.0)
+    joints = joints[: cycles + 1]
+
+    # Every so many cycles there is a tick.
+    times_us = numpy.round(1e6 * cycle_s * numpy.arange(len(joints))).astype(int)
+    at_tick = times_us % plan.period_us == 0
+    positions, rotations = motion.tools(joints)
+    ticks = times_us[at_tick] // plan.period_us
+    text = motion.on_the_plan("skill.script", positions[at_tick], rotations[at_tick], ticks)
+    if plan.period_us % round(1e6 * cycle_s) == 0:
+        same("skill.script: ticks that were passed", len(ticks), len(plan.positions))
+
+    smooth = check_joints(joints, cycle_s)
+    between = check_between(motion, positions, rotations, times_us / 1e6, cycle_s)
+    check_refusals(program)
+    return f"{len(joints) - 1} setpoints: {text}; {smooth}; {between}"
+
+
+def check_joints(joints, cycle_s):
+    """Range and speed; speeds that change from cycle to cycle no faster than over a whole tick: no jumps."""
+    speeds = numpy.diff(numpy.vstack([joints[:1], joints, joints[-1:]]), axis=0) / cycle_s
+    if not (abs(joints) <= ur5e.RANGE).all() or not (abs(speeds) <= ur5e.SPEED).all():
+        raise Differs(f"skill.script: joints up to {abs(joints).max()} rad and {abs(speeds).max()} rad/s")
+    jump = abs(numpy.diff(speeds, axis=0)).max()
+    longer = abs(speeds[5:] - speeds[:-5]).max()
+    if not jump <= 0.4 * longer:
+        raise Differs(f"skill.script: a joint's speed jumps by {jump} rad/s, but in five cycles by {longer} rad/s only")
+    return f"joints at most {abs(speeds).max():.3f} rad/s, changing by at most {jump:.4f} rad/s from cycle to cycle"
+
+
+def check_between(motion, positions, rotations, times_s, cycle_s):
+    """The tool keeps the plan's limits from cycle to cycle, and goes the way of the spline through the plan's positions."""
+    limits, lsb = motion.plan.limits, motion.plan.lsb[0]
+    low, high = (numpy.array(limits[side]) for side in ("min", "max"))
+    if not ((positions >= low - lsb) & (positions <= high + lsb)).all():
+        raise Differs("skill.script: leaves the workspace")
+    turns = [plans.turn(b @ a.T) for a, b in zip(rotations, rotations[1:])]
+    angles = numpy.vstack([numpy.zeros(3), numpy.cumsum(turns, axis=0)])
+    used = [*derivatives(positions, cycle_s), *derivatives(angles, cycle_s)]
+    shares = [value / limits[name] for value, name in zip(used, ("v", "a", "j", "w", "alpha", "zeta"))]
+    if not max(shares) <= 1.001:
+        raise Differs(f"skill.script: uses {shares} of the plan's limits")
+    way = spline(motion.plan.positions, motion.period_s, times_s)
+    off_nm = 1e9 * numpy.linalg.norm(positions - way, axis=1).max()
+    if not off_nm <= 1e9 * lsb:
+        raise Differs(f"skill.script: up to {off_nm} nm off the way between the ticks")
+    percent = ", ".join(f"{100 * share:.0f} %" for share in shares)
+    return f"{percent} of the plan's limits (v, a, j, angular too); between ticks {off_nm:.1f} nm off the tool's own spline"
+
+
+def check_refusals(program):
+    """An arm that is another, or does not come to the start, is not given the motion."""
+    for arm, moves in ((urscript.Arm(size=1.05), 0), (urscript.Arm(misses_by=0.01), 1)):
+        same("skill.script: halts", program.run(arm), False)
+        same("skill.script: moves when it halts", (len(arm.moves), len(arm.setpoints)), (moves, 0))
+
+
+def check_columns(what, table, motion):
+    """Columns by their names: pose, velocities, joints, speeds."""
+    column = lambda *names: numpy.array([table[name] for name in names], dtype=float).T
+    plan, ticks = motion.plan, numpy.arange(len(motion.plan.positions))
+    close(f"{what}: times", column("time_s")[:, 0], plan.times_us / 1e6, 0.0, 1.0)
+    rotations = numpy.array([plans.of_quaternion(*q) for q in column("qw", "qx", "qy", "qz")])
+    positions = column("x_m", "y_m", "z_m")
+    close(f"{what}: positions", positions, plan.positions, SAME, 1.0)
+    close(f"{what}: orientations", rotations, plan.rotations, SAME, 1.0)
+    text = motion.on_the_plan(what, positions, rotations, ticks)
+    velocities = column("vx_m_s", "vy_m_s", "vz_m_s", "wx_rad_s", "wy_rad_s", "wz_rad_s")
+    close(f"{what}: velocities", velocities, motion.velocities, SOLVED, 1.0)
+    if not motion.has_arm:
+        return f"tool {text}"
+    joints = column(*(f"joint{joint}_rad" for joint in range(1, 7)))
+    by_joints = motion.on_the_plan(f"{what}: joints", *motion.tools(joints), ticks)
+    speeds = column(*(f"joint{joint}_rad_s" for joint in range(1, 7)))
+    close(f"{what}: joints' speeds", speeds, slopes(joints, motion.period_s), SOLVED, 1.0)
+    return f"tool {text}; joints put it {by_joints}"
+
+
+def check_csv(folder, motion):
+    table = pandas.read_csv(folder / "skill.csv")
+    same("skill.csv: columns", len(table.columns), 26 if motion.has_arm else 14)
+    return check_columns("skill.csv", table, motion)
+
+
+def check_json(folder, motion):
+    document, plan = json.loads((folder / "skill.json").read_text()), motion.plan
+    same("skill.json: plan", document["plan_hash"], f"{plan.hash:016x}")
+    same("skill.json: scene", document["scene_digest"], plan.scene_digest)
+    same("skill.json: version", document["optimiser_version"], plan.version)
+    same("skill.json: steps", (document["period_s"], document["steps"]), (motion.period_s, len(plan.positions) - 1))
+    same("skill.json: LSB", (document["translation_lsb_m"], document["rotation_lsb_rad"]), plan.lsb)
+    same("skill.json: columns", len(document["motion"]), 26 if motion.has_arm else 14)
+    same("skill.json: arm", (document["arm"] or {}).get("model"), "ur5e" if motion.has_arm else None)
+    arm = (("world_from_base", motion.base), ("flange_from_tool", motion.tool)) if motion.has_arm else ()
+    for name, expected in arm:
+        found = document["arm"][name]
+        close(f"skill.json: {name}", found["position_m"], expected[:3, 3], SAME, 1.0)
+        close(f"skill.json: {name}", plans.of_quaternion(*found["orientation_wxyz"]), expected[:3, :3], SAME, 1.0)
+    return check_columns("skill.json", document["motion"], motion)
+
+
+def messages(path):
+    """Decoded messages by topic, each with its time in microseconds; what the file says of itself."""
+    topics, kinds = {}, {}
+    with open(path, "rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        same(f"{path.name}: profile", reader.get_header().profile, "ros2")
+        metadata = {record.name: record.metadata for record in reader.iter_metadata()}
+        for schema, channel, message, decoded in reader.iter_decoded_messages():
+            same(f"{path.name}: encoding", (schema.encoding, channel.message_encoding), ("ros2msg", "cdr"))
+            same(f"{path.name}: time", message.log_time % 1000, 0)
+            topics.setdefault(channel.topic, []).append((message.log_time // 1000, decoded))
+            kinds[channel.topic] = schema.name
+    return topics, kinds, metadata["powderline"]
+
+
+def microseconds(time):
+    return time.sec * 1_000_000 + time.nanosec // 1000
+
+
+def vector(part):
+    return [part.x, part.y, part.z]
+
+
+def matrix(part):
+    return plans.of_quaternion(part.w, part.x, part.y, part.z)
+
+
+KINDS = {"/tool_pose": "geometry_msgs/msg/PoseStamped", "/tf": "tf2_msgs/msg/TFMessage"}
+KINDS_OF_ARM = {"/joint_trajectory": "trajectory_msgs/msg/JointTrajectory", "/joint_states": "sensor_msgs/msg/JointState"}
+KINDS_OF_POWDER = {"/powder": "sensor_msgs/msg/PointCloud2"}
+
+
+def check_mcap(folder, motion):
+    name, powder = "skill.mcap", folder / "powder"
+    topics, kinds, about = messages(folder / name)
+    plan, times_us = motion.plan, motion.plan.times_us.tolist()
+    same(f"{name}: topics", kinds, KINDS | (KINDS_OF_ARM if motion.has_arm else KINDS_OF_POWDER))
+    same(f"{name}: plan and scene", (about["plan_hash"], about["scene_digest"]), (f"{plan.hash:016x}", plan.scene_digest))
+    for topic in topics.keys() - {"/joint_trajectory", "/powder"}:
+        same(f"{name}: times of {topic}", [time for time, _ in topics[topic]], times_us)
+    ticks = numpy.arange(len(times_us))
+    text = f"tool {motion.on_the_plan(name, *check_poses(name, topics, times_us), ticks)}"
+    check_transforms(name, topics["/tf"], motion)
+    if motion.has_arm:
+        joints = check_trajectory(name, topics, motion)
+        text += f"; joints put it {motion.on_the_plan(f'{name}: joints', *motion.tools(joints), ticks)}"
+    else:
+        text += check_powder(name, topics["/powder"], powder)
+    return f"{sum(map(len, topics.values()))} messages: {text}"
+
+
+def check_poses(name, topics, times_us):
+    poses = [message for _, message in topics["/tool_pose"]]
+    same(f"{name}: frames", {pose.header.frame_id for pose in poses}, {"world"})
+    same(f"{name}: stamps", [microseconds(pose.header.stamp) for pose in poses], times_us)
+    positions = numpy.array([vector(pose.pose.position) for pose in poses])
+    return positions, numpy.array([matrix(pose.pose.orientation) for pose in poses])
+
+
+def check_transforms(name, messages_, motion):
+    base = [("base", motion.base[:3, 3], motion.base[:3, :3])] if motion.has_arm else []
+    for tick, (time_us, message) in enumerate(messages_):
+        frames = [("tool", motion.plan.positions[tick], motion.plan.rotations[tick]), *base]
+        same(f"{name}: transforms", len(message.transforms), len(frames))
+        for found, (frame, position, rotation) in zip(message.transforms, frames):
+            header = (found.header.frame_id, found.child_frame_id, microseconds(found.header.stamp))
+            same(f"{name}: transform", header, ("world", frame, time_us))
+            close(f"{name}: translation", vector(found.transform.translation), position, SAME, 1.0)
+            close(f"{name}: rotation", matrix(found.transform.rotation), rotation, SAME, 1.0)
+
+
+def check_trajectory(name, topics, motion):
+    """Joints of the trajectory, which are those of the states."""
+    ((_, trajectory),) = topics["/joint_trajectory"]
+    states = [state for _, state in topics["/joint_states"]]
+    names = [f"{joint}_joint" for joint in JOINT_NAMES]
+    same(f"{name}: names of joints", list(trajectory.joint_names), names)
+    same(f"{name}: names of joints", [state for state in states if list(state.name) != names], [])
+    points = trajectory.points
+    times_us = [microseconds(point.time_from_start) for point in points]
+    same(f"{name}: times of the trajectory", times_us, motion.plan.times_us.tolist())
+    same(f"{name}: stamps", [microseconds(state.header.stamp) for state in states], times_us)
+    joints = numpy.array([list(point.positions) for point in points])
+    speeds = numpy.array([list(point.velocities) for point in points])
+    close(f"{name}: speeds", speeds, slopes(joints, motion.period_s), SOLVED, 1.0)
+    same(f"{name}: speeds at both ends", (speeds[0].any(), speeds[-1].any()), (False, False))
+    close(f"{name}: joint states", [list(state.position) for state in states], joints, 0.0, 1.0)
+    close(f"{name}: joint states", [list(state.velocity) for state in states], speeds, 0.0, 1.0)
+    return joints
+
+
+def check_powder(name, clouds, folder):
+    """The clouds against the tables of the same powder."""
+    table = pandas.read_csv(folder / "particles.csv")
+    frames = [rows for _, rows in table.groupby("time_s")]
+    same(f"{name}: times of the powder", [time for time, _ in clouds], [round(1e6 * rows.time_s.iloc[0]) for rows in frames])
+    for (_, cloud), rows in zip(clouds, frames):
+        fields = [(field.name, field.offset, field.datatype, field.count) for field in cloud.fields]
+        same(f"{name}: fields", fields, [(axis, 4 * at, 7, 1) for at, axis in enumerate(["x", "y", "z", "vx", "vy", "vz"])])
+        count = len(rows)
+        shape = (cloud.height, cloud.width, cloud.point_step, cloud.row_step, cloud.is_bigendian, cloud.is_dense)
+        same(f"{name}: shape", shape, (1, count, 24, 24 * count, False, True))
+        found = numpy.frombuffer(bytes(cloud.data), "<f4").reshape(count, 6)
+        expected = rows[["x_m", "y_m", "z_m", "vx_m_s", "vy_m_s", "vz_m_s"]].to_numpy().astype(numpy.float32)
+        same(f"{name}: numbers that differ", int((found != expected).sum()), 0)
+    return f"; {len(clouds)} clouds of {len(frames[0])} particles, the same as in the tables"
+
+
+CHECKS = {"skill.script": check_script, "skill.csv": check_csv, "skill.json": check_json, "skill.mcap": check_mcap}
+
+
+def checks_of(motion):
+    return {name: check for name, check in CHECKS.items() if motion.has_arm or name != "skill.script"}
+
+
+def spoil_text(path, old, new, after=""):
+    """Replaces the first occurrence after a text."""
+    text = path.read_text()
+    at = text.index(after)
+    path.write_text(text[:at] + text[at:].replace(old, new, 1))
+
+
+def spoil_line(path, number, change):
+    lines = path.read_text().splitlines(keepends=True)
+    lines[number : number + 1] = change(lines[number])
+    path.write_text("".join(lines))
+
+
+def tick_line(path, tick):
+    """Number of the line that holds a tick."""
+    lines = path.read_text().splitlines()
+    return [number for number, line in enumerate(lines) if line.startswith("  powderline_tick(")][tick]
+
+
+def shifted(line, by):
+    """A line whose first number is larger."""
+    at = line.index("[") + 1
+    end = line.index(",", at)
+    return [f"{line[:at]}{float(line[at:end]) + by:.12f}{line[end:]}"]
+
+
+def spoil_number(path, row, name, by):
+    table = pandas.read_csv(path)
+    table.loc[row, name] += by
+    table.to_csv(path, index=False)
+
+
+def spoil_json(path, name, tick, by):
+    document = json.loads(path.read_text())
+    document["motion"][name][tick] += by
+    path.write_text(json.dumps(document))
+
+
+def spoil_message(path, topic, number, change):
+    """Writes the file anew, with the bytes of one message changed and checksums that fit."""
+    with open(path, "rb") as file:
+        reader = make_reader(file)
+        header, metadata, found = reader.get_header(), list(reader.iter_metadata()), list(reader.iter_messages())
+    with open(path, "wb") as file:
+        writer = Writer(file)
+        writer.start(header.profile, header.library)
+        for record in metadata:
+            writer.add_metadata(record.name, record.metadata)
+        schemas, channels = {}, {}
+        for schema, channel, message in found:
+            if schema.id not in schemas:
+                schemas[schema.id] = writer.register_schema(schema.name, schema.encoding, schema.data)
+            if channel.id not in channels:
+                of = schemas[schema.id]
+                channels[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, of, channel.metadata)
+            changed = channel.topic == topic and message.sequence == number
+            data = change(message.data) if changed else message.data
+            at = (message.log_time, data, message.publish_time, message.sequence)
+            writer.add_message(channels[channel.id], *at)
+        writer.finish()
+
+
+def other_double(at, by):
+    """Changes the double at an offset."""
+    return lambda data: data[:at] + struct.pack("<d", struct.unpack_from("<d", data, at)[0] + by) + data[at + 8 :]
+
+
+def other_byte(from_end):
+    return lambda data: data[:-from_end] + bytes([data[-from_end] ^ 1]) + data[len(data) - from_end + 1 :]
+
+
+def spoilings(motion, rows):
+    """What is changed, in which file, and how."""
+    script, table, document, bag = "skill.script", "skill.csv", "skill.json", "skill.mcap"
+    tick = rows // 3
+    at = lambda path: tick_line(path, tick)
+    # After encoding (4 bytes), stamp and frame the doubles begin where eight bytes fit: x, y, z.
+    height = 4 + 24 + 2 * 8
+    always = [
+        ("a position by 10 nm", table, lambda p: spoil_number(p, tick, "x_m", 1e-8)),
+        ("a time", table, lambda p: spoil_number(p, tick, "time_s", 1e-6)),
+        ("an angular velocity", table, lambda p: spoil_number(p, tick, "wy_rad_s", 1e-6)),
+        ("a quaternion", document, lambda p: spoil_json(p, "qw", tick, 1e-7)),
+        ("the plan's hash", document, lambda p: spoil_text(p, '"plan_hash":"', '"plan_hash":"0')),
+        ("nothing but a bit", bag, lambda p: spoil_byte(p, p.stat().st_size // 2)),
+        ("its end", bag, lambda p: p.write_bytes(p.read_bytes()[:-5000])),
+        ("a position by 0.1 um", bag, lambda p: spoil_message(p, "/tool_pose", tick, other_double(height, 1e-7))),
+        ("a stamp", bag, lambda p: spoil_message(p, "/tf", tick, lambda data: data[:8] + bytes([data[8] + 1]) + data[9:])),
+    ]
+    if not motion.has_arm:
+        # The last number of the last particle, behind which is whether all are numbers.
+        return always + [("a particle", bag, lambda p: spoil_message(p, "/powder", 3, other_byte(4)))]
+    return always + [
+        ("a joint by a quarter of a microradian", script, lambda p: spoil_line(p, at(p), lambda line: shifted(line, 2.5e-7))),
+        ("a tick left out", script, lambda p: spoil_line(p, at(p), lambda line: [])),
+        ("a tick twice", script, lambda p: spoil_line(p, at(p), lambda line: [line, line])),
+        ("a speed", script, lambda p: spoil_line(p, at(p), lambda line: [line.replace("], [", "], [9 + ")])),
+        ("the cubic", script, lambda p: spoil_text(p, "3.0 * d", "2.9 * d")),
+        ("the setpoint", script, lambda p: spoil_text(p, "servoj(powderline_q + s", "servoj(1.001 * powderline_q + s")),
+        ("the start", script, lambda p: spoil_text(p, "powderline_q = [", "powderline_q = [0.1 + ")),
+        ("the look at the start", script, lambda p: spoil_text(p, "halt", "textmsg(1)", after="not at the start")),
+        ("the look at the arm", script, lambda p: spoil_text(p, "halt", "textmsg(1)", after="no UR5e")),
+        ("a bracket", script, lambda p: spoil_text(p, "])", "]", after="  powderline_tick([")),
+        ("the way to the start", script, lambda p: spoil_text(p, "v=0.2", "v=2.0")),
+        ("a joint", table, lambda p: spoil_number(p, tick, "joint3_rad", 1e-7)),
+        ("a joint's speed", document, lambda p: spoil_json(p, "joint5_rad_s", tick, 1e-6)),
+        # Joints end 8 + 6 * 8 + 4 bytes before a state does, with speeds and no effort behind them.
+        ("a joint's state", bag, lambda p: spoil_message(p, "/joint_states", tick, other_byte(4 + 8))),
+        ("the trajectory", bag, lambda p: spoil_message(p, "/joint_trajectory", 0, other_byte(5000))),
+    ]
+
+
+NOTICED = (Differs, OSError, ValueError, TypeError, McapError, urscript.ScriptError)
+
+
+def check_spoilt(made, motion):
+    unnoticed = []
+    for what, name, spoil in spoilings(motion, len(motion.plan.positions)):
+        with tempfile.TemporaryDirectory() as copy:
+            path = pathlib.Path(shutil.copy(made / name, copy))
+            if (made / "powder").exists():
+                shutil.copytree(made / "powder", path.parent / "powder")
+            spoil(path)
+            try:
+                CHECKS[name](path.parent, motion)
+                unnoticed.append(f"{name}, spoilt ({what}): not noticed")
+            except NOTICED as noticed:
+                print(f"{name}, spoilt ({what}): noticed: {str(noticed)[:70]}")
+    return unnoticed
+
+
+def six(text):
+    numbers = [float(part) for part in text.split(",")]
+    assert len(numbers) == 6, text
+    return numbers
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--spoil", action="store_true")
+    parser.add_argument("--base", type=six)
+    parser.add_argument("--tool", type=six)
+    parser.add_argument("plan", type=pathlib.Path)
+    parser.add_argument("made", type=pathlib.Path)
+    words = parser.parse_args()
+    motion = Motion(plans.read(words.plan), words.base, words.tool)
+    failures = []
+    for name, check in checks_of(motion).items():
+        try:
+            print(f"{name}: {check(words.made, motion)}")
+        except NOTICED as error:
+            failures.append(f"{name}: {error}")
+    if words.spoil and not failures:
+        failures = check_spoilt(words.made, motion)
+    for failure in failures:
+        print(failure, file=sys.stderr)
+    return 1 if failures else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
