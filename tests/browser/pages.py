@@ -1,14 +1,15 @@
 """Opens reports in headless Chromium and checks what a reader would see: pages.py [--made-up] SCREENSHOTS REPORT...
 
 For each report: it asks for nothing but itself, says nothing in the console, fits screens of 400, 800 and 1400 pixels,
-draws every chart, with marks of the axes exactly where their numbers say, and reads values out; a replay is not blank,
-plays, stops, is at the right frame after scrubbing and stepping, changes with colours, layers and points of view, and
-names its containers; without WebGL there is a sentence in its place. With --made-up, the first report is the package's
-example, whose particle 0 is where a formula says.
+lets fingers do what a mouse does, draws every chart, with marks of the axes exactly where their numbers say, and reads
+values out; a replay is not blank, plays, stops, is at the right frame after scrubbing and stepping, changes with colours,
+layers and points of view, and names its containers; without WebGL there is a sentence in its place. With --made-up, the
+first report is the package's example, whose particle 0 is where a formula says.
 """
 
 import base64
 import contextlib
+import itertools
 import json
 import math
 import pathlib
@@ -44,7 +45,7 @@ SMALL = """
 return [...document.querySelectorAll('button, select, label, input[type=range], summary')].filter((element) => {
   const { width, height } = element.getBoundingClientRect();
   const inLabel = element.closest('label') && element.tagName !== 'LABEL';
-  return !inLabel && width > 0 && (height < 36 || width < 28);
+  return !inLabel && width > 0 && (height < 40 || width < 28);
 }).map((element) => `${element.tagName} ${element.id} ${element.textContent.trim()}`);
 """
 
@@ -88,6 +89,17 @@ return { deviation: Math.sqrt(Math.max(squares / count - (sum / count) ** 2, 0))
 def number(text):
     """A number as an axis bears it."""
     return float(text.replace(",", "").replace("\u2212", "-"))
+
+
+def colour_of(chart, series):
+    """Which of the six colours a curve has."""
+    return (chart["series"].index(series) if series["colour"] is None else series["colour"]) % 6
+
+
+def first_stretch(points):
+    """The points before the first gap, but for one at the beginning."""
+    from_first = itertools.dropwhile(lambda point: None in point, points)
+    return list(itertools.takewhile(lambda point: None not in point, from_first))
 
 
 @contextlib.contextmanager
@@ -189,23 +201,31 @@ class Report:
         check(not small, f"at 400 pixels there are controls too small for fingers: {small}")
 
     def check_axes(self):
-        """Numbers at an axis stand where they say, in a straight line or one of logarithms."""
-        for figure in self.find_all(".chart"):
-            title = figure.find_element(By.TAG_NAME, "h2").text
+        """Numbers at an axis stand where they say: in a straight line, or one of logarithms, through the curve's ends."""
+        data = self.script("return JSON.parse(document.getElementById('charts-data')?.textContent ?? '[]')")
+        for figure, chart in zip(self.find_all(".chart"), data):
             is_log = "logarithmic" in figure.find_element(By.CSS_SELECTOR, ".unit").text
-            for axis, place in [("along", "x"), ("up", "y")]:
+            series, points = next((series, points) for series in chart["series"]
+                                  if len(points := first_stretch(series["points"])) > 1)
+            colour = "reference" if series["reference"] else f"c{colour_of(chart, series)}"
+            drawn = figure.find_element(By.CSS_SELECTOR, f".curve.{colour}").get_attribute("d")
+            ends = [[float(part) for part in end.split(",")] for end in drawn.strip("M").split("L")]
+            for axis, place, part in [("along", "x", 0), ("up", "y", 1)]:
                 marks = [(float(text), number(words)) for text, words in self.script(
                     "return [...arguments[0].querySelectorAll('.tick.' + arguments[1])]"
                     ".map((tick) => [tick.getAttribute(arguments[2]), tick.textContent]);", figure, axis, place)]
-                check(len(marks) >= 2, f"{title}: only {len(marks)} numbers {axis}")
+                what = f"{chart['title']}, {axis}"
+                check(len(marks) >= 2, f"{what}: only {len(marks)} numbers")
+                # A number stands a little below its line.
+                lower = 4 if axis == "up" else 0
                 straight = math.log10 if is_log and axis == "up" else float
-                (start, low), (end, high) = [(at, straight(value)) for at, value in (marks[0], marks[-1])]
-                for at, value in marks:
+                known = [(ends[0][part], points[0][part]), (ends[-1][part], points[-1][part])]
+                (start, low), (end, high) = [(at - lower, straight(value)) for at, value in (marks[0], marks[-1])]
+                for at, value in [*known, *((at - lower, value) for at, value in marks)]:
                     expected = start + (end - start) * (straight(value) - low) / (high - low)
-                    check(abs(at - expected) < 0.6, f"{title}: {value} stands at {at}, not at {expected}")
-                if axis == "along" and self.script("return arguments[0].querySelector('.label').textContent",
-                                                   figure) == "epoch":
-                    check(all(value == int(value) for _, value in marks), f"{title}: epochs {marks}")
+                    check(abs(at - expected) < 0.6, f"{what}: {value} is at {at}, not at {expected}")
+                if axis == "along" and chart["x_label"] == "epoch":
+                    check(all(value == int(value) for _, value in marks), f"{what}: epochs {marks}")
 
     def check_marks(self, figure, chart):
         """Every mark has its sign on every curve, its word in the legend, and its reason where one points."""
@@ -241,8 +261,7 @@ class Report:
             check(figure.find_element(By.TAG_NAME, "h2").text.strip() == chart["title"].strip(), "a chart's title")
             marks = figure.find_elements(By.CSS_SELECTOR, ".curve, .dot")
             drawn = {mark.get_attribute("class").split()[1] for mark in marks}
-            known = {"reference" if series["reference"] else
-                     f"c{(i if series['colour'] is None else series['colour']) % 6}" for i, series in enumerate(chart["series"])
+            known = {"reference" if series["reference"] else f"c{colour_of(chart, series)}" for series in chart["series"]
                      if any(None not in point for point in series["points"])}
             check(drawn == known, f"curves {drawn} of {known} in {chart['title']}")
             if known:
@@ -419,6 +438,42 @@ class Report:
         self.click("[data-layer=names]")
         check(self.find("#names").is_displayed(), "names do not come back")
 
+    def touch(self, kind, *points):
+        at = [{"x": x, "y": y} for x, y in points]
+        self.driver.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": kind, "touchPoints": at})
+
+    def middle(self, selector):
+        """Where the middle of something is on the screen, scrolled to."""
+        self.script("arguments[0].scrollIntoView({block: 'center'})", self.find(selector))
+        return self.script("const { x, y, width, height } = arguments[0].getBoundingClientRect();"
+                           "return [x + width / 2, y + height / 2];", self.find(selector))
+
+    def check_touch(self):
+        """A finger reads a chart, ticks a box, and turns the picture."""
+        self.emulate(400, 900, "light")
+        self.driver.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": True})
+        if self.find_all(".chart"):
+            self.touch("touchStart", self.middle(".chart .plot svg"))
+            self.touch("touchEnd")
+            self.settle()
+            check(self.find(".chart .tip").is_displayed(), "a chart that is touched tells nothing")
+        if self.has_replay:
+            shown = self.pixels()["hash"]
+            self.touch("touchStart", self.middle("#layers label"))
+            self.touch("touchEnd")
+            until(lambda: self.pixels()["hash"] != shown, "a finger ticks a box")
+            self.click("#layers input")
+            shown = self.pixels()["hash"]
+            x, y = self.middle("#stage")
+            self.touch("touchStart", (x, y))
+            for step in range(1, 9):
+                self.touch("touchMove", (x + 8 * step, y))
+            self.touch("touchEnd")
+            self.settle()
+            check(self.pixels()["hash"] != shown, "a finger does not turn the picture")
+            self.click("[data-view=oblique]")
+        self.driver.execute_cdp_cmd("Emulation.setTouchEmulationEnabled", {"enabled": False})
+
     def check_colours(self):
         """No colour that powder may have is that of a container."""
         told = self.script(COLOURS)
@@ -491,6 +546,7 @@ def check_report(driver, path, shots, made_up):
         if made_up:
             report.check_particle()
     report.check_widths()
+    report.check_touch()
     report.take_screenshots()
     report.check_quiet()
     print(f"{path.name}: {told}; {path.stat().st_size / 1e6:.2f} MB, no request, nothing in the console")

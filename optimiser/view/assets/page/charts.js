@@ -321,6 +321,9 @@ function drawer(chart, host) {
     choose(chosen + steps[event.key]);
   };
 
+  document.addEventListener('pointerdown', (event) => {
+    if (overlay && !host.contains(event.target)) leave();
+  });
   return (atWidth) => {
     const width = Math.max(atWidth, 200);
     frame = frameOf(chart, width, Math.round(Math.min(Math.max(0.56 * width, 200), 320)));
@@ -332,7 +335,10 @@ function drawer(chart, host) {
     }, [...shadeOf(chart, frame), ...axes(chart, frame), ...curves, ...signs(chart, frame), overlay]);
     picture.addEventListener('pointermove', point);
     picture.addEventListener('pointerdown', point);
-    picture.addEventListener('pointerleave', leave);
+    // A finger that is lifted has not gone elsewhere.
+    picture.addEventListener('pointerleave', (event) => {
+      if (event.pointerType !== 'touch') leave();
+    });
     picture.addEventListener('blur', leave);
     picture.addEventListener('keydown', key);
     host.replaceChildren(picture, tip);

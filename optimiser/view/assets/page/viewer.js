@@ -9,12 +9,12 @@ const RAMPS = {
   height: ['#eddcae', '#dcb45c', '#bd8430', '#8f5a20', '#5f3716'],
 };
 
-/** Where particles end, by the digit the page stores; colours that colour-blind readers tell apart. */
+/** Where particles end, by the digit the page stores. Warm as well: alike for no kind of eyes, nor like a container. */
 const DESTINATIONS = [
   ['left behind', '#c9b27c'],
-  ['in the target', '#009e73'],
+  ['in the target', '#5f3716'],
   ['on the tool', '#e69f00'],
-  ['spilled', '#d55e00'],
+  ['spilled', '#c9471d'],
 ];
 
 /** Directions to look from; z is up. */
