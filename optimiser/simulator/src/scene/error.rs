@@ -43,12 +43,14 @@ pub enum SceneError {
         reason: String,
     },
     /// A folder, a pipe or a device.
-    #[error("{file} is {what}, not a file; the path of a scene in TOML would be right")]
+    #[error("{file} is {what}, not a file; {right} would be right")]
     NotAFile {
         /// The path.
         file: String,
         /// What it is instead.
         what: &'static str,
+        /// What would be right.
+        right: String,
     },
     /// Larger than any scene can sensibly be; it was not read.
     #[error("{file} holds {bytes} bytes, but a scene has at most {limit} bytes")]

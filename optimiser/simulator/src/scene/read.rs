@@ -47,11 +47,19 @@ fn read_text(path: &str) -> Result<String, SceneError> {
         return Err(SceneError::UnknownName { name: file(), known: embedded::known_names(), meant });
     }
     let metadata = std::fs::metadata(path).map_err(unreadable)?;
+    let not_a_file = |what| {
+        let within = Path::new(path).join("scene.toml");
+        let right = match within.is_file() {
+            true => within.display().to_string(),
+            false => "the path of a scene in TOML".to_owned(),
+        };
+        Err(SceneError::NotAFile { file: file(), what, right })
+    };
     if metadata.is_dir() {
-        return Err(SceneError::NotAFile { file: file(), what: "a folder" });
+        return not_a_file("a folder");
     }
     if !metadata.is_file() {
-        return Err(SceneError::NotAFile { file: file(), what: "a pipe or a device" });
+        return not_a_file("a pipe or a device");
     }
     let too_large = |bytes| SceneError::TooLarge { file: file(), bytes, limit: MAX_SCENE_BYTES };
     if metadata.len() > MAX_SCENE_BYTES {

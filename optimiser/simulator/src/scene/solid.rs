@@ -66,6 +66,14 @@ impl Hull {
         apart(&normals, |direction| self.reach(direction), |direction| other.reach(direction))
     }
 
+    /// How far it would have to go, at least, to be apart from another hull, metres.
+    pub(super) fn overlap_m(&self, other: &Self) -> f64 {
+        let along = |d: Vec3| self.reach(d) + other.reach(d.map(|component| -component));
+        let both_ways = |d: &Vec3| along(*d).min(along(d.map(|component| -component)));
+        let directions = self.normals.iter().chain(&other.normals).chain(SPREAD.iter());
+        directions.map(both_ways).fold(f64::INFINITY, f64::min)
+    }
+
     /// Largest p . `direction` over the hull.
     pub(super) fn reach(&self, direction: Vec3) -> f64 {
         self.points.iter().map(|point| dot(*point, direction)).fold(f64::NEG_INFINITY, f64::max)
@@ -121,11 +129,17 @@ pub(super) struct Wall {
 impl Wall {
     /// How far a convex solid, given by its reach, goes beyond the wall's inner face, metres; none if it stays clear.
     pub(super) fn depth_m(&self, reach: impl Fn(Vec3) -> f64) -> Option<f64> {
-        if self.hull.clear_of(&reach) {
-            return None;
-        }
-        let inner_face_m = -self.hull.reach(self.outwards.map(|x| -x));
-        Some(reach(self.outwards) - inner_face_m)
+        (!self.hull.clear_of(&reach)).then(|| self.beyond_m(reach))
+    }
+
+    /// How far a convex solid reaches beyond the plane of the wall's inner face, metres; negative if it does not.
+    pub(super) fn beyond_m(&self, reach: impl Fn(Vec3) -> f64) -> f64 {
+        reach(self.outwards) + self.hull.reach(self.outwards.map(|x| -x))
+    }
+
+    /// Whether something stays clear of it, by its own judgement of a convex solid.
+    pub(super) fn is_clear(&self, clears: impl Fn(&Hull) -> bool) -> bool {
+        clears(&self.hull)
     }
 
     /// Whether somebody who goes in this horizontal direction comes nearer to it.
@@ -217,10 +231,14 @@ impl Container {
 
     /// Whether the box from `min` to `max` (world frame) lies inside the container, rim included.
     pub(super) fn holds_box(&self, min: Vec3, max: Vec3) -> bool {
-        let inside_height = min[2] >= self.position_m[2] - TOUCH_M
-            && max[2] <= self.position_m[2] + self.inner_height_m() + TOUCH_M;
         let corners = [[min[0], min[1]], [min[0], max[1]], [max[0], min[1]], [max[0], max[1]]];
-        inside_height && corners.iter().all(|[x, y]| self.holds_column(*x, *y))
+        self.holds_heights(min[2], max[2]) && corners.iter().all(|[x, y]| self.holds_column(*x, *y))
+    }
+
+    /// Whether these heights lie between the inner floor and the rim, both included.
+    pub(super) fn holds_heights(&self, low_m: f64, high_m: f64) -> bool {
+        let floor_m = self.position_m[2];
+        low_m >= floor_m - TOUCH_M && high_m <= floor_m + self.inner_height_m() + TOUCH_M
     }
 
     fn holds_column(&self, x: f64, y: f64) -> bool {
@@ -310,6 +328,8 @@ mod tests {
         assert!(boxes_apart(0.0));
         assert!(boxes_apart(0.1));
         assert!(!boxes_apart(-1e-6));
+        let (a, b) = (Hull::aligned_box([0.0; 3], [1.0; 3]), Hull::aligned_box([0.75, 0.5, 0.0], [2.0; 3]));
+        assert!((a.overlap_m(&b) - 0.25).abs() < 1e-12);
     }
 
     #[test]

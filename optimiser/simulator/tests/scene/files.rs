@@ -45,6 +45,10 @@ fn missing_file_and_folder() {
             folder.path().display()
         )
     );
+    // That of a run, for one.
+    let within = folder.path().join("scene.toml");
+    fs::write(&within, "").unwrap();
+    assert!(refusal(folder.path()).ends_with(&format!("not a file; {} would be right", within.display())));
 }
 
 #[test]

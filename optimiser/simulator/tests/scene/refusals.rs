@@ -495,12 +495,12 @@ const RULES_BETWEEN_FIELDS: &[Case] = &[
     (
         "fill_max_m = [0.088, 0.080, 0.026]",
         "fill_max_m = [0.090, 0.080, 0.026]",
-        r#": powder.fill_min_m is [0.024, 0.016, 0.004] and powder.fill_max_m [0.09, 0.08, 0.026], but that box is not inside container "source" around [0.056, 0.048], from z = 0.004 to 0.034"#,
+        r#": powder.fill_min_m is [0.024, 0.016, 0.004] and powder.fill_max_m [0.09, 0.08, 0.026], but that box goes 0.002 m into the +x wall of container "source""#,
     ),
     (
         "fill_max_m = [0.088, 0.080, 0.026]",
         "fill_max_m = [0.088, 0.080, 0.036]",
-        r#": powder.fill_min_m is [0.024, 0.016, 0.004] and powder.fill_max_m [0.088, 0.08, 0.036], but that box is not inside container "source" around [0.056, 0.048], from z = 0.004 to 0.034"#,
+        r#": powder.fill_min_m is [0.024, 0.016, 0.004] and powder.fill_max_m [0.088, 0.08, 0.036], but that box is not inside container "source", which goes from z = 0.004 to 0.034"#,
     ),
     (
         "fill_max_m = [0.088, 0.080, 0.026]",
@@ -515,7 +515,7 @@ const RULES_BETWEEN_FIELDS: &[Case] = &[
     (
         "position_m = [0.176, 0.048, 0.004]",
         "position_m = [0.120, 0.048, 0.004]",
-        r#": container "target".position_m is [0.12, 0.048, 0.004], but there it overlaps container "source"; they must stand apart"#,
+        r#": container "target".position_m is [0.12, 0.048, 0.004], but there it overlaps container "source" by 0.008 m; they must stand apart"#,
     ),
     (
         "position_m = [0.176, 0.048, 0.004]",
@@ -610,7 +610,7 @@ const RULES_BETWEEN_FIELDS: &[Case] = &[
     (
         "start_position_m = [0.048, 0.048, 0.066]",
         "start_position_m = [0.090, 0.048, 0.050]",
-        r#": tool.start_position_m is [0.09, 0.048, 0.05], but there the tool overlaps container "source"; it must start clear"#,
+        r#": tool.start_position_m is [0.09, 0.048, 0.05], but there the tool overlaps the +x wall of container "source"; it must start clear"#,
     ),
     (
         "approach_m = 0.020",
@@ -651,6 +651,16 @@ const RULES_BETWEEN_FIELDS: &[Case] = &[
         "heading_deg = 0.0",
         "heading_deg = 90.0",
         r#": skill.sweep_m is 0.016, but while scooping along skill.heading_deg = 90 the tool would go 0.004 m into the +y wall of container "source"; a shorter sweep or a start further back would be right"#,
+    ),
+    (
+        "yaw_deg = 0.0",
+        "yaw_deg = 8.0",
+        r#": powder.fill_min_m is [0.024, 0.016, 0.004] and powder.fill_max_m [0.088, 0.08, 0.026], but that box goes 0.0041 m into the +y wall of container "source", turned by 8 degrees"#,
+    ),
+    (
+        r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
+        r#"shape = { kind = "cylinder", inner_radius_m = 0.036, inner_height_m = 0.030 }"#,
+        r#": powder.fill_min_m is [0.024, 0.016, 0.004] and powder.fill_max_m [0.088, 0.08, 0.026], but that box goes 0.0092 m into the wall of container "source" at 138 degrees from +x"#,
     ),
     (
         "transport_displacement_m = [0.060, 0.160]",

@@ -4,7 +4,7 @@ use super::checker::{Checked, Checker, container_paths};
 use crate::scene::error::MAX_NAME_CHARS;
 use crate::scene::figures::{about, at_most, list, plain};
 use crate::scene::nearest::did_you_mean;
-use crate::scene::solid::{Hull, TOUCH_M, Vec3};
+use crate::scene::solid::{Hull, TOUCH_M, Vec3, Wall};
 use crate::scene::tool_body::PlacedTool;
 use crate::scene::{BLOCK_CELLS, MAX_CELLS, MAX_CFL, MAX_PARTICLES, MAX_SUBSTEPS, MAX_VISCOUS_LOSS, Scene};
 
@@ -167,7 +167,11 @@ pub(super) fn check_containers(checker: &Checker<'_>, scene: &Scene) -> Checked 
             return Err(checker.invalid(
                 field("position_m"),
                 list(&container.position_m),
-                format!("there it overlaps container {:?}; they must stand apart", other.name),
+                format!(
+                    "there it overlaps container {:?} by {} m; they must stand apart",
+                    other.name,
+                    about(outer.overlap_m(&other.outer()), 2)
+                ),
             ));
         }
     }
@@ -288,18 +292,24 @@ pub(super) fn check_powder(checker: &Checker<'_>, scene: &Scene) -> Checked {
     if source.holds_box(powder.fill_min_m, powder.fill_max_m) {
         return Ok(());
     }
-    let floor_m = source.position_m[2];
+    let (floor_m, rim_m) = (source.position_m[2], source.position_m[2] + source.inner_height_m());
+    let reaches = |wall: &Wall| wall.beyond_m(|direction| fill.reach(direction));
+    let walls = source.walls();
+    let why = match walls.iter().max_by(|a, b| reaches(a).total_cmp(&reaches(b))) {
+        Some(wall) if source.holds_heights(powder.fill_min_m[2], powder.fill_max_m[2]) => {
+            format!("that box goes {} m into the {}", about(reaches(wall), 2), wall.name)
+        }
+        _ => format!(
+            "that box is not inside container {:?}, which goes from z = {} to {}",
+            source.name,
+            plain(floor_m),
+            about(rim_m, 6)
+        ),
+    };
     Err(checker.invalid(
         "powder.fill_min_m",
         format!("{} and powder.fill_max_m {}", list(&powder.fill_min_m), list(&powder.fill_max_m)),
-        format!(
-            "that box is not inside container {:?} around [{}, {}], from z = {} to {}",
-            source.name,
-            plain(source.position_m[0]),
-            plain(source.position_m[1]),
-            plain(floor_m),
-            about(floor_m + source.inner_height_m(), 6)
-        ),
+        why,
     ))
 }
 
@@ -323,6 +333,13 @@ pub(super) fn check_start(checker: &Checker<'_>, scene: &Scene) -> Checked {
     if !clears(&scene.powder.fill_box()) {
         return overlap("the powder".to_owned());
     }
-    let blocking = scene.container.iter().find(|one| one.pieces().iter().any(|piece| !clears(piece)));
-    blocking.map_or(Ok(()), |one| overlap(format!("container {:?}", one.name)))
+    for one in &scene.container {
+        if let Some(wall) = one.walls().iter().find(|wall| !wall.is_clear(clears)) {
+            return overlap(format!("the {}", wall.name));
+        }
+        if one.pieces().iter().any(|piece| !clears(piece)) {
+            return overlap(format!("the floor of container {:?}", one.name));
+        }
+    }
+    Ok(())
 }
