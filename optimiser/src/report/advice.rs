@@ -40,7 +40,7 @@ pub(super) fn advice(scene: &Scene, epochs: &[Judged], shipped: Option<usize>) -
             measured.stays_on_the_tool(),
             measured.spills(),
             measured.grains_too_large(),
-            measured.still_shrinking(),
+            measured.still_shrinking().or_else(|| measured.on_both_sides()),
         ]
         .into_iter()
         .flatten()
@@ -223,6 +223,17 @@ impl Measured<'_> {
         })
     }
 
+    /// Whether some epochs brought too much and others too little, between which the steps halve.
+    fn on_both_sides(&self) -> Option<String> {
+        let misses = || self.epochs.iter().map(|epoch| self.amounts.miss(epoch.record.transported));
+        (misses().any(|miss| miss < 0.0) && misses().any(|miss| miss > 0.0)).then(|| {
+            format!(
+                "some epochs brought too much and others too little: --resume with --epochs {} would close in on the amount",
+                2 * (self.epochs.len() - 1)
+            )
+        })
+    }
+
     /// Parameters that stand at an end of their range.
     fn at_bounds(&self) -> impl Iterator<Item = String> {
         (0..KEYS.len()).filter_map(|index| {
@@ -303,6 +314,9 @@ mod tests {
             text.starts_with("epoch 0 brought 9.592 g (1,199 particles), but the tool's handle"),
             "{text}"
         );
+
+        let text = said(&scene, &epochs(&[(1300, 0, 0), (1150, 50, 0), (1255, 0, 0)]), 2);
+        assert!(text.contains("too much and others too little: --resume with --epochs 4"), "{text}");
 
         let text = said(&scene, &epochs(&[(1300, 0, 0), (1250, 0, 0), (1255, 0, 0)]), 1);
         assert_eq!(text, "another --seed begins from another skill and packing");
