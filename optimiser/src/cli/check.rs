@@ -97,7 +97,7 @@ pub(super) fn run(args: &CheckArgs, out: &mut dyn Write) -> Result<(), CliError>
     } else {
         write!(out, "{report}")?;
     }
-    Ok(scene.check_feasible().map_err(|error| CliError::Input(format!("{}: {error}", args.scene)))?)
+    scene.check_feasible().map_err(|error| CliError::Input(format!("{}: {error}", args.scene)))
 }
 
 impl CheckReport {

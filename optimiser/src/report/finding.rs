@@ -146,6 +146,11 @@ impl Shipped {
     pub fn new(amounts: &Amounts, header: &PlanHeader) -> Self {
         Self { theta: header.theta, outcome: Outcome::of_plan(amounts, header) }
     }
+
+    /// Whether it was made of this skill, bit by bit.
+    pub fn is_of(&self, theta: &Theta) -> bool {
+        self.theta.map(f64::to_bits) == theta.map(f64::to_bits)
+    }
 }
 
 /// An epoch that could be no plan.
@@ -215,7 +220,7 @@ impl Finding {
         let [first, ..] = epochs else { return None };
         let (amounts, rule) = (Amounts::from(scene), Rule::of(scene));
         let epoch = match shipped {
-            Some(shipped) => epochs.iter().position(|epoch| epoch.record.theta == shipped.theta),
+            Some(shipped) => epochs.iter().position(|epoch| shipped.is_of(&epoch.record.theta)),
             None => rule.choose(&amounts, epochs),
         };
         let passed_over = epochs.iter().filter_map(|epoch| {
