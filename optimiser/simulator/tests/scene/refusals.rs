@@ -140,7 +140,7 @@ const STRUCTURE: &[Case] = &[
     (
         "amount = { particles = 850 }",
         "amount = 850",
-        ": objective.amount at line 88: expected a name or a table; in the scene `bench` it is: amount = { particles = 1200 } # or { mass_kg = 0.0096 }",
+        ": objective.amount at line 88: invalid type: integer `850`, expected a table",
     ),
     (
         "cohesion_pa = 0.0",
