@@ -98,7 +98,7 @@ impl Terminal {
 }
 
 fn set_columns(terminal: &OwnedFd, columns: u16) {
-    let size = Winsize { ws_row: 200, ws_col: columns, ws_xpixel: 0, ws_ypixel: 0 };
+    let size = Winsize { ws_row: 50, ws_col: columns, ws_xpixel: 0, ws_ypixel: 0 };
     tcsetwinsize(terminal, size).unwrap();
 }
 
