@@ -86,7 +86,7 @@ impl Terminal {
     }
 
     fn live(&self, mark: &str) -> usize {
-        self.rows().iter().filter(|row| row.contains(mark)).count()
+        self.rows().iter().filter(|row| has(row, mark)).count()
     }
 
     /// The last screen of a program that succeeded, or of a run whose plan misses the wanted amount.
@@ -106,6 +106,12 @@ fn set_columns(terminal: &OwnedFd, columns: u16) {
 const REDRAW: &str = "\r\x1b[2K";
 const BAR: &str = " [";
 
+/// Whether a row holds a mark; a bar is empty or filled where it begins, unlike a range in a sentence.
+fn has(row: &str, mark: &str) -> bool {
+    let filled = |cell| row.contains(&format!("{mark}{cell}"));
+    if mark == BAR { filled('#') || filled('.') } else { row.contains(mark) }
+}
+
 #[test]
 fn progress_takes_one_row_of_any_terminal() {
     let place = Place::new();
@@ -120,7 +126,7 @@ fn progress_takes_one_row_of_any_terminal() {
             lines.map(|line| line.trim_end().chars().count().div_ceil(columns.into()).max(1)).sum();
         let used = rows.iter().rposition(|row| !row.is_empty()).unwrap() + 1;
         assert_eq!(used, needed, "{columns} columns:\n{}", rows[..used].join("\n"));
-        assert!(!rows.iter().any(|row| row.contains(BAR)), "{}", rows.join("\n"));
+        assert!(!rows.iter().any(|row| has(row, BAR)), "{}", rows.join("\n"));
         // It was live, with the chart where there is room for it.
         assert!(terminal.text.matches(REDRAW).count() > 2 * 4, "{:?}", terminal.text);
         assert_eq!(terminal.text.contains('\u{2588}'), columns == 80, "{:?}", terminal.text);
