@@ -155,6 +155,7 @@ impl ReportArgs {
         let outcome = Outcome::of_plan(&amounts, plan.header());
         let mut facts = scene_facts(&task.scene);
         facts.extend(plan_facts(&plan));
+        facts.extend(date(path));
         let page = Page {
             title: format!("{}: a plan", task.scene.name),
             verdict: Some(verdict(&amounts, &outcome)),
@@ -219,7 +220,7 @@ impl ReportArgs {
                 .unwrap_or_default(),
             charts: comparison_charts(&comparison),
             tables: vec![summary(&experiment, &comparison)],
-            facts: scene_facts(experiment.scene()),
+            facts: scene_facts(experiment.scene()).into_iter().chain(date(&self.of.join(COMPARISON))).collect(),
             notes: vec![
                 "Curves are means over the seeds of the best motion found so far, bands one standard deviation.".into(),
             ],
@@ -352,6 +353,14 @@ fn plan_facts(plan: &PlanReader<'_>) -> Vec<(String, String)> {
         fact("Limits used", limits),
         fact("Made by", format!("optimise {}.{}.{}", version.major, version.minor, version.patch)),
     ]
+}
+
+/// When a file was written, to the minute; nothing where the system does not tell.
+fn date(of: &Path) -> Option<(String, String)> {
+    let written = fs::metadata(of).and_then(|file| file.modified()).ok()?;
+    let stamp = humantime::format_rfc3339_seconds(written).to_string();
+    let (day, time) = stamp.split_once('T')?;
+    Some(fact("Date", format!("{day}, {} UTC", time.get(..5)?)))
 }
 
 fn run_facts(record: &RunRecord) -> Vec<(String, String)> {
