@@ -1,27 +1,64 @@
-//! How much memory a rollout with its gradient needs, by how many states are kept.
+//! How much memory simulations need, how much they may have, and how much the process holds.
 //!
-//! What is kept are states at the beginning of substeps; whatever else the adjoint needs is computed again from them
+//! Of a gradient, states at the beginning of substeps are kept; whatever else the adjoint needs is computed again from them
 //! (see `rollout/schedule.rs`). With `c` states and at most `r` passes over any substep, `binomial(c + r, c)`
-//! substeps can be reversed.
+//! substeps can be reversed. So the least that a scene needs is estimated before anything is computed, and generously;
+//! whatever a budget has beyond that goes into states, for as long as the operating system's count of the process leaves
+//! room.
 
+use std::fs::{self, File};
+use std::path::Path;
+
+use crate::mpm::particles::LANES;
+use crate::mpm::spare::{Size, state_bytes};
+use crate::real::Real;
 use crate::scene::{BLOCK_CELLS, Scene};
 use powderline_shared::plan::Precision;
 
 /// Numbers in a particle's state: position 3, velocity 3, affine velocity 9, elastic strain 6, volume correction 1.
 pub const PARTICLE_SCALARS: u64 = 22;
 
-/// Executable, stacks and allocator of the running program, bytes, generously.
-pub const PROCESS_BYTES: u64 = 40 << 20;
+/// The running program without any simulation: its text, its fonts, its figures, what the allocator holds; bytes, generously.
+const PROCESS_BYTES: u64 = 16 << 20;
 
-/// States that a rollout holds beside the kept ones: the settled one, the one at work and the one at the end, the
-/// cotangents, what particles send to the grid, and scratch.
-pub const STANDING_STATES: u64 = 7;
+/// Stack of a thread and what the allocator holds for it, bytes. A simulator has each thread twice: for one rollout, and for
+/// several side by side.
+const THREAD_BYTES: u64 = 128 << 10;
 
-/// States of rollouts side by side at a time: the probes of one epoch, and two at work.
-pub const BRANCHES: u64 = 13;
+/// States that a rollout holds at a time: the settled one, the one it begins at and the one at work; what is on the grid and what
+/// sleeps as much as two more.
+const MOTION_STATES: u64 = 5;
+
+/// What a gradient holds beside these and the kept states: the state at the end, two sets of cotangents, and what nobody asks for.
+const ADJOINT_STATES: u64 = 4;
+
+/// States of rollouts side by side at a time: the most differences that are taken at once, and those at work.
+pub(crate) const BRANCHES: u64 = 16;
 
 /// Passes over a substep for which the need is estimated.
 pub const PASSES: [u32; 4] = [1, 2, 3, 4];
+
+/// What is computed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Work {
+    /// One motion at a time.
+    Motion,
+    /// Several motions side by side.
+    Motions,
+    /// A gradient, and several motions side by side.
+    Gradient,
+}
+
+impl Work {
+    /// In words.
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Motion => "a motion",
+            Self::Motions => "several motions side by side",
+            Self::Gradient => "a gradient",
+        }
+    }
+}
 
 /// Need when no substep is advanced more often than `passes` times.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -34,52 +71,86 @@ pub struct Need {
     pub bytes: u64,
 }
 
-/// The smallest of the needs, bytes: with less, a gradient would take many times as long.
-pub(crate) fn least_memory(scene: &Scene, precision: Precision) -> u64 {
-    memory_needs(scene, precision)[PASSES.len() - 1].bytes
+/// Sizes of what a scene's simulation holds, bytes.
+struct Sizes {
+    /// Whatever is simulated.
+    fixed: u64,
+    /// A state, with what is on its grid, when the powder has spread.
+    state: u64,
 }
 
-/// What does not depend on the powder's state, bytes: the program, the motion with what its gradient needs for each
-/// control step (and the motions of the probes), and the list of obstacles for each block of the grid.
-pub(crate) fn fixed_bytes(scene: &Scene) -> u64 {
-    const PER_CONTROL_STEP: u64 = 720 + 11 * 104;
-    const PER_BLOCK: u64 = 64;
-    let blocks: u64 = scene.block_counts().iter().map(|count| *count as u64).product();
-    PROCESS_BYTES + PER_CONTROL_STEP * u64::from(scene.time.horizon_steps) + PER_BLOCK * blocks
+impl Sizes {
+    fn new(scene: &Scene, precision: Precision, threads: usize) -> Self {
+        match precision {
+            Precision::F32 => Self::of::<f32>(scene, threads),
+            Precision::F64 => Self::of::<f64>(scene, threads),
+        }
+    }
+
+    fn of<T: Real>(scene: &Scene, threads: usize) -> Self {
+        // The motion with what its gradient needs for each control step, and the motions of the probes; the list of obstacles for
+        // each block of the grid; and each particle's place in the packing and at the end.
+        const PER_CONTROL_STEP: u64 = 720 + 16 * 104;
+        const PER_BLOCK: u64 = 64;
+        const PER_PARTICLE: u64 = 120;
+        let blocks: u64 = scene.block_counts().iter().map(|count| *count as u64).product();
+        let fixed = PROCESS_BYTES
+            + 2 * THREAD_BYTES * threads as u64
+            + PER_CONTROL_STEP * u64::from(scene.time.horizon_steps)
+            + PER_BLOCK * blocks
+            + PER_PARTICLE * scene.particle_count() as u64;
+        // A fifth for lanes that hold no particle.
+        let groups = scene.particle_count().div_ceil(LANES) * 6 / 5;
+        // Identity and origin of each particle.
+        let besides = (2 * groups * LANES * size_of::<u32>()) as u64;
+        Self { fixed, state: state_bytes::<T>(Size { groups, nodes: 2 * node_blocks(scene), besides }) }
+    }
+
+    /// For a gradient with so many kept states. Rollouts side by side take theirs from these.
+    fn of_gradient(&self, kept_states: u64) -> u64 {
+        self.with(MOTION_STATES + ADJOINT_STATES + kept_states.max(BRANCHES))
+    }
+
+    fn with(&self, states: u64) -> u64 {
+        let bytes = self.fixed + states * self.state;
+        // So much that the slack can be left free.
+        (bytes + LEAST_SLACK_BYTES) * SLACK_SHARE / (SLACK_SHARE - 1) + 1
+    }
 }
 
-/// Estimates the need of a gradient for each of [`PASSES`].
-pub fn memory_needs(scene: &Scene, precision: Precision) -> [Need; 4] {
-    let scalar_bytes: u64 = match precision {
-        Precision::F32 => 4,
-        Precision::F64 => 8,
-    };
-    let particles = scene.particle_count() as u64;
-    let [tiles, nodes] = grid_bytes(scene, scalar_bytes);
-    // Identity and origin of each particle; a tenth for lanes that hold none. Momentum and velocity at the nodes.
-    let powder = particles * (PARTICLE_SCALARS * scalar_bytes + 2 * size_of::<u32>() as u64) * 11 / 10;
-    let state_bytes = powder + 2 * nodes;
-    let steps = u64::from(scene.time.horizon_steps) * u64::from(scene.time.substeps);
-    let standing_bytes =
-        fixed_bytes(scene) + STANDING_STATES * state_bytes + BRANCHES * powder + 3 * (tiles + 3 * nodes);
+/// Blocks of nodes that powder in one heap reaches, wherever the heap lies on the grid; it spreads over up to twice as many.
+fn node_blocks(scene: &Scene) -> usize {
+    let cells = scene.particle_count() as f64 / f64::from(scene.powder.particles_per_cell);
+    let edge = (cells / BLOCK_CELLS.pow(3) as f64).cbrt() + 1.0;
+    (edge + 2.0).powi(3).ceil() as usize
+}
+
+/// Estimates the need of a gradient for each of [`PASSES`], with so many threads.
+pub fn memory_needs(scene: &Scene, precision: Precision, threads: usize) -> [Need; 4] {
+    let sizes = Sizes::new(scene, precision, threads);
     PASSES.map(|passes| {
-        let kept_states = fewest_states(steps, passes);
-        Need { passes, kept_states, bytes: standing_bytes + grown(kept_states * state_bytes) }
+        let kept_states = fewest_states(substeps(scene), passes);
+        Need { passes, kept_states, bytes: sizes.of_gradient(kept_states) }
     })
 }
 
-/// What kept states take before the end: they grow as the powder spreads over more blocks, and with it the fragments between them.
-pub(crate) fn grown(bytes: u64) -> u64 {
-    bytes + bytes / 5 * 2
+/// The least budget for some work, bytes. With less, a gradient would take many times as long.
+pub(crate) fn least_memory(scene: &Scene, precision: Precision, threads: usize, work: Work) -> u64 {
+    let sizes = Sizes::new(scene, precision, threads);
+    match work {
+        Work::Motion => sizes.with(MOTION_STATES),
+        Work::Motions => sizes.with(MOTION_STATES + BRANCHES),
+        Work::Gradient => sizes.of_gradient(least_states(substeps(scene) as usize) as u64),
+    }
 }
 
-/// Tiles of the blocks that hold powder, and four numbers for each node of these and of the layer of blocks around them; for powder
-/// in one heap that lies anywhere on the grid.
-fn grid_bytes(scene: &Scene, scalar_bytes: u64) -> [u64; 2] {
-    let cells = scene.particle_count() as f64 / f64::from(scene.powder.particles_per_cell);
-    let edge = (cells / BLOCK_CELLS.pow(3) as f64).cbrt() + 1.0;
-    let of_blocks = |edge: f64, nodes: usize| (edge.powi(3).ceil() as u64) * nodes as u64 * 4 * scalar_bytes;
-    [of_blocks(edge, (2 * BLOCK_CELLS).pow(3)), of_blocks(edge + 2.0, BLOCK_CELLS.pow(3))]
+fn substeps(scene: &Scene) -> u64 {
+    u64::from(scene.time.horizon_steps) * u64::from(scene.time.substeps)
+}
+
+/// The fewest states that a gradient over so many substeps keeps, whatever memory there is.
+pub(crate) fn least_states(steps: usize) -> usize {
+    fewest_states(steps as u64, PASSES[PASSES.len() - 1]) as usize
 }
 
 /// Smallest `c` with `binomial(c + passes, passes) >= steps`.
@@ -98,16 +169,201 @@ pub(crate) fn fewest_states(steps: u64, passes: u32) -> u64 {
     low
 }
 
+/// Room for so many elements and a few more, in sixteenths of a power of two: lengths that change a little from one time to the
+/// next then need the same room.
+pub(crate) fn roomy(length: usize) -> usize {
+    length.next_multiple_of((length.next_power_of_two() / 16).max(1))
+}
+
+/// So many elements, in the memory that is already there or in more, which is taken at once and as a whole: it counts from now
+/// on, not when somebody happens to write there. A vector that is left to grow by itself takes twice the memory at the
+/// first element more.
+pub(crate) fn fit<E: Clone>(vector: &mut Vec<E>, length: usize, with: E) {
+    if vector.capacity() < length {
+        vector.reserve_exact(roomy(length) - vector.len());
+        vector.resize(vector.capacity(), with.clone());
+    }
+    vector.resize(length, with);
+}
+
+/// What is left free of a budget, for what is small and not counted one by one: some bytes, and a share.
+const LEAST_SLACK_BYTES: u64 = 4 << 20;
+const SLACK_SHARE: u64 = 32;
+
+/// What a process may hold, and does.
+pub(crate) struct Budget {
+    bytes: u64,
+    /// What a gradient needs at least.
+    least: u64,
+    /// What it holds beside states that are kept, where the system does not tell.
+    standing: u64,
+    resident: Resident,
+}
+
+impl Budget {
+    /// Of a process that may hold so many bytes and simulates a scene.
+    pub(crate) fn new<T: Real>(bytes: u64, scene: &Scene, threads: usize) -> Self {
+        let sizes = Sizes::of::<T>(scene, threads);
+        let least = sizes.of_gradient(least_states(substeps(scene) as usize) as u64);
+        let standing = sizes.fixed + (MOTION_STATES + ADJOINT_STATES) * sizes.state;
+        Self { bytes, least, standing, resident: Resident::new() }
+    }
+
+    /// Bytes that the process may take more than it has, if states hold `in_states`.
+    pub(crate) fn left(&self, in_states: u64) -> u64 {
+        let held = self.resident.bytes().unwrap_or(self.standing + in_states);
+        self.limit().saturating_sub(held)
+    }
+
+    fn limit(&self) -> u64 {
+        self.bytes.saturating_sub(LEAST_SLACK_BYTES + self.bytes / SLACK_SHARE)
+    }
+
+    /// Bytes that workers may take to follow several motions side by side.
+    pub(crate) fn for_workers(&self) -> u64 {
+        self.bytes.saturating_sub(self.least) / 4
+    }
+}
+
+/// What the operating system counts of this process.
+pub(crate) struct Resident {
+    /// Stays open: this is asked as often as states are kept.
+    file: Option<File>,
+    page_bytes: u64,
+}
+
+impl Resident {
+    #[cfg(target_os = "linux")]
+    pub(crate) fn new() -> Self {
+        let file = File::open("/proc/self/statm").ok();
+        Self { file, page_bytes: rustix::param::page_size() as u64 }
+    }
+
+    #[cfg(not(target_os = "linux"))]
+    pub(crate) fn new() -> Self {
+        Self { file: None, page_bytes: 0 }
+    }
+
+    /// Bytes of main memory that the process holds; none where the system does not tell.
+    pub(crate) fn bytes(&self) -> Option<u64> {
+        use std::io::{Read, Seek};
+        let mut file = self.file.as_ref()?;
+        let mut text = [0; 128];
+        file.rewind().ok()?;
+        let length = file.read(&mut text).ok()?;
+        // The size in pages, and how many of them are in main memory.
+        let pages = std::str::from_utf8(&text[..length]).ok()?.split(' ').nth(1)?;
+        Some(pages.parse::<u64>().ok()? * self.page_bytes)
+    }
+}
+
+/// Memory that this process can hold without taking any from others, bytes: what it holds, and what the machine has available
+/// or a container's limit leaves. None where the system does not tell.
+pub fn available_bytes() -> Option<u64> {
+    let machine = kibibytes("/proc/meminfo", "MemAvailable:")?;
+    let left = left_of_limits().map_or(machine, |left| left.min(machine));
+    Some(left + Resident::new().bytes()?)
+}
+
+/// A line of a file of `/proc` that gives a size in `kB`, as bytes.
+pub(crate) fn kibibytes(file: &str, name: &str) -> Option<u64> {
+    let text = fs::read_to_string(file).ok()?;
+    let size = text.lines().find_map(|line| line.strip_prefix(name))?;
+    Some(size.trim().strip_suffix(" kB")?.parse::<u64>().ok()? << 10)
+}
+
+/// What is left of the limits of the control groups that this process is in, of either version.
+fn left_of_limits() -> Option<u64> {
+    let groups = fs::read_to_string("/proc/self/cgroup").ok()?;
+    let left = |line: &str| {
+        let (_, group) = line.split_once(':')?;
+        let (root, path, files) = match group.split_once(':')? {
+            ("", path) => ("/sys/fs/cgroup", path, ["memory.max", "memory.current", "inactive_file"]),
+            ("memory", path) => (
+                "/sys/fs/cgroup/memory",
+                path,
+                ["memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"],
+            ),
+            _ => return None,
+        };
+        let group = Path::new(root).join(path.trim_start_matches('/'));
+        let groups = group.ancestors().take_while(|folder| folder.starts_with(root));
+        groups.filter_map(|folder| left_of_limit(folder, files)).min()
+    };
+    groups.lines().filter_map(left).min()
+}
+
+/// What is left of a control group's limit, if it has one. Files that the system keeps in memory while there is room do not count.
+fn left_of_limit(folder: &Path, [limit, usage, cached]: [&str; 3]) -> Option<u64> {
+    let read = |file: &str| fs::read_to_string(folder.join(file)).ok();
+    let number = |file: &str| read(file)?.trim().parse::<u64>().ok();
+    let cached = read("memory.stat")
+        .and_then(|text| text.lines().find_map(|line| line.strip_prefix(cached)?.trim().parse::<u64>().ok()));
+    Some(number(limit)?.saturating_sub(number(usage)?.saturating_sub(cached.unwrap_or(0))))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
+    fn a_vector_takes_little_more_memory_than_it_needs_and_takes_it_at_once() {
+        let mut vector: Vec<u64> = Vec::with_capacity(1_000);
+        fit(&mut vector, 1_001, 7);
+        assert_eq!(vector, [7; 1_001]);
+        assert_eq!(vector.capacity(), 1_024);
+        fit(&mut vector, 10, 8);
+        assert_eq!(vector, [7; 10]);
+        fit(&mut vector, 1_024, 9);
+        assert_eq!((vector[10], vector[1_023], vector.capacity()), (9, 9, 1_024));
+        for length in [0, 1, 15, 16, 17, 33, 10_000] {
+            assert!((length..=length + length / 8).contains(&roomy(length)), "{length}: {}", roomy(length));
+        }
+    }
+
+    #[test]
+    fn memory_that_is_taken_counts() {
+        let resident = Resident::new();
+        let before = resident.bytes().expect("Linux tells");
+        let mut vector = Vec::new();
+        fit(&mut vector, 32 << 20, 1u8);
+        let after = resident.bytes().expect("Linux tells");
+        assert_eq!(vector[vector.len() - 1], 1);
+        assert!(after > before + (16 << 20), "{before} {after}");
+    }
+
+    #[test]
     fn fewer_states_cost_more_passes() {
-        let needs = memory_needs(&Scene::load("bench").unwrap(), Precision::F32);
+        let needs = memory_needs(&Scene::load("bench").unwrap(), Precision::F32, 2);
         let kept = needs.map(|need| need.kept_states);
         assert_eq!(kept, [9_999, 140, 38, 20]);
         assert!(needs.is_sorted_by(|a, b| a.bytes > b.bytes));
+    }
+
+    #[test]
+    fn more_work_and_more_threads_need_more() {
+        let scene = Scene::load("bench").unwrap();
+        let least = |threads, work| least_memory(&scene, Precision::F32, threads, work);
+        assert!(least(2, Work::Motion) < least(2, Work::Motions));
+        assert!(least(2, Work::Motions) < least(2, Work::Gradient));
+        assert!(least(64, Work::Gradient) > least(2, Work::Gradient) + 62 * 2 * THREAD_BYTES);
+        assert_eq!(least(2, Work::Gradient), memory_needs(&scene, Precision::F32, 2)[3].bytes);
+    }
+
+    #[test]
+    fn a_limit_leaves_what_is_not_used_and_not_cached() {
+        let folder = tempfile::tempdir().unwrap();
+        let files = ["memory.max", "memory.current", "inactive_file"];
+        let write = |file: &str, text: &str| fs::write(folder.path().join(file), text).unwrap();
+        assert_eq!(left_of_limit(folder.path(), files), None);
+        write("memory.max", "1000\n");
+        write("memory.current", "700\n");
+        assert_eq!(left_of_limit(folder.path(), files), Some(300));
+        write("memory.stat", "anon 300\ninactive_file 400\nactive_file 5\n");
+        assert_eq!(left_of_limit(folder.path(), files), Some(700));
+        write("memory.max", "max\n");
+        assert_eq!(left_of_limit(folder.path(), files), None);
+        assert!(available_bytes().is_some_and(|bytes| bytes > 1 << 20));
     }
 
     #[test]

@@ -103,6 +103,7 @@ pub(super) fn run(args: &CheckArgs, out: &mut dyn Write) -> Result<(), CliError>
 impl CheckReport {
     /// Gathers the figures of a valid scene.
     pub fn new(scene: &Scene) -> Self {
+        let threads = std::thread::available_parallelism().map_or(1, usize::from);
         Self {
             scene: scene.name.clone(),
             digest: scene.digest().iter().map(|byte| format!("{byte:02x}")).collect(),
@@ -124,7 +125,7 @@ impl CheckReport {
             memory: [(Precision::F32, "f32"), (Precision::F64, "f64")]
                 .into_iter()
                 .flat_map(|(precision, name)| {
-                    memory_needs(scene, precision).map(|need| MemoryRow::new(name, need))
+                    memory_needs(scene, precision, threads).map(|need| MemoryRow::new(name, need))
                 })
                 .collect(),
             remarks: remarks(scene),

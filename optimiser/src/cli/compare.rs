@@ -19,7 +19,7 @@ use clap::Args;
 use powderline_baseline::Search;
 use powderline_shared::plan::Precision;
 use powderline_simulator::{
-    rollout::{Evaluate, SimulatorSettings, packed_loss},
+    rollout::{Evaluate, SimulatorSettings, Work, check_memory, packed_loss},
     scene::{DEFAULT_SCENE, Digest, Scene},
     skill::{SkillMap, Theta},
 };
@@ -181,6 +181,7 @@ impl Experiment {
             map.check_all_corners()
                 .map_err(|error| CliError::Input(format!("{name}, for {}: {error}", method.name())))?;
         }
+        plan.check_memory(&scene, arguments.resources)?;
         let folder = match &arguments.out {
             Some(path) => RunFolder::create(path)?,
             None => {
@@ -227,6 +228,7 @@ impl Experiment {
         }
         self.plan.budget.epochs = epochs;
         self.plan.check()?;
+        self.plan.check_memory(&self.scene, self.resources)?;
         self.save_plan()?;
         Ok(self)
     }
@@ -417,6 +419,14 @@ impl Experiment {
 }
 
 impl Plan {
+    /// Whether memory will do for every method.
+    fn check_memory(&self, scene: &Scene, resources: Resources) -> Result<(), CliError> {
+        let settings = resources.settings(0, self.precision);
+        let has_gradient = self.methods.iter().any(|method| method.is_gradient());
+        let work = if has_gradient { Work::Gradient } else { Work::Motions };
+        Ok(check_memory(scene, &settings, work, 0)?)
+    }
+
     fn check(&self) -> Result<(), CliError> {
         let tries = u64::from(self.budget.epochs + 1)
             * u64::from(self.budget.rollouts_per_epoch)

@@ -7,7 +7,7 @@ use super::{
 use crate::report::view;
 use powderline_shared::{displacement::Displacement, pose::Pose};
 use powderline_simulator::{
-    rollout::{Evaluation, RolloutError, Shot, Take},
+    rollout::{Evaluation, RolloutError, Shot, Take, Work, check_memory},
     skill::{SkillMap, displacement},
 };
 use powderline_view::{Bench, Frame, Sink, ViewError};
@@ -54,6 +54,14 @@ impl<'a> Film<'a> {
         view::bench(scene, scene.particle_count(), self.controls.len() / self.every + 1, period_s)
     }
 
+    /// Whether memory will do for the simulation and so many bytes for what is made of it.
+    ///
+    /// # Errors
+    /// If not.
+    pub(super) fn check_memory(&self, besides_bytes: u64) -> Result<(), CliError> {
+        Ok(check_memory(&self.task.scene, &self.task.settings, Work::Motion, besides_bytes)?)
+    }
+
     /// Simulates, and shows every frame to the sink.
     ///
     /// # Errors
@@ -63,6 +71,7 @@ impl<'a> Film<'a> {
         sink: &mut (dyn Sink + Send),
         context: &mut Context<'_>,
     ) -> Result<Evaluation, CliError> {
+        self.check_memory(0)?;
         let Self { task, anchor, controls, planned, every } = self;
         let mut simulator = (context.factory)(&task.scene, &task.settings)?;
         let interrupt = context.interrupt.clone();

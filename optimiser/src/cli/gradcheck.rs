@@ -8,7 +8,7 @@ use powderline_simulator::real::Real;
 use powderline_simulator::rollout::gradcheck::{
     CHECKED_THETA, HALF_STEPS, Smoothed, Window, check_window, smoothed,
 };
-use powderline_simulator::rollout::{RolloutError, SimulatorSettings, check_memory, simulator};
+use powderline_simulator::rollout::{RolloutError, SimulatorSettings, Work, check_memory, simulator};
 use powderline_simulator::scene::{DEFAULT_SCENE, Scene};
 use powderline_simulator::skill::SkillMap;
 use serde::Serialize;
@@ -88,7 +88,7 @@ fn check_in<T: Real>(
     let interrupt = context.interrupt.clone();
     // Falling asleep is a jump, if a small one, that no difference over a small step survives.
     let scene = &scene.awake();
-    check_memory(scene, settings)?;
+    check_memory(scene, settings, Work::Gradient, 0)?;
     let mut progress = Progress::new(context.err, context.live);
     let report = compare::<T>(arguments, scene, settings, &mut progress, &interrupt);
     progress.clear();

@@ -37,7 +37,7 @@ pub use error::CliError;
 pub use interrupt::Interrupt;
 pub use options::{PrecisionArg, Resources};
 pub use progress::{Progress, is_live};
-pub use size::{format_size, parse_size};
+pub use size::{Memory, format_size, parse_size};
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use powderline_simulator::{

@@ -1,6 +1,6 @@
 //! Arguments that several commands share.
 
-use super::size::parse_size;
+use super::size::{Memory, parse_memory};
 use clap::{Args, ValueEnum};
 use powderline_shared::plan::Precision;
 use powderline_simulator::rollout::SimulatorSettings;
@@ -41,9 +41,10 @@ pub struct Resources {
     /// Threads; results are the same for any number [default: one per processor]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
-    /// Most memory to use, such as 128MiB, 2GiB or 500MB
-    #[arg(long, value_name = "SIZE", value_parser = parse_size, default_value = "1GiB")]
-    pub memory: u64,
+    /// Most memory that the process may hold, such as 128MiB, 2GiB or 500MB; `none` is as much as is useful, and never more
+    /// than the machine has available. Results are the same for any
+    #[arg(long, value_name = "SIZE", value_parser = parse_memory, default_value = "1GiB")]
+    pub memory: Memory,
 }
 
 impl Resources {
@@ -53,7 +54,7 @@ impl Resources {
             seed,
             precision,
             threads: self.threads.map(usize::from),
-            memory_bytes: self.memory,
+            memory_bytes: self.memory.bytes(),
         }
     }
 }

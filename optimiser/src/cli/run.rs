@@ -19,7 +19,7 @@ use crate::{
 use clap::Args;
 use powderline_shared::plan::Precision;
 use powderline_simulator::{
-    rollout::{Evaluate, Evaluation, RolloutError, check_memory},
+    rollout::{self, Evaluate, Evaluation, RolloutError, check_memory},
     scene::{DEFAULT_SCENE, Scene},
     skill::{SkillMap, Theta, colliding_skill},
 };
@@ -104,7 +104,7 @@ fn simulator(
 ) -> Result<Box<dyn Evaluate>, CliError> {
     let settings = arguments.resources.settings(state.seed, state.precision);
     if !state.finished {
-        check_memory(scene, &settings)?;
+        check_memory(scene, &settings, rollout::Work::Gradient, 0)?;
     }
     Ok((context.factory)(scene, &settings)?)
 }

@@ -1,5 +1,7 @@
 //! Sizes as people write them: `128MiB`, `2GiB`, `500MB`.
 
+use powderline_simulator::memory::available_bytes;
+
 /// Bytes of a size with an optional unit, decimal (kB, MB, GB, TB) or binary (KiB, MiB, GiB, TiB).
 ///
 /// # Errors
@@ -32,6 +34,39 @@ pub fn parse_size(text: &str) -> Result<u64, String> {
         return Err(format!("`{text}` is not a size that a machine has"));
     }
     Ok(bytes as u64)
+}
+
+/// Most memory to use.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Memory {
+    /// So many bytes.
+    Bytes(u64),
+    /// What the machine has available.
+    Available,
+}
+
+impl Memory {
+    /// In bytes, now. Of what is available a tenth is left to others; where the system does not say how much that is, there is no
+    /// bound.
+    pub fn bytes(self) -> u64 {
+        match self {
+            Self::Bytes(bytes) => bytes,
+            Self::Available => available_bytes().map_or(u64::MAX, |bytes| bytes / 10 * 9),
+        }
+    }
+}
+
+/// A size, or `none`.
+///
+/// # Errors
+/// A sentence about what is wrong.
+pub(super) fn parse_memory(text: &str) -> Result<Memory, String> {
+    if text.trim().eq_ignore_ascii_case("none") {
+        return Ok(Memory::Available);
+    }
+    parse_size(text)
+        .map(Memory::Bytes)
+        .map_err(|error| format!("{error}; or `none` for as much as is useful"))
 }
 
 /// A size in the largest binary unit that leaves a number above one.
@@ -67,6 +102,14 @@ mod tests {
         for text in ["", "MiB", "-1MiB", "1.2.3MB", "5 parsecs", "0", "1e9", "99999999TiB", "nan"] {
             assert!(parse_size(text).is_err(), "{text}");
         }
+    }
+
+    #[test]
+    fn none_is_what_the_machine_has() {
+        assert_eq!(parse_memory("64MiB"), Ok(Memory::Bytes(64 << 20)));
+        assert_eq!(parse_memory("None"), Ok(Memory::Available));
+        assert!(parse_memory("nothing").is_err_and(|error| error.contains("or `none`")));
+        assert!((1 << 20..1 << 50).contains(&Memory::Available.bytes()));
     }
 
     #[test]

@@ -12,7 +12,7 @@ use crate::{
     report::words::{count, duration},
 };
 use powderline_simulator::{
-    rollout::{Evaluate, Evaluation, RolloutError, SimulatorSettings, Slope, check_memory},
+    rollout::{Evaluate, Evaluation, RolloutError, SimulatorSettings, Slope, Work, check_memory},
     scene::Scene,
 };
 use std::path::Path;
@@ -46,7 +46,7 @@ pub(super) fn completed(
     let lines: String = stepping.track.tries.iter().map(run::json_line).collect();
     stepping.folder.replace(TRIES, lines.as_bytes())?;
     if !stepping.is_done() {
-        check_memory(scene, settings)?;
+        check_memory(scene, settings, Work::Gradient, 0)?;
         let simulator = (context.factory)(scene, settings)?;
         stepping.go_on(simulator, context)?;
     }

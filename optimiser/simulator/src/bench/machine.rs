@@ -7,6 +7,7 @@ use std::time::Instant;
 use powderline_shared::plan::Precision;
 use pulp::{Simd, WithSimd};
 
+use crate::memory::kibibytes;
 use crate::mpm::laps::Reading;
 
 /// Sums that are independent of each other: enough to hide the latency of two units, and few enough for 16 registers.
@@ -96,18 +97,6 @@ pub(crate) fn peak_bytes() -> Option<u64> {
     kibibytes("/proc/self/status", "VmHWM:")
 }
 
-/// Memory that the system could give without swapping, bytes; none where it does not tell.
-pub(crate) fn free_bytes() -> Option<u64> {
-    kibibytes("/proc/meminfo", "MemAvailable:")
-}
-
-/// A line of a file of `/proc` that gives a size in `kB`, as bytes.
-fn kibibytes(file: &str, name: &str) -> Option<u64> {
-    let text = std::fs::read_to_string(file).ok()?;
-    let size = text.lines().find_map(|line| line.strip_prefix(name))?;
-    Some(size.trim().strip_suffix(" kB")?.parse::<u64>().ok()? << 10)
-}
-
 /// Nanoseconds since the first reading, and those that the threads of this process have had a processor, all together: what
 /// other processes take of the machine shows in the first only.
 pub(crate) fn nanoseconds() -> Reading {
@@ -164,7 +153,6 @@ mod tests {
     #[test]
     fn the_system_tells_sizes() {
         assert!(peak_bytes().is_some_and(|bytes| (1 << 20..1 << 40).contains(&bytes)));
-        assert!(free_bytes().is_some_and(|bytes| bytes > 1 << 20));
         assert_eq!(kibibytes("/proc/self/status", "NoSuchLine:"), None);
     }
 }

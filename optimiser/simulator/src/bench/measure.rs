@@ -9,7 +9,7 @@ use super::BenchError;
 use super::counted::{Counted, Elementary, operations};
 use super::machine::{self, nanoseconds};
 use super::problem::{Problem, SUBSTEPS};
-use crate::memory::{PARTICLE_SCALARS, fewest_states};
+use crate::memory::{PARTICLE_SCALARS, available_bytes, fewest_states};
 use crate::mpm::laps::{Gauge, Lap, Pass, Reading, Stage};
 use crate::real::Real;
 use crate::rollout::{Moment, Progress, RolloutError, Simulator, thread_pool};
@@ -510,7 +510,7 @@ fn memory_of(particles: usize, lanes: usize, scalar_bytes: usize, read_gb_per_s:
 }
 
 fn check_memory(settings: &Settings, part: usize) -> Result<(), BenchError> {
-    let Some(free) = settings.memory_bytes.or_else(machine::free_bytes) else { return Ok(()) };
+    let Some(free) = settings.memory_bytes.or_else(available_bytes) else { return Ok(()) };
     let need = need(settings, part);
     if need > free {
         let Settings { particles, forward_only, .. } = *settings;

@@ -8,8 +8,10 @@
 //! The tile has one cell of slack on every side: a particle may leave its block by up to a cell before
 //! the particles have to be sorted again.
 
+use crate::memory::fit;
 use crate::mpm::particles::{Group, LANES, Lanes, NOBODY, Particles};
 use crate::mpm::sleep::Tiles;
+use crate::mpm::spare::Spare;
 use crate::mpm::stencil::{TILE_EDGE, TILE_LENGTH, Tile};
 use crate::real::Real;
 use crate::scene::{BLOCK_CELLS, PADDING_BLOCKS, Scene};
@@ -120,13 +122,6 @@ pub(crate) struct Layout {
     pub(crate) nodes: Vec<NodeBlock>,
 }
 
-impl Layout {
-    /// Heap bytes.
-    pub(crate) fn bytes(&self) -> usize {
-        self.blocks.len() * size_of::<Block>() + self.nodes.len() * size_of::<NodeBlock>()
-    }
-}
-
 fn neighbour_offsets() -> impl Iterator<Item = [i32; 3]> {
     (0..27).map(|n| [n / 9 - 1, n / 3 % 3 - 1, n % 3 - 1])
 }
@@ -142,6 +137,7 @@ pub(crate) struct Lost {
 pub(crate) fn sort<T: Real>(
     grid: &Grid,
     old: &Particles<T>,
+    spare: &mut Spare<T>,
 ) -> Result<(Particles<T>, Layout, Vec<u32>), Lost> {
     let mut keys = Vec::with_capacity(old.groups.len() * LANES);
     for (g, lane, particle) in old.living() {
@@ -151,30 +147,31 @@ pub(crate) fn sort<T: Real>(
     }
     keys.sort_unstable();
 
-    let (mut groups, mut ids): (Vec<Group<T>>, Vec<_>) = (Vec::new(), Vec::new());
-    let mut order = Vec::new();
-    let mut blocks: Vec<Block> = Vec::new();
-    let mut current = None;
-    for key in keys {
-        let block = (key >> 32) as usize / BLOCK_NODES;
-        if current != Some(block) {
-            current = Some(block);
-            let first_group = groups.len();
-            blocks.push(Block { coord: grid.coord(block), first_group, particles: 0, nodes: [NONE; 27] });
+    let block_of = |key: &u64| (*key >> 32) as usize / BLOCK_NODES;
+    let by_block = || keys.chunk_by(|a, b| block_of(a) == block_of(b));
+    let count = by_block().map(|keys| keys.len().div_ceil(LANES)).sum();
+    let mut groups = spare.take_groups(count);
+    let mut ids = vec![[NOBODY; LANES]; count];
+    let mut order = vec![NOBODY; count * LANES];
+    let mut blocks: Vec<Block> = Vec::with_capacity(by_block().count());
+    let mut first_group = 0;
+    for keys in by_block() {
+        let block = Block {
+            coord: grid.coord(block_of(&keys[0])),
+            first_group,
+            particles: keys.len(),
+            nodes: [NONE; 27],
+        };
+        let resting = resting_group(grid, block.coord);
+        groups[first_group..first_group + block.groups()].fill(resting);
+        for (at, key) in (first_group * LANES..).zip(keys) {
+            let place = (key & 0xffff_ffff) as usize;
+            groups[at / LANES].copy_lane(at % LANES, &old.groups[place / LANES], place % LANES);
+            ids[at / LANES][at % LANES] = old.ids[place / LANES][place % LANES];
+            order[at] = place as u32;
         }
-        let last = blocks.last_mut().expect("pushed above");
-        let lane = last.particles % LANES;
-        if lane == 0 {
-            groups.push(resting_group(grid, last.coord));
-            ids.push([NOBODY; LANES]);
-            order.extend([NOBODY; LANES]);
-        }
-        let place = (key & 0xffff_ffff) as usize;
-        let g = groups.len() - 1;
-        groups[g].copy_lane(lane, &old.groups[place / LANES], place % LANES);
-        ids[g][lane] = old.ids[place / LANES][place % LANES];
-        order[g * LANES + lane] = place as u32;
-        last.particles += 1;
+        first_group += block.groups();
+        blocks.push(block);
     }
     let nodes = connect(grid, &mut blocks);
     Ok((Particles { groups, ids: ids.into() }, Layout { blocks, nodes }, order))
@@ -212,16 +209,21 @@ fn connect(grid: &Grid, blocks: &mut [Block]) -> Vec<NodeBlock> {
     nodes
 }
 
-/// Cotangents of the particles after a sort, put back into the order before it.
-pub(crate) fn unsort<T: Real>(sorted: &[Group<T>], order: &[u32], old_groups: usize) -> Vec<Group<T>> {
-    let mut out = vec![Group::ZERO; old_groups];
+/// Cotangents of the particles after a sort, put back into the order before it: into `out`, whatever was there.
+pub(crate) fn unsort<T: Real>(
+    sorted: &[Group<T>],
+    order: &[u32],
+    old_groups: usize,
+    out: &mut Vec<Group<T>>,
+) {
+    fit(out, old_groups, Group::ZERO);
+    out.fill(Group::ZERO);
     for (to, from) in order.iter().enumerate() {
         if *from != NOBODY {
             let from = *from as usize;
             out[from / LANES].copy_lane(from % LANES, &sorted[to / LANES], to % LANES);
         }
     }
-    out
 }
 
 /// Along one axis: first node of the block, first node of the tile, and how many nodes both share, when the

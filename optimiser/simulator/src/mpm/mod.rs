@@ -27,6 +27,7 @@ pub(crate) mod places;
 pub(crate) mod principal;
 pub(crate) mod series;
 pub(crate) mod sleep;
+pub(crate) mod spare;
 pub(crate) mod stencil;
 pub(crate) mod substep;
 #[cfg(test)]

@@ -144,10 +144,6 @@ impl<T: Real> Particles<T> {
         Self { groups, ids: ids.into() }
     }
 
-    pub(crate) fn empty() -> Self {
-        Self { groups: Vec::new(), ids: Arc::new([]) }
-    }
-
     /// `(group, lane, identity)` of every particle, in memory order.
     pub(crate) fn living(&self) -> impl Iterator<Item = (usize, usize, u32)> {
         self.ids.iter().enumerate().flat_map(|(g, ids)| {

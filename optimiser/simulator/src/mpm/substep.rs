@@ -4,15 +4,17 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
+use crate::memory::fit;
 use crate::mpm::Model;
 use crate::mpm::contact::{Motion, MotionBar};
 use crate::mpm::g2p::{TileToParticles, TileToParticlesAdjoint};
 use crate::mpm::grid_update::{UpdateNodes, UpdateNodesAdjoint};
 use crate::mpm::laps::{Laps, Pass, Stage};
-use crate::mpm::layout::{BLOCK_NODES, Layout, Lost, Nodes, empty_tile, sort, unsort};
+use crate::mpm::layout::{Block, Layout, Lost, NodeBlock, Nodes, empty_tile, sort, unsort};
 use crate::mpm::p2g::{ParticlesToTile, ParticlesToTileAdjoint, ReturnMap, ReturnMapAdjoint};
 use crate::mpm::particles::{Group, LANES, Particles};
 use crate::mpm::sleep::{self, Rest, Seen, Tiles};
+use crate::mpm::spare::{Size, Spare, state_bytes};
 use crate::mpm::stencil::Tile;
 use crate::real::Real;
 
@@ -38,36 +40,47 @@ pub(crate) struct State<T> {
 /// in the same cell are what transfers do at once.
 const SORT_EVERY: u32 = 100;
 
-/// So many elements, in the memory that is already there or as much more as is needed: the number of groups changes from sort
-/// to sort, and a vector that is left to grow by itself takes twice the memory at the first group more.
-fn fit<E: Clone>(vector: &mut Vec<E>, length: usize, with: E) {
-    vector.reserve_exact(length.saturating_sub(vector.len()));
-    vector.resize(length, with);
-}
-
 impl<T: Real> State<T> {
     /// Sorted state of the given particles.
     pub(crate) fn new(model: &Model<T>, particles: &Particles<T>) -> Result<Self, Lost> {
-        let (particles, layout, _) = sort(&model.grid, particles)?;
+        let (particles, layout, _) = sort(&model.grid, particles, &mut Spare::none())?;
         let rest = sleep::all_awake(&layout);
         Ok(Self { particles, layout: Arc::new(layout), sorted_from: None, stale: false, age: 0, rest })
     }
 
-    /// Memory for a state.
+    /// Nothing, to be written to.
     pub(crate) fn none() -> Self {
         let layout = Arc::new(Layout { blocks: Vec::new(), nodes: Vec::new() });
-        let (particles, rest) = (Particles::empty(), Vec::new());
-        Self { particles, layout, sorted_from: None, stale: false, age: 0, rest }
+        let particles = Particles { groups: Vec::new(), ids: Arc::new([]) };
+        Self { particles, layout, sorted_from: None, stale: false, age: 0, rest: Vec::new() }
+    }
+
+    /// The same again.
+    pub(crate) fn copied(&self, spare: &mut Spare<T>) -> Self {
+        let mut groups = spare.take_groups(self.particles.groups.len());
+        groups.copy_from_slice(&self.particles.groups);
+        Self {
+            particles: Particles { groups, ids: Arc::clone(&self.particles.ids) },
+            layout: Arc::clone(&self.layout),
+            sorted_from: self.sorted_from.clone(),
+            rest: self.rest.clone(),
+            ..*self
+        }
+    }
+
+    /// Is no longer needed.
+    pub(crate) fn give_to(self, spare: &mut Spare<T>) {
+        spare.give_groups(self.particles.groups);
     }
 
     /// Sorts if a particle has come to the end of its block's reach.
-    fn freshen(&mut self, model: &Model<T>) -> Result<(), Lost> {
+    fn freshen(&mut self, model: &Model<T>, spare: &mut Spare<T>) -> Result<(), Lost> {
         self.sorted_from = None;
         if self.stale {
             self.fill();
             let groups = self.particles.groups.len();
-            let (particles, layout, order) = sort(&model.grid, &self.particles)?;
-            *self = Self {
+            let (particles, layout, order) = sort(&model.grid, &self.particles, spare)?;
+            let sorted = Self {
                 rest: sleep::sorted(&self.rest, &self.layout, &layout, &order, &particles.groups),
                 particles,
                 layout: Arc::new(layout),
@@ -75,6 +88,7 @@ impl<T: Real> State<T> {
                 stale: false,
                 age: 0,
             };
+            std::mem::replace(self, sorted).give_to(spare);
         }
         Ok(())
     }
@@ -103,22 +117,47 @@ impl<T: Real> State<T> {
         Tiles { fresh, rest: &self.rest, sleepers_send: true }
     }
 
-    /// Bytes that keeping this state costs, with what was on the grid.
-    pub(crate) fn bytes(&self) -> usize {
-        let per_group = size_of::<Group<T>>() + 2 * LANES * size_of::<u32>();
-        let on_grid = 2 * self.layout.nodes.len() * size_of::<Nodes<T>>();
-        let rest = self.rest.len() * size_of::<Rest<T>>();
-        self.particles.groups.len() * per_group + self.layout.bytes() + on_grid + rest
+    /// What keeping it takes, with what is on its grid. Some of what is beside its vectors, states share.
+    pub(crate) fn size(&self) -> Size {
+        let Layout { blocks, nodes } = &*self.layout;
+        let groups = self.particles.groups.len();
+        let besides = 2 * groups * LANES * size_of::<u32>()
+            + blocks.len() * (size_of::<Block>() + size_of::<Rest<T>>())
+            + nodes.len() * size_of::<NodeBlock>();
+        Size { groups, nodes: nodes.len(), besides: besides as u64 }
+    }
+
+    /// Bytes of that.
+    pub(crate) fn bytes(&self) -> u64 {
+        state_bytes::<T>(self.size())
     }
 }
 
 /// What was on the grid in the substep that begins at a state. The adjoint of that substep needs it.
-#[derive(Clone, Debug, Default)]
+#[derive(Debug)]
 pub(crate) struct OnGrid<T> {
     /// Momentum and mass.
     momentum: Vec<Nodes<T>>,
     /// Velocity, after contact.
     velocity: Vec<Nodes<T>>,
+}
+
+impl<T: Real> OnGrid<T> {
+    /// Nothing, to be written to.
+    pub(crate) fn none() -> Self {
+        Self { momentum: Vec::new(), velocity: Vec::new() }
+    }
+
+    fn fit(&mut self, nodes: usize, spare: &mut Spare<T>) {
+        spare.fit_nodes(&mut self.momentum, nodes);
+        spare.fit_nodes(&mut self.velocity, nodes);
+    }
+
+    /// Is no longer needed.
+    pub(crate) fn give_to(self, spare: &mut Spare<T>) {
+        spare.give_nodes(self.momentum);
+        spare.give_nodes(self.velocity);
+    }
 }
 
 /// Scratch memory of the substeps, reused from one to the next.
@@ -129,8 +168,13 @@ pub(crate) struct Workspace<T> {
     /// The node blocks in which something moves too fast for sleepers.
     moving: Vec<bool>,
     momentum_bar: Vec<Nodes<T>>,
+    /// Cotangents of the particles, between two gradients.
+    pub(crate) bar: Vec<Group<T>>,
+    /// Changes places with them when they are put in another order.
+    other_bar: Vec<Group<T>>,
     /// For what nobody asks for.
     unused: Vec<Group<T>>,
+    pub(crate) spare: Spare<T>,
     pub(crate) laps: Laps,
 }
 
@@ -149,26 +193,30 @@ impl<T: Real> Workspace<T> {
     pub(crate) fn new() -> Self {
         Self {
             tiles: Vec::new(),
-            on_grid: OnGrid { momentum: Vec::new(), velocity: Vec::new() },
+            on_grid: OnGrid::none(),
             moving: Vec::new(),
             momentum_bar: Vec::new(),
+            bar: Vec::new(),
+            other_bar: Vec::new(),
             unused: Vec::new(),
+            spare: Spare::none(),
             laps: Laps::default(),
         }
     }
 
-    /// Heap bytes that do not grow with the number of kept states.
-    pub(crate) fn bytes(&self) -> usize {
-        self.tiles.len() * size_of::<Tile<T>>()
-            + 3 * self.on_grid.momentum.len() * size_of::<Nodes<T>>()
-            + self.unused.len() * size_of::<Group<T>>()
+    /// Takes the memory for substeps that begin at such a state, and for their adjoints: what is left is for states.
+    pub(crate) fn prepare(&mut self, state: &State<T>) {
+        let (groups, nodes) = (state.particles.groups.len(), state.layout.nodes.len());
+        self.fit(&state.layout);
+        self.spare.fit_nodes(&mut self.momentum_bar, nodes);
+        self.spare.fit_groups(&mut self.unused, groups);
+        fit(&mut self.bar, groups, Group::ZERO);
+        fit(&mut self.other_bar, groups, Group::ZERO);
     }
 
     fn fit(&mut self, layout: &Layout) {
-        let zero_nodes = [[T::ZERO; 4]; BLOCK_NODES];
         fit(&mut self.tiles, layout.blocks.len(), empty_tile());
-        fit(&mut self.on_grid.momentum, layout.nodes.len(), zero_nodes);
-        fit(&mut self.on_grid.velocity, layout.nodes.len(), zero_nodes);
+        self.on_grid.fit(layout.nodes.len(), &mut self.spare);
     }
 
     /// Advances the state by one substep with the tool's motion at the substep's end.
@@ -194,7 +242,7 @@ impl<T: Real> Workspace<T> {
     ) -> Result<(), Lost> {
         self.laps.begin(Pass::Forward);
         let input = &from.particles.groups;
-        fit(&mut to.particles.groups, input.len(), Group::ZERO);
+        self.spare.fit_groups(&mut to.particles.groups, input.len());
         to.particles.ids = Arc::clone(&from.particles.ids);
         to.layout = Arc::clone(&from.layout);
         to.rest.clone_from(&from.rest);
@@ -234,7 +282,7 @@ impl<T: Real> Workspace<T> {
         self.laps.mark(Stage::GridToParticles);
         state.rest = rest;
         state.stale = seen.iter().any(|seen| !seen.inside) || state.age >= SORT_EVERY;
-        let freshened = state.freshen(model);
+        let freshened = state.freshen(model, &mut self.spare);
         sleep::fall_asleep(model, &state.layout, &state.particles.groups, &mut state.rest);
         self.laps.mark(Stage::Sort);
         freshened
@@ -286,10 +334,10 @@ impl<T: Real> Workspace<T> {
         let layout = &*state.layout;
         let input = &state.particles.groups;
         self.fit(layout);
-        fit(&mut self.momentum_bar, layout.nodes.len(), [[T::ZERO; 4]; BLOCK_NODES]);
+        self.spare.fit_nodes(&mut self.momentum_bar, layout.nodes.len());
         if known.is_none() {
             let mut unused = std::mem::take(&mut self.unused);
-            fit(&mut unused, input.len(), Group::ZERO);
+            self.spare.fit_groups(&mut unused, input.len());
             self.particles_to_grid(model, tool, layout, &state.rest, Some(input), &mut unused);
             self.unused = unused;
         }
@@ -355,7 +403,7 @@ impl<T: Real> Workspace<T> {
     pub(crate) fn alone(&mut self, model: &Model<T>, state: &State<T>) -> Result<(), Lost> {
         let (layout, input) = (&state.layout, &state.particles.groups);
         let mut output = std::mem::take(&mut self.unused);
-        fit(&mut output, input.len(), Group::ZERO);
+        self.spare.fit_groups(&mut output, input.len());
         let of_block =
             |block: &crate::mpm::layout::Block| &input[block.first_group..block.first_group + block.groups()];
         self.laps.begin(Pass::Alone);
@@ -363,40 +411,30 @@ impl<T: Real> Workspace<T> {
             model.arch.dispatch(ReturnMap { model, input: of_block(block), output });
         });
         self.laps.mark(Stage::ReturnMap);
-        split(layout, &mut output).into_par_iter().zip(&layout.blocks).for_each(|(bar, block)| {
+        let mut bar: Vec<Group<T>> = output.clone();
+        self.laps.skip();
+        split(layout, &mut bar).into_par_iter().zip(&layout.blocks).for_each(|(bar, block)| {
             model.arch.dispatch(ReturnMapAdjoint { model, input: of_block(block), bar });
         });
         self.laps.mark(Stage::ReturnMapAdjoint);
-        let sorted = sort(&model.grid, &state.particles);
+        let sorted = sort(&model.grid, &state.particles, &mut self.spare);
         self.laps.mark(Stage::Sort);
         let (particles, _, order) = sorted?;
+        self.spare.give_groups(particles.groups);
+        bar.resize(order.len() / LANES, Group::ZERO);
         self.laps.skip();
-        std::hint::black_box(unsort(&particles.groups, &order, input.len()));
+        unsort(&bar, &order, input.len(), &mut self.other_bar);
+        std::hint::black_box(&self.other_bar);
         self.laps.mark(Stage::Unsort);
         self.unused = output;
         Ok(())
     }
-}
 
-/// Undoes the sort at the end of the previous substep in the cotangents, if there was one.
-pub(crate) fn unsort_bar<T: Real>(state: &State<T>, bar: Vec<Group<T>>) -> Vec<Group<T>> {
-    match &state.sorted_from {
-        Some((order, groups)) => unsort(&bar, order, *groups),
-        None => bar,
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_vector_takes_no_more_memory_than_it_needs() {
-        let mut vector: Vec<u64> = Vec::with_capacity(1_000);
-        fit(&mut vector, 1_001, 7);
-        assert_eq!(vector, [7; 1_001]);
-        assert!(vector.capacity() < 1_100, "{}", vector.capacity());
-        fit(&mut vector, 10, 8);
-        assert_eq!(vector, [7; 10]);
+    /// Undoes the sort at the end of the previous substep in the cotangents, if there was one.
+    pub(crate) fn unsort(&mut self, state: &State<T>, bar: &mut Vec<Group<T>>) {
+        if let Some((order, groups)) = &state.sorted_from {
+            unsort(bar, order, *groups, &mut self.other_bar);
+            std::mem::swap(bar, &mut self.other_bar);
+        }
     }
 }

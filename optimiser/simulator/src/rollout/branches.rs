@@ -7,10 +7,23 @@
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
 use crate::mpm::Model;
+use crate::mpm::spare::Spare;
 use crate::mpm::substep::{State, Workspace};
 use crate::real::Real;
 use crate::rollout::path::Path;
-use crate::rollout::{Progress, RolloutError};
+use crate::rollout::{Evaluation, Progress, RolloutError, thread_pool};
+
+/// A worker: threads of its own, and what their substeps need.
+pub(crate) struct Team<T> {
+    pub(crate) pool: rayon::ThreadPool,
+    pub(crate) workspace: Workspace<T>,
+}
+
+impl<T: Real> Team<T> {
+    pub(crate) fn new(threads: usize) -> Result<Self, RolloutError> {
+        Ok(Self { pool: thread_pool(threads)?, workspace: Workspace::new() })
+    }
+}
 
 /// What all motions have in common.
 pub(crate) struct Family<'a, T> {
@@ -19,6 +32,8 @@ pub(crate) struct Family<'a, T> {
     pub(crate) paths: &'a [Path],
     /// Turns what went wrong in a substep into an error.
     pub(crate) lost: &'a (dyn Fn(usize, crate::mpm::layout::Lost, &State<T>) -> RolloutError + Sync),
+    /// What a path has achieved, by the state at its end.
+    pub(crate) judge: &'a (dyn Fn(&Path, &State<T>) -> Evaluation + Sync),
 }
 
 /// Motions that have been the same so far.
@@ -33,9 +48,11 @@ struct Branch<T> {
 /// Branches that wait for a worker, and how far everything is.
 struct Work<'p, T> {
     waiting: Vec<Branch<T>>,
+    /// Memory of states.
+    spare: &'p mut Spare<T>,
     /// Branches in the hands of workers.
     running: usize,
-    ends: Vec<Option<Result<State<T>, RolloutError>>>,
+    ends: Vec<Option<Result<Evaluation, RolloutError>>>,
     progress: Progress<'p>,
     done: u64,
     total: u64,
@@ -59,23 +76,24 @@ impl<T> Drop for Alarm<'_, '_, T> {
     }
 }
 
-/// Workers for so many threads and motions, if there is memory for `free` states beside what is set aside for two
-/// workers, and one more takes `per_worker` states.
-pub(crate) fn worker_count(threads: usize, motions: usize, free: usize, per_worker: usize) -> usize {
-    threads.min(motions).min(2 + free / per_worker)
+/// Workers for so many threads and motions, if they may take `free_bytes` and one of several takes `per_worker`.
+pub(crate) fn worker_count(threads: usize, motions: usize, free_bytes: u64, per_worker: u64) -> usize {
+    threads.min(motions).min((free_bytes / per_worker.max(1)) as usize).max(1)
 }
 
-/// The states at the ends of all paths, in order. `pools` are the workers' threads, at least one.
+/// What all paths achieve, in order. `crew` are the workers' threads and what they need, at least one.
 pub(crate) fn run<T: Real>(
     family: &Family<'_, T>,
     start: State<T>,
-    pools: &[rayon::ThreadPool],
+    crew: Vec<(&rayon::ThreadPool, &mut Workspace<T>)>,
+    spare: &mut Spare<T>,
     progress: Progress<'_>,
-) -> Result<Vec<State<T>>, RolloutError> {
+) -> Result<Vec<Evaluation>, RolloutError> {
     let members: Vec<usize> = (0..family.paths.len()).collect();
     let total = family.steps(0, &members);
     let work = Mutex::new(Work {
         waiting: vec![Branch { state: start, step: 0, members }],
+        spare,
         running: 0,
         ends: family.paths.iter().map(|_| None).collect(),
         progress,
@@ -86,12 +104,13 @@ pub(crate) fn run<T: Real>(
     });
     let parted = Condvar::new();
     std::thread::scope(|scope| {
-        for (started, pool) in pools.iter().enumerate() {
-            let worker = || pool.install(|| family.work(&work, &parted));
+        for (started, (pool, workspace)) in crew.into_iter().enumerate() {
+            let (work, parted) = (&work, &parted);
+            let worker = move || pool.install(|| family.work(workspace, work, parted));
             let thread = std::thread::Builder::new().spawn_scoped(scope, worker);
             // One worker is enough to get everything done.
             if thread.is_err() && started == 0 {
-                lock(&work).refused = true;
+                lock(work).refused = true;
             }
         }
     });
@@ -111,8 +130,7 @@ fn lock<'a, 'p, T>(work: &'a Mutex<Work<'p, T>>) -> MutexGuard<'a, Work<'p, T>> 
 
 impl<T: Real> Family<'_, T> {
     /// A worker's life: takes a branch, follows it until it parts or ends, and puts back what it has parted into.
-    fn work(&self, work: &Mutex<Work<'_, T>>, parted: &Condvar) {
-        let mut workspace = Workspace::new();
+    fn work(&self, workspace: &mut Workspace<T>, work: &Mutex<Work<'_, T>>, parted: &Condvar) {
         let _alarm = Alarm { work, parted };
         let mut guard = lock(work);
         loop {
@@ -127,21 +145,32 @@ impl<T: Real> Family<'_, T> {
             guard.running += 1;
             drop(guard);
             let members = branch.members.clone();
-            let followed = self.follow(branch, &mut workspace, work);
+            let followed = self.follow(branch, workspace, work);
+            let followed = followed.map(|branch| (self.judged(&branch), branch));
             guard = lock(work);
             guard.running -= 1;
             match followed {
-                Ok(branch) if branch.step == self.length() => {
-                    for member in branch.members {
-                        guard.ends[member] = Some(Ok(branch.state.clone()));
+                Ok((Some(evaluations), branch)) => {
+                    for (member, evaluation) in branch.members.into_iter().zip(evaluations) {
+                        guard.ends[member] = Some(Ok(evaluation));
                     }
+                    branch.state.give_to(guard.spare);
                 }
-                Ok(branch) => guard.waiting.extend(self.part(branch)),
+                Ok((None, branch)) => {
+                    let parted = self.part(branch, guard.spare);
+                    guard.waiting.extend(parted);
+                }
                 Err(RolloutError::Stopped) => guard.stopped = true,
                 Err(error) => members.iter().for_each(|m| guard.ends[*m] = Some(Err(error.clone()))),
             }
             parted.notify_all();
         }
+    }
+
+    /// What a branch's members have achieved, if it has come to the end.
+    fn judged(&self, branch: &Branch<T>) -> Option<Vec<Evaluation>> {
+        let judge = |member: &usize| (self.judge)(&self.paths[*member], &branch.state);
+        (branch.step == self.length()).then(|| branch.members.iter().map(judge).collect())
     }
 
     fn length(&self) -> usize {
@@ -197,10 +226,15 @@ impl<T: Real> Family<'_, T> {
         groups
     }
 
-    fn part(&self, branch: Branch<T>) -> Vec<Branch<T>> {
+    /// The last one goes on in the memory of the branch that they part from.
+    fn part(&self, branch: Branch<T>, spare: &mut Spare<T>) -> Vec<Branch<T>> {
         let Branch { state, step, members } = branch;
-        let groups = self.groups(step, &members);
-        groups.into_iter().map(|members| Branch { state: state.clone(), step, members }).collect()
+        let mut groups = self.groups(step, &members);
+        let last = groups.pop();
+        let others = groups.into_iter().map(|members| Branch { state: state.copied(spare), step, members });
+        let mut parted: Vec<_> = others.collect();
+        parted.extend(last.map(|members| Branch { state, step, members }));
+        parted
     }
 
     /// Control steps to be simulated from a step on.
@@ -219,7 +253,7 @@ mod tests {
     fn workers_are_bounded_by_threads_motions_and_memory() {
         assert_eq!(worker_count(4, 11, 1000, 5), 4);
         assert_eq!(worker_count(16, 7, 1000, 5), 7);
-        assert_eq!(worker_count(16, 11, 14, 5), 4);
-        assert_eq!(worker_count(16, 11, 0, 5), 2);
+        assert_eq!(worker_count(16, 11, 19, 5), 3);
+        assert_eq!(worker_count(16, 11, 0, 5), 1);
     }
 }

@@ -14,6 +14,7 @@ pub use outcome::Destination;
 pub(crate) use simulator::Moment;
 pub use simulator::Simulator;
 
+pub use crate::memory::Work;
 use crate::memory::least_memory;
 use crate::real::Real;
 use crate::scene::Scene;
@@ -134,13 +135,26 @@ pub enum RolloutError {
         /// How many.
         threads: usize,
     },
-    /// Not even a gradient that recomputes everything several times fits.
-    #[error("a memory budget of {} MiB is too little: this scene needs {} MiB for a gradient", given >> 20, (least >> 20) + 1)]
+    /// Not even a gradient that recomputes everything several times fits, or not even one motion.
+    #[error(
+        "a memory budget of {} MiB is too little: this scene needs {} MiB for {}{}, with {threads} {}",
+        given >> 20,
+        (least >> 20) + 1,
+        work.name(),
+        if *besides { " and what is made of it" } else { "" },
+        if *threads == 1 { "thread" } else { "threads" }
+    )]
     Memory {
         /// Budget, bytes.
         given: u64,
         /// The least that will do, bytes.
         least: u64,
+        /// What was to be computed.
+        work: Work,
+        /// Pictures or the like were to be made of it.
+        besides: bool,
+        /// By how many threads.
+        threads: usize,
     },
     /// The skill is not a motion.
     #[error(transparent)]
@@ -248,13 +262,30 @@ pub struct SimulatorSettings {
     pub memory_bytes: u64,
 }
 
-/// Whether the memory budget lets gradients be computed in reasonable time.
+impl SimulatorSettings {
+    /// Threads, as given or one per processor.
+    pub fn thread_count(&self) -> usize {
+        self.threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from))
+    }
+}
+
+/// Whether the memory budget lets some work be done, gradients in reasonable time, with so many bytes left for what is made
+/// of it.
 ///
 /// # Errors
 /// [`RolloutError::Memory`] if not.
-pub fn check_memory(scene: &Scene, settings: &SimulatorSettings) -> Result<(), RolloutError> {
-    let (given, least) = (settings.memory_bytes, least_memory(scene, settings.precision));
-    if given < least { Err(RolloutError::Memory { given, least }) } else { Ok(()) }
+pub fn check_memory(
+    scene: &Scene,
+    settings: &SimulatorSettings,
+    work: Work,
+    besides_bytes: u64,
+) -> Result<(), RolloutError> {
+    let (given, threads) = (settings.memory_bytes, settings.thread_count());
+    let least = least_memory(scene, settings.precision, threads, work) + besides_bytes;
+    if given >= least {
+        return Ok(());
+    }
+    Err(RolloutError::Memory { given, least, work, besides: besides_bytes > 0, threads })
 }
 
 /// The simulator of a validated scene: the one place where the commands get it from.
@@ -276,9 +307,7 @@ pub fn boxed_simulator(
 /// # Errors
 /// [`RolloutError::Threads`] if the threads cannot be started.
 pub fn simulator<T: Real>(scene: &Scene, settings: &SimulatorSettings) -> Result<Simulator<T>, RolloutError> {
-    let threads =
-        settings.threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from));
-    let pool = thread_pool(threads)?;
+    let pool = thread_pool(settings.thread_count())?;
     Ok(Simulator::new(scene, scene.particle_positions_m(settings.seed), pool, settings.memory_bytes))
 }
 

@@ -35,6 +35,14 @@ pub(crate) struct Schedule {
     next: Next,
 }
 
+impl Schedule {
+    /// From now on with so many slots. Where they are fewer than the states that are kept, no more are kept until
+    /// enough of these are dropped.
+    pub(crate) fn limit(&mut self, slots: usize) {
+        self.slots = slots;
+    }
+}
+
 enum Next {
     Restore,
     /// Advance, or reverse if this is the last step, from here.
@@ -79,15 +87,15 @@ impl Iterator for Schedule {
 }
 
 /// How far to advance before keeping the next state, when `length` steps remain to be reversed and `free` slots
-/// are left: the left part must be reversible with one pass less, the right part with one slot less.
+/// are left: the left part must be reversible with one pass less, the right part with one slot less. As far as that allows:
+/// slots are then taken as late as they can be, and should memory turn out to be for fewer, little was built on them.
 fn split(length: usize, free: usize) -> usize {
     let mut passes = 1;
     while reversible(free + 1, passes) < length as f64 {
         passes += 1;
     }
-    let right = reversible(free, passes).min(length as f64) as usize;
-    let left = if passes >= 2 { reversible(free + 1, passes - 2) as usize } else { 1 };
-    left.max(length - right).clamp(1, length - 1)
+    let left = reversible(free + 1, passes - 1).min(length as f64 - reversible(free, passes - 1));
+    (left as usize).clamp(1, length - 1)
 }
 
 /// Steps that `slots` kept states and `passes` passes reverse: `binomial(slots + passes, slots)`.
@@ -146,5 +154,35 @@ mod tests {
         assert_eq!(replay(35, 4), 3 * 35 - 21);
         // Twice the square root of the length costs about one more pass.
         assert!(replay(10_000, 200) < 2 * 10_000);
+    }
+
+    /// Advances where the last states are `growth` times as large as the first, and all may take as much as `slots` of the first.
+    fn replay_growing(steps: usize, slots: usize, growth: f64) -> u64 {
+        let size = |step: usize| 1.0 + (growth - 1.0) * step as f64 / steps as f64;
+        let (mut kept, mut at, mut advanced, mut largest) = (vec![0], 0, 0, 1.0f64);
+        let mut schedule = schedule(steps, slots);
+        while let Some(action) = schedule.next() {
+            match action {
+                Action::Restore => at = kept[kept.len() - 1],
+                Action::Advance(count) => (at, advanced) = (at + count, advanced + count as u64),
+                Action::Keep => kept.push(at),
+                Action::Drop => at = kept.pop().unwrap(),
+                Action::Reverse(_) => {}
+            }
+            largest = largest.max(size(at));
+            schedule.limit((slots as f64 / largest) as usize);
+            assert!(kept.iter().map(|step| size(*step)).sum::<f64>() <= slots as f64);
+        }
+        advanced
+    }
+
+    #[test]
+    fn states_that_grow_on_the_way_leave_fewer_slots_and_cost_little() {
+        for (slots, growth) in [(60, 1.4), (140, 1.4), (400, 1.4), (400, 3.0)] {
+            let (even, growing) = (replay(10_000, slots), replay_growing(10_000, slots, growth));
+            let last = replay(10_000, (slots as f64 / growth) as usize);
+            println!("{slots} slots, {growth} times: {even} advances, growing {growing}, all large {last}");
+            assert!(growing <= last + last / 5);
+        }
     }
 }

@@ -3,23 +3,27 @@
 use powderline_shared::displacement::Displacement;
 use powderline_shared::pose::Pose;
 
-use crate::memory::{BRANCHES, STANDING_STATES, fixed_bytes, grown};
+use crate::memory::{BRANCHES, Budget, fit, least_states};
 use crate::mpm::Model;
 use crate::mpm::contact::MotionBar;
 use crate::mpm::laps::{Laps, Stage};
 use crate::mpm::layout::Lost;
 use crate::mpm::particles::{Group, LANES, Particles, set_vec};
-use crate::mpm::substep::{OnGrid, State, Workspace, unsort_bar};
+use crate::mpm::spare::{Spare, state_bytes};
+use crate::mpm::substep::{OnGrid, State, Workspace};
 use crate::real::Real;
-use crate::rollout::branches::{self, Family};
+use crate::rollout::branches::{self, Family, Team};
 use crate::rollout::path::{Path, resting};
 use crate::rollout::schedule::{Action, advances, schedule};
 use crate::rollout::{
     Destination, Evaluate, Evaluation, Look, Progress, RolloutError, Shot, Slope, Take, loss, outcome,
-    thread_pool,
 };
 use crate::scene::Scene;
 use crate::skill::{Control, SkillMap, Theta, displacement};
+
+/// What one more worker beside others holds, in states: the one that it follows, what it needs for a substep, and what it puts
+/// in order.
+const WORKER_STATES: u64 = 4;
 
 /// Work of one adjoint substep in units of a forward one, for the progress bar.
 const ADJOINT_WORK: u64 = 3;
@@ -39,12 +43,11 @@ pub struct Simulator<T: Real> {
     workspace: Workspace<T>,
     /// Settled powder; computed by the first rollout.
     settled: Option<State<T>>,
-    /// States that earlier gradients kept. They stay: what one thread frees, the allocator keeps for that thread,
-    /// and the next gradient may be run by another.
-    spare: Vec<Kept<T>>,
     packing: Vec<[f64; 3]>,
     pool: rayon::ThreadPool,
-    memory_bytes: u64,
+    /// Those who follow motions side by side; there from the first time on that they are needed.
+    teams: Vec<Team<T>>,
+    budget: Budget,
     /// States to keep at most, whatever memory would allow.
     most_kept: usize,
 }
@@ -54,19 +57,8 @@ struct Kept<T> {
     /// The substep that begins there.
     step: usize,
     state: State<T>,
-    /// What was on the grid in that substep, if `has_grid`.
-    on_grid: OnGrid<T>,
-    has_grid: bool,
-}
-
-impl<T: Real> Kept<T> {
-    fn first(state: State<T>) -> Self {
-        Self { step: 0, state, on_grid: OnGrid::default(), has_grid: false }
-    }
-
-    fn grid(&self) -> Option<&OnGrid<T>> {
-        self.has_grid.then_some(&self.on_grid)
-    }
+    /// What was on the grid in that substep, where the next state is kept too.
+    on_grid: Option<OnGrid<T>>,
 }
 
 impl<T: Real> Moment<T> {
@@ -102,6 +94,7 @@ impl<T: Real> Simulator<T> {
         memory_bytes: u64,
     ) -> Self {
         let skill = SkillMap::new(scene);
+        let budget = Budget::new::<T>(memory_bytes, scene, pool.current_num_threads());
         Self {
             scene: scene.clone(),
             anchor: *skill.start_pose(),
@@ -109,10 +102,10 @@ impl<T: Real> Simulator<T> {
             model: Model::new(scene),
             workspace: Workspace::new(),
             settled: None,
-            spare: Vec::new(),
             packing,
             pool,
-            memory_bytes,
+            teams: Vec::new(),
+            budget,
             most_kept: usize::MAX,
         }
     }
@@ -160,8 +153,13 @@ impl<T: Real> Simulator<T> {
         progress: Progress<'_>,
     ) -> Result<Moment<T>, RolloutError> {
         let path = self.path(from.tool, controls.to_vec());
-        let state = self.in_pool(|r| r.forward(from.state.clone(), &path), progress)?;
+        let state = self.in_pool(|r| r.forward(&from.state, &path), progress)?;
         Ok(Moment { state, tool: path.end().unwrap_or(from.tool) })
+    }
+
+    /// Takes the memory of a moment that is past.
+    fn forget(&mut self, moment: Moment<T>) {
+        moment.state.give_to(&mut self.workspace.spare);
     }
 
     /// What has been achieved at a moment.
@@ -177,12 +175,13 @@ impl<T: Real> Simulator<T> {
         progress: Progress<'_>,
     ) -> Result<(Evaluation, Vec<Control>), RolloutError> {
         let path = self.path(from.tool, controls.to_vec());
-        self.in_pool(|r| r.gradient(from.state.clone(), &path), progress)
+        let reserved_bytes = self.bytes_of_workers_to_come();
+        self.in_pool(|r| r.gradient(&from.state, &path, reserved_bytes), progress)
     }
 
     /// Evaluations after each of several control sequences of one length, side by side.
     pub(crate) fn evaluate_motions(
-        &self,
+        &mut self,
         from: &Moment<T>,
         motions: Vec<Vec<Displacement>>,
         progress: Progress<'_>,
@@ -191,25 +190,51 @@ impl<T: Real> Simulator<T> {
             return Ok(Vec::new());
         }
         let paths: Vec<Path> = motions.into_iter().map(|controls| self.path(from.tool, controls)).collect();
-        let pools = self.worker_pools(paths.len(), &from.state)?;
-        let lost = |substep, lost, state: &State<T>| lost_error(&self.scene, substep, lost, Some(state));
-        let family = Family { model: &self.model, paths: &paths, lost: &lost };
-        let ends = branches::run(&family, from.state.clone(), &pools, progress)?;
-        let judge = |(state, path): (State<T>, &Path)| {
+        let workers = self.worker_count(paths.len());
+        self.hire(workers)?;
+        let Self { scene, model, pool, workspace, teams, .. } = self;
+        let start = from.state.copied(&mut workspace.spare);
+        let lost = |substep, lost, state: &State<T>| lost_error(scene, substep, lost, Some(state));
+        let judge = |path: &Path, state: &State<T>| {
             let tool = path.end().unwrap_or(from.tool);
-            self.judge(&Moment { state, tool })
+            evaluation(scene, &state.particles.positions_by_id(), &tool).0
         };
-        Ok(ends.into_iter().zip(&paths).map(judge).collect())
+        let family = Family { model, paths: &paths, lost: &lost, judge: &judge };
+        let mut spare = std::mem::replace(&mut workspace.spare, Spare::none());
+        let all = teams.iter_mut().map(|team| (&team.pool, &mut team.workspace));
+        let crew = if workers == 1 { vec![(&*pool, &mut *workspace)] } else { all.collect() };
+        let evaluations = branches::run(&family, start, crew, &mut spare, progress);
+        workspace.spare = spare;
+        evaluations
     }
 
-    /// Threads for rollouts side by side: as many workers as there are threads, motions, and memory for.
-    fn worker_pools(&self, motions: usize, state: &State<T>) -> Result<Vec<rayon::ThreadPool>, RolloutError> {
-        let threads = self.pool.current_num_threads();
-        let kept = self.spare.len();
-        let free = slots(&self.scene, self.memory_bytes, state, &self.workspace).saturating_sub(kept);
-        let per_worker = 2 + self.workspace.bytes() / state.bytes().max(1);
-        let workers = branches::worker_count(threads, motions, free, per_worker);
-        (0..workers).map(|_| thread_pool(threads / workers)).collect()
+    /// Workers for so many motions: as many as there are threads, and memory for. Always the same number for the same: what
+    /// they hold, the budget was told of.
+    fn worker_count(&self, motions: usize) -> usize {
+        let per_worker = self.settled.as_ref().map_or(0, State::bytes) * WORKER_STATES;
+        branches::worker_count(
+            self.pool.current_num_threads(),
+            motions,
+            self.budget.for_workers(),
+            per_worker,
+        )
+    }
+
+    /// Gets so many workers. They and their threads stay: what one thread frees, the allocator keeps for that thread.
+    fn hire(&mut self, workers: usize) -> Result<(), RolloutError> {
+        if workers > 1 && self.teams.len() != workers {
+            let threads = self.pool.current_num_threads() / workers;
+            self.teams.clear();
+            self.teams = (0..workers).map(|_| Team::new(threads)).collect::<Result<_, _>>()?;
+        }
+        Ok(())
+    }
+
+    /// What workers will hold that are not there yet.
+    fn bytes_of_workers_to_come(&self) -> u64 {
+        let per_worker = self.settled.as_ref().map_or(0, State::bytes) * WORKER_STATES;
+        let workers = self.worker_count(BRANCHES as usize);
+        if workers == 1 { 0 } else { workers.saturating_sub(self.teams.len()) as u64 * per_worker }
     }
 
     /// Runs in the simulator's own threads.
@@ -224,13 +249,12 @@ impl<T: Real> Simulator<T> {
             model: &self.model,
             workspace: &mut self.workspace,
             settled: &mut self.settled,
-            spare: &mut self.spare,
+            budget: &self.budget,
             packing: &self.packing,
-            memory_bytes: self.memory_bytes,
             most_kept: self.most_kept,
             progress,
         };
-        self.pool.install(|| job(&mut rollout))
+        in_first(&self.pool, || job(&mut rollout))
     }
 
     /// Positions (m) after the given controls, in the order of the packing.
@@ -262,6 +286,7 @@ impl<T: Real> Evaluate for Simulator<T> {
         let controls: Vec<_> = linear.controls.iter().map(displacement).collect();
         let start = self.beginning(progress)?;
         let (mut evaluation, bars) = self.control_gradient(&start, &controls, progress)?;
+        self.forget(start);
         evaluation.gradient = Some(linear.pull_back(&bars));
         Ok(evaluation)
     }
@@ -276,7 +301,9 @@ impl<T: Real> Evaluate for Simulator<T> {
         };
         let motions = thetas.iter().map(controls).collect::<Result<_, _>>()?;
         let start = self.beginning(progress)?;
-        self.evaluate_motions(&start, motions, progress)
+        let evaluations = self.evaluate_motions(&start, motions, progress);
+        self.forget(start);
+        evaluations
     }
 
     fn simulate(
@@ -294,8 +321,9 @@ impl<T: Real> Evaluate for Simulator<T> {
         progress: Progress<'_>,
     ) -> Result<(Evaluation, Vec<Slope>), RolloutError> {
         let start = self.beginning(progress)?;
-        let (evaluation, bars) = self.control_gradient(&start, controls, progress)?;
-        Ok((evaluation, bars.into_iter().map(Slope::from).collect()))
+        let gradient = self.control_gradient(&start, controls, progress);
+        self.forget(start);
+        gradient.map(|(evaluation, bars)| (evaluation, bars.into_iter().map(Slope::from).collect()))
     }
 
     fn simulate_from(
@@ -305,8 +333,12 @@ impl<T: Real> Evaluate for Simulator<T> {
         progress: Progress<'_>,
     ) -> Result<Evaluation, RolloutError> {
         let start = self.beginning_under(anchor, progress)?;
-        let end = self.after(&start, controls, progress)?;
-        Ok(self.judge(&end))
+        let end = self.after(&start, controls, progress);
+        self.forget(start);
+        let end = end?;
+        let evaluation = self.judge(&end);
+        self.forget(end);
+        Ok(evaluation)
     }
 
     fn record(
@@ -326,7 +358,7 @@ impl<T: Real> Evaluate for Simulator<T> {
             let whole = shown.next_if(|controls| controls.len() == take.every.max(1));
             let Some(controls) = whole else { break };
             let next = self.after(&moment, controls, &mut |_, _| true);
-            moment = next.map_err(|error| error.later_by(step))?;
+            self.forget(std::mem::replace(&mut moment, next.map_err(|error| error.later_by(step))?));
             step += controls.len();
             if !progress(step as u64, total as u64) {
                 return Err(RolloutError::Stopped);
@@ -377,9 +409,8 @@ struct Rollout<'a, T: Real> {
     model: &'a Model<T>,
     workspace: &'a mut Workspace<T>,
     settled: &'a mut Option<State<T>>,
-    spare: &'a mut Vec<Kept<T>>,
+    budget: &'a Budget,
     packing: &'a [[f64; 3]],
-    memory_bytes: u64,
     most_kept: usize,
     progress: Progress<'a>,
 }
@@ -391,12 +422,13 @@ impl<T: Real> Rollout<'_, T> {
 
     /// The powder at rest under the tool's start pose.
     fn settled(&mut self) -> Result<State<T>, RolloutError> {
-        if let Some(state) = &self.settled {
-            return Ok(state.clone());
-        }
-        let state = self.settle_under(self.anchor)?;
-        *self.settled = Some(state.clone());
-        Ok(state)
+        let state = match self.settled.take() {
+            Some(state) => state,
+            None => self.settle_under(self.anchor)?,
+        };
+        let copy = state.copied(&mut self.workspace.spare);
+        *self.settled = Some(state);
+        Ok(copy)
     }
 
     /// The powder at rest under a tool that stands still.
@@ -439,7 +471,8 @@ impl<T: Real> Rollout<'_, T> {
         advanced.map_err(|lost| lost_error(self.scene, substep, lost, Some(to)))
     }
 
-    fn forward(&mut self, mut state: State<T>, path: &Path) -> Result<State<T>, RolloutError> {
+    fn forward(&mut self, start: &State<T>, path: &Path) -> Result<State<T>, RolloutError> {
+        let mut state = start.copied(&mut self.workspace.spare);
         let total = path.len() as u64;
         for substep in 0..path.len() {
             if substep.is_multiple_of(self.scene.time.substeps as usize) {
@@ -451,17 +484,26 @@ impl<T: Real> Rollout<'_, T> {
         Ok(state)
     }
 
-    fn gradient(&mut self, start: State<T>, path: &Path) -> Result<(Evaluation, Vec<Control>), RolloutError> {
-        let slots = slots(self.scene, self.memory_bytes, &start, self.workspace).min(self.most_kept);
+    /// `reserved_bytes` are left for what comes later.
+    fn gradient(
+        &mut self,
+        start: &State<T>,
+        path: &Path,
+        reserved_bytes: u64,
+    ) -> Result<(Evaluation, Vec<Control>), RolloutError> {
+        self.workspace.prepare(start);
+        // The state at work is the last one kept, until it is advanced: then it is `working`.
+        let copy = start.copied(&mut self.workspace.spare);
+        let mut kept = vec![Kept { step: 0, state: copy, on_grid: None }];
+        let mut working = start.copied(&mut self.workspace.spare);
+        let slots = self.slots(&kept, path, reserved_bytes);
         let total = advances(schedule(path.len(), slots)) + ADJOINT_WORK * path.len() as u64;
         let mut done = 0;
         let mut back = path.pull_back();
         let mut end: Option<(Evaluation, Vec<Group<T>>)> = None;
-        // The state at work is the last one kept, until it is advanced: then it is `working`.
-        let mut kept = vec![Kept::first(start)];
-        let mut working = State::none();
         let (mut at, mut is_kept) = (0, true);
-        for action in schedule(path.len(), slots) {
+        let mut schedule = schedule(path.len(), slots);
+        while let Some(action) = schedule.next() {
             let last = kept.last_mut().expect("the schedule keeps the first state");
             match action {
                 Action::Restore => (at, is_kept) = (last.step, true),
@@ -474,23 +516,22 @@ impl<T: Real> Rollout<'_, T> {
                         }
                         (at, is_kept) = (at + 1, false);
                         done += 1;
-                        self.report(done, total)?;
+                        self.report(done.min(total), total)?;
                     }
                 }
                 Action::Keep => {
                     if last.step + 1 == at {
-                        std::mem::swap(&mut last.on_grid, &mut self.workspace.on_grid);
-                        last.has_grid = true;
+                        last.on_grid = Some(std::mem::replace(&mut self.workspace.on_grid, OnGrid::none()));
                     }
-                    // Memory of dropped states is used again: fresh pages cost more than what is done with them.
-                    let spare = self.spare.pop().unwrap_or_else(|| Kept::first(State::none()));
-                    let state = std::mem::replace(&mut working, spare.state);
-                    kept.push(Kept { step: at, state, on_grid: spare.on_grid, has_grid: false });
+                    let state = std::mem::replace(&mut working, State::none());
+                    kept.push(Kept { step: at, state, on_grid: None });
                     is_kept = true;
+                    schedule.limit(self.slots(&kept, path, reserved_bytes));
                 }
-                Action::Drop => self.spare.extend(kept.pop()),
+                Action::Drop => kept.pop().into_iter().for_each(|kept| self.drop(kept)),
                 Action::Reverse(step) => {
-                    let (state, grid) = if is_kept { (&last.state, last.grid()) } else { (&working, None) };
+                    let (state, grid) =
+                        if is_kept { (&last.state, last.on_grid.as_ref()) } else { (&working, None) };
                     let (evaluation, mut bar) = match end.take() {
                         Some(end) => end,
                         None => self.end_of(path, state)?,
@@ -500,36 +541,60 @@ impl<T: Real> Rollout<'_, T> {
                     self.check_finite(step, &tool_bar, state, &bar)?;
                     back.take(step, tool_bar);
                     self.workspace.laps.skip();
-                    end = Some((evaluation, unsort_bar(state, bar)));
+                    self.workspace.unsort(state, &mut bar);
+                    end = Some((evaluation, bar));
                     self.workspace.laps.mark(Stage::Unsort);
                     done += ADJOINT_WORK;
-                    self.report(done, total)?;
+                    self.report(done.min(total), total)?;
                 }
             }
         }
-        let evaluation = match end {
-            Some((evaluation, _)) => evaluation,
+        let (evaluation, bar) = match end {
+            Some(end) => end,
             // A motion of no step ends where it began.
-            None => self.end_of(path, &kept[0].state)?.0,
+            None => self.end_of(path, &kept[0].state)?,
         };
-        self.spare.append(&mut kept);
+        self.workspace.bar = bar;
+        working.give_to(&mut self.workspace.spare);
+        kept.into_iter().for_each(|kept| self.drop(kept));
         Ok((evaluation, back.finished()))
+    }
+
+    /// States that may be kept at a time, those that are kept among them: as many as memory allows if the next ones are as large as
+    /// the last one, and enough for an end in reasonable time.
+    fn slots(&self, kept: &[Kept<T>], path: &Path, reserved_bytes: u64) -> usize {
+        let spare = &self.workspace.spare;
+        let size = kept[kept.len() - 1].state.size();
+        let in_states = spare.bytes() + kept.len() as u64 * state_bytes::<T>(size);
+        let left = self.budget.left(in_states).saturating_sub(reserved_bytes);
+        let more = spare.states(size, left);
+        // One of them is for the state at work, which may grow.
+        (kept.len() + more.saturating_sub(1)).max(least_states(path.len())).min(self.most_kept)
+    }
+
+    fn drop(&mut self, kept: Kept<T>) {
+        kept.state.give_to(&mut self.workspace.spare);
+        kept.on_grid.into_iter().for_each(|grid| grid.give_to(&mut self.workspace.spare));
     }
 
     /// Last step, loss, and the loss's cotangent in the order of the last step's particles.
     fn end_of(&mut self, path: &Path, state: &State<T>) -> Result<(Evaluation, Vec<Group<T>>), RolloutError> {
-        let mut state = state.clone();
+        let mut state = state.copied(&mut self.workspace.spare);
         state.fill();
         if let Some(last) = path.len().checked_sub(1) {
             self.step(&mut state, last, &path.motion(last))?;
         }
         let positions = state.particles.positions_by_id();
         let (evaluation, gradient) = evaluation(self.scene, &positions, &path.end().unwrap_or(*self.anchor));
-        let mut bar = vec![Group::ZERO; state.particles.groups.len()];
+        let mut bar = std::mem::take(&mut self.workspace.bar);
+        fit(&mut bar, state.particles.groups.len(), Group::ZERO);
+        bar.fill(Group::ZERO);
         for (g, l, id) in state.particles.living() {
             set_vec(&mut bar[g].x, l, gradient[id as usize].map(T::of));
         }
-        Ok((evaluation, unsort_bar(&state, bar)))
+        self.workspace.unsort(&state, &mut bar);
+        state.give_to(&mut self.workspace.spare);
+        Ok((evaluation, bar))
     }
 
     /// The sum of everything that touched the tool shows whether a number went astray; only then is it looked for.
@@ -555,12 +620,10 @@ impl<T: Real> Rollout<'_, T> {
     }
 }
 
-/// Kept states that a memory budget allows.
-fn slots<T: Real>(scene: &Scene, memory_bytes: u64, state: &State<T>, workspace: &Workspace<T>) -> usize {
-    let per_state = state.bytes() as u64;
-    // Beside the kept states live those of rollouts side by side, and two workers' workspaces.
-    let side_by_side = BRANCHES * per_state + 2 * workspace.bytes() as u64;
-    let fixed = fixed_bytes(scene) + STANDING_STATES * per_state + workspace.bytes() as u64 + side_by_side;
-    let free = memory_bytes.saturating_sub(fixed);
-    ((free / grown(per_state).max(1)) as usize).max(2)
+/// Runs in the first thread of a pool: what one thread frees, the allocator keeps for that thread, so let it be always the same.
+fn in_first<R: Send>(pool: &rayon::ThreadPool, job: impl FnOnce() -> R + Send) -> R {
+    let job = std::sync::Mutex::new(Some(job));
+    let take = || job.lock().unwrap_or_else(std::sync::PoisonError::into_inner).take();
+    let results = pool.broadcast(|thread| if thread.index() == 0 { take().map(|job| job()) } else { None });
+    results.into_iter().flatten().next().expect("every pool has a first thread")
 }

@@ -78,6 +78,16 @@ impl Recorder {
         Self { bench: bench.clone(), budget_bytes, stride, seen: 0, kept, newest: None, destinations }
     }
 
+    /// Bytes that it takes at most for such a bench: the frames, and what is packed of them.
+    #[must_use]
+    pub fn most_bytes(bench: &Bench) -> u64 {
+        const PACKED: u64 = 2;
+        let frame_bytes = (bench.particles * size_of::<[u16; 4]>()) as u64;
+        // Before there are too many bytes, one frame more.
+        let frames = frame_bytes.saturating_mul(bench.frames as u64).min(MEMORY_BYTES as u64 + frame_bytes);
+        frames.max(2 * frame_bytes) * (1 + PACKED)
+    }
+
     /// What a page shows of the frames so far; nothing if none came.
     ///
     /// Leaves out the speeds first (the page then takes them from the positions), and then every other frame, again

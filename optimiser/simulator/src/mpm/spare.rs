@@ -1,0 +1,178 @@
+//! The memory of states, which goes from one state to the next.
+//!
+//! A gradient makes and drops thousands of states. What one is done with, the next one takes: fresh pages cost more than what is
+//! done with them, and what one thread frees, the allocator keeps for that thread.
+
+use crate::memory::{fit, roomy};
+use crate::mpm::layout::{BLOCK_NODES, Nodes};
+use crate::mpm::particles::Group;
+use crate::real::Real;
+
+/// Vectors that nobody needs at the moment.
+#[derive(Debug)]
+pub(crate) struct Spare<T> {
+    groups: Vec<Vec<Group<T>>>,
+    nodes: Vec<Vec<Nodes<T>>>,
+}
+
+/// What a state takes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Size {
+    pub(crate) groups: usize,
+    /// Blocks of nodes, in each of the two vectors for what is on its grid.
+    pub(crate) nodes: usize,
+    /// Bytes beside these vectors.
+    pub(crate) besides: u64,
+}
+
+impl<T: Real> Spare<T> {
+    /// None.
+    pub(crate) fn none() -> Self {
+        Self { groups: Vec::new(), nodes: Vec::new() }
+    }
+
+    /// Memory for so many groups; what is in them is not to be looked at.
+    pub(crate) fn take_groups(&mut self, count: usize) -> Vec<Group<T>> {
+        take(&mut self.groups, count, Group::ZERO)
+    }
+
+    /// The same, for what is no longer needed.
+    pub(crate) fn fit_groups(&mut self, groups: &mut Vec<Group<T>>, count: usize) {
+        if groups.capacity() < count {
+            let larger = self.take_groups(count);
+            self.give_groups(std::mem::replace(groups, larger));
+        }
+        fit(groups, count, Group::ZERO);
+    }
+
+    /// The same with what is on blocks of nodes.
+    pub(crate) fn fit_nodes(&mut self, nodes: &mut Vec<Nodes<T>>, count: usize) {
+        const fn zero<T: Real>() -> Nodes<T> {
+            [[T::ZERO; 4]; BLOCK_NODES]
+        }
+        if nodes.capacity() < count {
+            let larger = take(&mut self.nodes, count, zero());
+            self.give_nodes(std::mem::replace(nodes, larger));
+        }
+        fit(nodes, count, zero());
+    }
+
+    pub(crate) fn give_groups(&mut self, groups: Vec<Group<T>>) {
+        give(&mut self.groups, groups);
+    }
+
+    pub(crate) fn give_nodes(&mut self, nodes: Vec<Nodes<T>>) {
+        give(&mut self.nodes, nodes);
+    }
+
+    /// All bytes.
+    pub(crate) fn bytes(&self) -> u64 {
+        (bytes(&self.groups) + bytes(&self.nodes)) as u64
+    }
+
+    /// States that can be made of what is here and of `left` bytes more. A vector for groups is of no use to who lacks nodes, nor is
+    /// one that is too short.
+    pub(crate) fn states(&self, size: Size, left: u64) -> usize {
+        let kinds = [
+            (enough(&self.groups, size.groups), 1, state_bytes::<T>(Size { nodes: 0, besides: 0, ..size })),
+            (
+                enough(&self.nodes, size.nodes),
+                2,
+                state_bytes::<T>(Size { groups: 0, besides: 0, ..size }) / 2,
+            ),
+        ];
+        let cost = |states: u64| {
+            let new = |(spare, each, bytes): &(u64, u64, u64)| (states * each).saturating_sub(*spare) * bytes;
+            kinds.iter().map(new).sum::<u64>() + states * size.besides
+        };
+        let (mut low, mut high) = (0, 1);
+        while cost(high) <= left && high < 1 << 24 {
+            (low, high) = (high, 2 * high);
+        }
+        while high - low > 1 {
+            let middle = low + (high - low) / 2;
+            if cost(middle) <= left { low = middle } else { high = middle }
+        }
+        low as usize
+    }
+}
+
+/// Bytes of a state in memory that is new.
+pub(crate) fn state_bytes<T: Real>(size: Size) -> u64 {
+    let groups = roomy(size.groups) * size_of::<Group<T>>();
+    let nodes = 2 * roomy(size.nodes) * size_of::<Nodes<T>>();
+    (groups + nodes) as u64 + size.besides
+}
+
+/// One that is long enough; those that are not have been outgrown, and go back to the allocator.
+fn take<E: Clone>(spare: &mut Vec<Vec<E>>, count: usize, with: E) -> Vec<E> {
+    while let Some(mut vector) = spare.pop() {
+        if vector.capacity() >= count {
+            vector.resize(count, with);
+            return vector;
+        }
+    }
+    let mut vector = Vec::new();
+    fit(&mut vector, count, with);
+    vector
+}
+
+fn give<E>(spare: &mut Vec<Vec<E>>, vector: Vec<E>) {
+    if vector.capacity() > 0 {
+        spare.push(vector);
+    }
+}
+
+fn enough<E>(spare: &[Vec<E>], count: usize) -> u64 {
+    spare.iter().filter(|vector| vector.capacity() >= count).count() as u64
+}
+
+fn bytes<E>(spare: &[Vec<E>]) -> usize {
+    spare.iter().map(|vector| vector.capacity() * size_of::<E>()).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn memory_changes_hands_until_it_is_outgrown() {
+        let mut spare: Spare<f32> = Spare::none();
+        let first = spare.take_groups(100);
+        let place = first.as_ptr();
+        spare.give_groups(first);
+        let mut second = spare.take_groups(90);
+        assert_eq!((second.len(), second.as_ptr(), spare.bytes()), (90, place, 0));
+        spare.fit_groups(&mut second, 100);
+        assert_eq!((second.len(), second.as_ptr()), (100, place));
+        // Too short: it is spare, and gone when the next one asks for more than it has.
+        spare.fit_groups(&mut second, 1_000);
+        assert_eq!((second.len(), enough(&spare.groups, 100), enough(&spare.groups, 200)), (1_000, 1, 0));
+        spare.take_groups(200);
+        assert_eq!(spare.bytes(), 0);
+    }
+
+    #[test]
+    fn states_are_counted_by_what_they_lack() {
+        let mut spare: Spare<f32> = Spare::none();
+        let size = Size { groups: 64, nodes: 32, besides: 100 };
+        let one = state_bytes::<f32>(size);
+        assert_eq!(
+            (spare.states(size, one - 1), spare.states(size, one), spare.states(size, 5 * one)),
+            (0, 1, 5)
+        );
+        // Groups for a second state, but no nodes.
+        spare.give_groups(spare.take_groups(64));
+        assert_eq!(spare.states(size, 100), 0);
+        let mut nodes = Vec::new();
+        for _ in 0..2 {
+            spare.fit_nodes(&mut nodes, 32);
+            spare.give_nodes(std::mem::take(&mut nodes));
+            spare.nodes.push(Vec::with_capacity(32));
+        }
+        assert_eq!(spare.states(size, 100), 1);
+        assert_eq!(spare.states(size, 100 + one), 2);
+        // Larger ones find nothing that would do.
+        assert_eq!(spare.states(Size { groups: 65, ..size }, one), 0);
+    }
+}
