@@ -32,9 +32,12 @@ function mark(digit, power) {
   return { value, text: written(value, Math.max(-power, 0)) };
 }
 
-/** A number with so many decimals; far from one, by powers of ten. */
+/** A number with so many decimals; far from one by a power of ten, for there is little room beside an axis. */
 function written(value, decimals) {
-  if (value !== 0 && (Math.abs(value) >= 1e7 || decimals > 6)) return String(Number(value.toPrecision(12)));
+  if (value !== 0 && (Math.abs(value) >= 1e6 || decimals > 4)) {
+    return Number(value.toPrecision(12)).toExponential().replace('e+', 'e');
+  }
+  if (value === 0) return '0';
   return value.toLocaleString('en', {
     minimumFractionDigits: decimals, maximumFractionDigits: decimals, useGrouping: Math.abs(value) >= 1e4,
   });

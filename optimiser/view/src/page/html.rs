@@ -128,22 +128,28 @@ fn facts(facts: &[(String, String)]) -> String {
 }
 
 fn table(table: &Table) -> String {
+    let is_marked = table.rows.iter().any(|row| row.mark.is_some());
     let class = |column: usize| if is_numeric(table, column) { " class=\"number\"" } else { "" };
+    // Where there is no room for a head, each cell says what it is.
+    let is_wide = table.columns.len() + usize::from(is_marked) > 4;
+    let name = |column: usize| match table.columns.get(column) {
+        Some(name) if is_wide => format!(" data-name=\"{}\"", escaped(name)),
+        _ => String::new(),
+    };
     let head = |(column, name): (usize, &String)| {
         format!("<th scope=\"col\"{}>{}</th>", class(column), escaped(name))
     };
     let cell = |(column, text): (usize, &String)| match column {
-        0 => format!("<th scope=\"row\">{}</th>", escaped(text)),
-        _ => format!("<td{}>{}</td>", class(column), escaped(text)),
+        0 => format!("<th scope=\"row\"{}>{}</th>", name(column), escaped(text)),
+        _ => format!("<td{}{}>{}</td>", class(column), name(column), escaped(text)),
     };
-    let is_marked = table.rows.iter().any(|row| row.mark.is_some());
     let row = |row: &Row| {
         let cells: String = row.cells.iter().enumerate().map(cell).collect();
         let remark = if is_marked { remark(row.mark.as_ref()) } else { String::new() };
         format!("<tr{}>{cells}{remark}</tr>\n", row.mark.as_ref().map(mark_class).unwrap_or_default())
     };
     // Many columns need the whole width.
-    let width = if table.columns.len() + usize::from(is_marked) > 4 { " wide" } else { "" };
+    let width = if is_wide { " wide" } else { "" };
     format!(
         "<section class=\"table{width}\" tabindex=\"0\" aria-label=\"{title}\">\n<h2>{title}</h2>\n<table>\n\
          <thead><tr>{}{}</tr></thead>\n<tbody>\n{}</tbody>\n</table>\n</section>\n",

@@ -5,6 +5,7 @@ use crate::mpm::contact::Motion;
 use crate::mpm::layout::sort;
 use crate::mpm::particles::{Group, LANES, Particles};
 use crate::mpm::sleep;
+use crate::mpm::spare::Spare;
 use crate::mpm::substep::{State, Workspace};
 use crate::mpm::tests::{Dice, advance, empty_bench, even_lattice, far_away, standing};
 
@@ -156,7 +157,7 @@ fn a_sort_wakes_only_blocks_whose_particles_change() {
     let mut state = rested(&model, &bed(), 1500);
     let blocks = state.layout.blocks.len();
     let kept = |state: &State<f64>| {
-        let (particles, layout, order) = sort(&model.grid, &state.particles).unwrap();
+        let (particles, layout, order) = sort(&model.grid, &state.particles, &mut Spare::none()).unwrap();
         let rest = sleep::sorted(state.rest(), &state.layout, &layout, &order, &particles.groups);
         // Sleepers are the particles that the sort puts there, in its order.
         let mut groups = particles.groups.clone();

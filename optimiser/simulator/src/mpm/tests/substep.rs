@@ -12,8 +12,9 @@ use crate::mpm::material::Material;
 use crate::mpm::p2g::{ParticlesToTileAdjoint, affine, at_base};
 use crate::mpm::particles::{Group, LANES, Lanes, Particles};
 use crate::mpm::places::Places;
+use crate::mpm::spare::Spare;
 use crate::mpm::stencil::{Affine, Stencil, TILE_EDGE, TILE_LENGTH, Tile, scatter, weight_slopes, weights};
-use crate::mpm::substep::{State, Workspace, unsort_bar};
+use crate::mpm::substep::{State, Workspace};
 use crate::mpm::tests::{
     Dice, assert_gradient, empty_bench, far_away, lattice, moved, on_grid, row, standing, to_particles,
     to_tiles,
@@ -534,7 +535,8 @@ fn a_whole_substep_has_taylor_slope_two_in_the_state_and_the_tools_motion() {
     let mut after = state.clone();
     let mut workspace = Workspace::new();
     workspace.advance(&model, &tool, &mut after).unwrap();
-    let mut bar = unsort_bar(&after, measure.cotangent(&after.particles));
+    let mut bar = measure.cotangent(&after.particles);
+    workspace.unsort(&after, &mut bar);
     let tool_bar = workspace.retreat(&model, &tool, &state, None, &mut bar);
     let mut gradient = gradient_of(&state.particles, &bar);
     gradient.extend(tool_gradient(&tool_bar));
@@ -599,7 +601,7 @@ fn cotangents_survive_sorting() {
     for substep in 0..SUBSTEPS {
         let groups = state.particles.groups.len();
         let order = if substep < 20 && substep % 2 == 1 {
-            let (_, _, order) = sort(&model.grid, &state.particles).unwrap();
+            let (_, _, order) = sort(&model.grid, &state.particles, &mut Spare::none()).unwrap();
             own += usize::from(order.iter().enumerate().any(|(to, from)| to as u32 != *from));
             state = State::new(&model, &state.particles).unwrap();
             order
@@ -613,10 +615,11 @@ fn cotangents_survive_sorting() {
     let mut after = state;
     let mut bar = measure.cotangent(&after.particles);
     for (state, order, groups) in states.into_iter().rev() {
-        bar = unsort_bar(&after, bar);
+        workspace.unsort(&after, &mut bar);
         workspace.retreat(&model, &tool, &state, None, &mut bar);
         if state.sorted_from.is_none() {
-            bar = unsort(&bar, &order, groups);
+            let sorted = bar.clone();
+            unsort(&sorted, &order, groups, &mut bar);
         }
         after = state;
     }
