@@ -9,10 +9,10 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
 pub enum Method {
-    /// RMSprop with curriculum, as the scene has it
+    /// RMSprop, as the scene has it
     Gradient,
-    /// The same, with all five parameters from the first epoch
-    GradientNoCurriculum,
+    /// The same, with only depth, angle and lift in the first half of the epochs, as in the paper
+    GradientCurriculum,
     /// The same, with every segment of the motion in whole control steps
     GradientRounded,
     /// The same, by the adjoint alone, without central differences
@@ -32,7 +32,7 @@ impl Method {
     pub fn name(self) -> &'static str {
         match self {
             Self::Gradient => "gradient",
-            Self::GradientNoCurriculum => "gradient-no-curriculum",
+            Self::GradientCurriculum => "gradient-curriculum",
             Self::GradientRounded => "gradient-rounded",
             Self::GradientAdjoint => "gradient-adjoint",
             Self::GradientSteps => "gradient-steps",
@@ -51,7 +51,7 @@ impl Method {
     pub fn scene(self, scene: &Scene) -> Scene {
         let mut scene = scene.clone();
         match self {
-            Self::GradientNoCurriculum => scene.optimiser.curriculum_epochs = 0,
+            Self::GradientCurriculum => scene.optimiser.curriculum_epochs = scene.optimiser.epochs / 2,
             Self::GradientRounded => scene.skill.timing = Timing::Rounded,
             Self::GradientAdjoint => scene.optimiser.gradient = Gradient::Adjoint,
             Self::Gradient | Self::GradientSteps | Self::Sac | Self::CmaEs | Self::Random => {}

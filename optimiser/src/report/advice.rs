@@ -287,6 +287,7 @@ mod tests {
         assert!(text.contains("no epoch carried more than 4.92 g (615 particles)"), "{text}");
         assert!(text.contains("11.") && text.contains("heaped"), "{text}");
 
+        scene.optimiser.curriculum_epochs = 5;
         let stuck = epochs(&[(300, 0, 1000), (320, 0, 1000), (310, 0, 1000)]);
         assert!(said(&scene, &stuck, 1).contains("could only move in 0 of 2 updates, after the curriculum"));
         scene.optimiser.curriculum_epochs = 0;

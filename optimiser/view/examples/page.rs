@@ -261,7 +261,7 @@ fn comparison_charts() -> Vec<Chart> {
     };
     let by_rollouts = |points: Vec<[f64; 2]>| points.iter().map(|[x, y]| [x * 3.63, *y]).collect();
     let names =
-        ["gradient", "gradient-no-curriculum", "gradient-adjoint", "sac", "cma-es", "random", "a seventh"];
+        ["gradient", "gradient-curriculum", "gradient-adjoint", "sac", "cma-es", "random", "a seventh"];
     let many = (0_u8..).zip(names).map(|(index, name)| {
         let index = f64::from(index);
         banded(name, by_rollouts(curve(95.0, 1.5 + 3.0 * index, 0.25 - 0.02 * index)), 1.2 + index)

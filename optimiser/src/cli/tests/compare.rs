@@ -112,7 +112,7 @@ fn a_prolonged_comparison_has_the_bits_of_a_longer_one() {
 fn variants_of_the_gradient_differ_in_what_they_are_called_by() {
     let place = Place::new();
     let folder = place.text("variants");
-    let methods = "gradient,gradient-no-curriculum,gradient-rounded,gradient-adjoint";
+    let methods = "gradient,gradient-curriculum,gradient-rounded,gradient-adjoint";
     let done = optimise(&[
         "compare",
         "bench-small",
@@ -128,11 +128,12 @@ fn variants_of_the_gradient_differ_in_what_they_are_called_by() {
     assert_eq!(done.code, 0, "{}", done.err);
     let scene = |method: &str| Scene::load(&format!("{folder}/{method}-seed4/scene.toml")).unwrap();
     let usual = scene("gradient");
-    assert_eq!(scene("gradient-no-curriculum").optimiser.curriculum_epochs, 0);
+    assert_eq!(usual.optimiser.curriculum_epochs, 0);
+    assert_eq!(scene("gradient-curriculum").optimiser.curriculum_epochs, usual.optimiser.epochs / 2);
     assert_ne!(scene("gradient-rounded").skill.timing, usual.skill.timing);
     assert_ne!(scene("gradient-adjoint").optimiser.gradient, usual.optimiser.gradient);
     let theta = |method: &str| metrics(&format!("{folder}/{method}-seed4"))[1]["theta"][4].clone();
-    assert_ne!(theta("gradient-no-curriculum"), theta("gradient"));
+    assert_ne!(theta("gradient-curriculum"), theta("gradient"));
 }
 
 #[test]
