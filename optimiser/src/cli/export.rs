@@ -19,6 +19,7 @@ use powderline_shared::{
     pose::{Pose, exp_so3, renormalised},
 };
 use powderline_view::{
+    Bench,
     export::{Format, Series},
     motion::{
         Motion,
@@ -26,6 +27,7 @@ use powderline_view::{
         mcap, table, urscript,
     },
 };
+use serde::Serialize;
 use std::{
     io::{self, Write},
     path::{Path, PathBuf},
@@ -69,6 +71,9 @@ pub(super) struct ExportArgs {
     /// Write over a file that is there
     #[arg(long)]
     pub force: bool,
+    /// Print what was written as one JSON object
+    #[arg(long)]
+    pub json: bool,
     /// The arm.
     #[command(flatten)]
     pub arm: ArmArgs,
@@ -208,6 +213,9 @@ impl ExportArgs {
             () if has_powder && to_stdout => {
                 "powder goes into files, not to standard output: name where by --out".into()
             }
+            () if self.json && to_stdout => {
+                "--json and the motion would both go to standard output: name a file by --out".into()
+            }
             () if is_series && self.force => {
                 "--force writes over a file, but powder takes a folder: name one without a series by --out".into()
             }
@@ -250,6 +258,11 @@ impl ExportArgs {
         let folder = self.out.clone().unwrap_or_else(usual);
         let mut series = Series::new(&bench, format, &folder, 1)?;
         film.shoot(&mut series, context)?;
+        if self.json {
+            let powder = Some(Frames::from(&bench));
+            let name = self.format.name();
+            return context.json(&Exported { path: &folder, format: name, motion: None, powder, arm: None });
+        }
         writeln!(
             context.out,
             "{} frames of {} particles, {} s apart, are in {}.",
@@ -267,17 +280,26 @@ impl ExportArgs {
         let task = (self.powder.particles || self.powder.scene.is_some()).then(|| self.task()).transpose()?;
         let usual = || plan.with_extension(self.format.ending());
         let destination = Destination::new(self.out.clone().unwrap_or_else(usual), self.force)?;
-        let written = match task.filter(|_| self.powder.particles) {
+        let powder = match task.filter(|_| self.powder.particles) {
             Some(task) => {
                 let film = self.film(&task)?;
                 destination.record(&motion, &film, context)?;
-                format!(", with {} frames of {} particles", film.bench().frames, film.bench().particles)
+                Some(Frames::from(&film.bench()))
             }
             None => {
                 destination.write(context.out, |out| self.write_to(out, &motion))?;
-                String::new()
+                None
             }
         };
+        if self.json {
+            let arm = motion.arm.as_ref().map(ArmUse::from);
+            let (path, format) = (destination.path(), self.format.name());
+            let motion = Some(Ticks::from(&motion));
+            return context.json(&Exported { path, format, motion, powder, arm });
+        }
+        let written = powder.map_or(String::new(), |Frames { frames, particles, .. }| {
+            format!(", with {frames} frames of {particles} particles")
+        });
         let text = format!("{destination}: {}{written}.\n{}", ticks(&motion), self.text(&motion));
         let words = if destination.is_stdout() { &mut *context.err } else { &mut *context.out };
         words.write_all(text.as_bytes())?;
@@ -345,6 +367,76 @@ impl ExportArgs {
             percent(angular_acceleration),
             percent(angular_jerk),
         )
+    }
+}
+
+/// What was written, as JSON.
+#[derive(Debug, Serialize)]
+struct Exported<'a> {
+    path: &'a Path,
+    format: &'static str,
+    motion: Option<Ticks>,
+    powder: Option<Frames>,
+    arm: Option<ArmUse>,
+}
+
+/// A motion's length.
+#[derive(Debug, Serialize)]
+struct Ticks {
+    ticks: usize,
+    period_us: u32,
+    duration_s: f64,
+}
+
+impl From<&Motion> for Ticks {
+    fn from(motion: &Motion) -> Self {
+        Self { ticks: motion.last_tick(), period_us: motion.period_us, duration_s: motion.duration_s() }
+    }
+}
+
+/// A series of powder.
+#[derive(Clone, Copy, Debug, Serialize)]
+struct Frames {
+    frames: usize,
+    particles: usize,
+    period_s: f64,
+}
+
+impl From<&Bench> for Frames {
+    fn from(bench: &Bench) -> Self {
+        Self { frames: bench.frames, particles: bench.particles, period_s: bench.period_s }
+    }
+}
+
+/// What the arm has to do.
+#[derive(Debug, Serialize)]
+struct ArmUse {
+    model: &'static str,
+    reaches_forward: bool,
+    elbow_is_up: bool,
+    /// The joint that comes nearest to its speed, from 1.
+    fastest_joint: usize,
+    speed_rad_s: f64,
+    /// The joint nearest to a singularity, from 1, and how far from it: 1 is best.
+    singular_joint: u8,
+    singularity_margin: f64,
+    /// Shares of the plan's limits.
+    limit_use: PeakUse,
+}
+
+impl From<&ArmMotion> for ArmUse {
+    fn from(arm: &ArmMotion) -> Self {
+        let Figures { fastest_joint, speed_rad_s, singular_joint, margin, limit_use } = arm.figures;
+        Self {
+            model: "UR5e",
+            reaches_forward: arm.model.posture.reaches_forward,
+            elbow_is_up: arm.model.posture.elbow_is_up(),
+            fastest_joint,
+            speed_rad_s,
+            singular_joint,
+            singularity_margin: margin,
+            limit_use,
+        }
     }
 }
 

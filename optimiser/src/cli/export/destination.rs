@@ -40,6 +40,10 @@ impl Destination {
         }
     }
 
+    pub(super) fn path(&self) -> &Path {
+        &self.0
+    }
+
     pub(super) fn is_stdout(&self) -> bool {
         self.0 == Path::new(STDOUT)
     }

@@ -50,6 +50,19 @@ fn a_motion_is_written_beside_its_plan_in_every_format() {
 }
 
 #[test]
+fn what_was_written_is_said_in_json_too() {
+    let (place, plan) = with_plan();
+    let done = export(&plan, "csv", &[&ARM[..], &["--json"]].concat());
+    let said: serde_json::Value = serde_json::from_str(&done.out).unwrap();
+    assert_eq!(said["path"], place.text("skill.csv"));
+    assert_eq!((&said["format"], &said["motion"]["ticks"]), (&"csv".into(), &100.into()));
+    assert!(said["arm"]["limit_use"]["linear_velocity"].as_f64().is_some_and(|share| share <= 1.0), "{said}");
+    assert!(said["powder"].is_null());
+    let both = export(&plan, "csv", &["--json", "--out", "-"]);
+    assert!(both.code == 2 && both.err.contains("would both go to standard output"), "{}", both.err);
+}
+
+#[test]
 fn without_an_arm_there_are_no_joints() {
     let (place, plan) = with_plan();
     assert_eq!(export(&plan, "csv", &[]).code, 0);
