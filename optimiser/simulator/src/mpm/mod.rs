@@ -1,12 +1,12 @@
 //! The moving least squares material point method (Hu et al. 2018), forward and adjoint.
 //!
 //! One substep is three stages, each with its adjoint beside it in one file:
-//! [`p2g`] (material and scatter), [`grid_update`] (gravity and contact at nodes), [`g2p`] (gather, contact at
-//! particles, advection). [`substep`] runs them over all blocks.
+//! `p2g` (material and scatter), `grid_update` (gravity and contact at nodes), `g2p` (gather, contact at
+//! particles, advection). `substep` runs them over all blocks.
 //!
 //! Kernels are written for one particle and looped over the lanes of a group; the loop is what becomes vector
 //! instructions, with the widest instruction set found at run time. Where a product and a sum are rounded once, the kernels
-//! say so ([`Real::mul_add`](crate::real::Real::mul_add)), and nothing else is contracted: the bits are the same on every machine.
+//! say so ([`Real::mul_add`]), and nothing else is contracted: the bits are the same on every machine.
 
 #![expect(
     clippy::needless_range_loop,
