@@ -374,8 +374,9 @@ function legendOf(chart) {
     const picture = svg('svg', { viewBox: '-8 -8 16 16', width: 15, height: 15, 'aria-hidden': true }, [
       sign(alike[0][1].kind),
     ]);
-    const where = alike.length > 6 ? `${alike.length} times` : alike.map(([x]) => x).join(', ');
-    return html('span', 'mark-key', picture, `${label}: ${chart.x_label} ${where}`);
+    const name = alike.length > 1 && !chart.x_label.endsWith('s') ? `${chart.x_label}s` : chart.x_label;
+    const where = alike.length > 6 ? `${alike.length} times` : `${name} ${alike.map(([x]) => x).join(', ')}`;
+    return html('span', 'mark-key', picture, `${label}: ${where}`);
   });
   const shade = chart.shade ? [html('span', 'shade-key', chart.shade.label)] : [];
   const keys = [...(curves.length > 1 ? curves : []), ...marks, ...shade];
