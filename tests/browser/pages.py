@@ -40,6 +40,20 @@ return [...document.querySelectorAll('body *')].filter((element) => {
 }).map((element) => `${element.tagName} ${element.id} ${element.className}`);
 """
 
+# Numbers of an axis that reach beyond their chart, which does not show what is outside of it.
+CUT_NUMBERS = """
+return [...arguments[0].querySelectorAll('.tick')].filter((tick) => {
+  const [number, chart] = [tick, tick.ownerSVGElement].map((element) => element.getBoundingClientRect());
+  return number.left < chart.left - 0.5 || number.right > chart.right + 0.5;
+}).map((tick) => tick.textContent);
+"""
+
+# Tables of which a part has to be scrolled to.
+SCROLLED = """
+return [...document.querySelectorAll('.table')].filter((table) => table.scrollWidth > table.clientWidth)
+  .map((table) => table.getAttribute('aria-label'));
+"""
+
 # Controls less than 40 pixels high or 28 wide.
 SMALL = """
 return [...document.querySelectorAll('button, select, label, input[type=range], summary')].filter((element) => {
@@ -195,6 +209,8 @@ class Report:
             check(wide <= width, f"at {width} pixels the page is {wide} wide")
             out = self.script(CUT_OFF)
             check(not out, f"at {width} pixels there is something cut off: {out}")
+            scrolled = self.script(SCROLLED)
+            check(not scrolled, f"at {width} pixels these tables do not show everything: {scrolled}")
             self.check_axes()
         self.emulate(400, 900, "light")
         small = self.script(SMALL)
@@ -204,6 +220,8 @@ class Report:
         """Numbers at an axis stand where they say: in a straight line, or one of logarithms, through the curve's ends."""
         data = self.script("return JSON.parse(document.getElementById('charts-data')?.textContent ?? '[]')")
         for figure, chart in zip(self.find_all(".chart"), data):
+            cut = self.script(CUT_NUMBERS, figure)
+            check(not cut, f"{chart['title']}: numbers are cut off: {cut}")
             is_log = "logarithmic" in figure.find_element(By.CSS_SELECTOR, ".unit").text
             series, points = next((series, points) for series in chart["series"]
                                   if len(points := first_stretch(series["points"])) > 1)

@@ -247,7 +247,13 @@ fn run_charts() -> Vec<Chart> {
             vec![Series::new("with a gap", gap), Series::new("another", curve(0.0, 0.004, 0.3))],
         ),
     ];
-    charts.into_iter().map(marked).collect()
+    // Far from one, on both sides.
+    let far = [("Gradient", "m", 1.4e7, -2e6), ("Smallest weight", "0 to 1", 7e-6, 0.0)].map(
+        |(title, unit, from, to)| {
+            Chart::new(title, "epoch", unit, vec![Series::new("far", curve(from, to, 0.3))])
+        },
+    );
+    charts.into_iter().chain(far).map(marked).collect()
 }
 
 fn comparison_charts() -> Vec<Chart> {
