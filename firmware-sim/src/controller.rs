@@ -32,15 +32,12 @@ use crate::arm::Arm;
 use crate::arm::servo::Lag;
 use crate::buffer::Refused;
 use crate::interpolator::Interpolator;
+pub use crate::session::LONGEST_PERIOD_US;
 use crate::session::{self, Anchored, Session};
 use crate::stop::{GENTLE_STOP_US, StopProfile};
 
 /// Ticks for which a missing setpoint is bridged by decelerating before the stop is latched.
 pub const EXTRAPOLATION_TICKS: u32 = 2;
-
-/// Longest control period of a session, microseconds. What stops the arm takes effect at a tick, so this adds to the time
-/// that a stop takes.
-pub const LONGEST_PERIOD_US: u32 = 100_000;
 
 /// Ticks that a controller may be late before it gives up and stops, or [`OVERRUN_US`] if that is more.
 pub const OVERRUN_TICKS: u64 = 2;

@@ -8,7 +8,10 @@ use powderline_shared::wire::Context;
 use powderline_shared::wire::message::{DEPTH, OpenRequest, PROTOCOL_VERSION, Refusal};
 
 use crate::buffer::SetpointBuffer;
-use crate::controller::LONGEST_PERIOD_US;
+
+/// Longest control period of a session, microseconds. What stops the arm takes effect at a tick, so this adds to the time
+/// that a stop takes.
+pub const LONGEST_PERIOD_US: u32 = 100_000;
 
 /// Setpoints are rounded to an LSB that the executor chooses, and the limit check grants them what that rounding can add.
 /// This is the largest share of the arm's own limits that it may come to.

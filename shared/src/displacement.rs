@@ -58,6 +58,27 @@ impl Displacement {
     }
 }
 
+impl Pose {
+    /// The pose after a displacement in world axes: (p + dp, exp(dr) R).
+    #[must_use]
+    pub fn displaced(&self, displacement: &Displacement) -> Self {
+        Self {
+            position_m: self.position_m + displacement.translation(),
+            orientation: renormalised(exp_so3(&displacement.rotation()) * self.orientation),
+        }
+    }
+
+    /// The displacement in world axes that takes `self` to `next`, inverse of [`Pose::displaced`].
+    #[must_use]
+    pub fn displacement_to(&self, next: &Self) -> Displacement {
+        let rotation = log_so3(&(next.orientation * self.orientation.inverse()));
+        Displacement {
+            translation_m: (next.position_m - self.position_m).into(),
+            rotation_rad: rotation.into(),
+        }
+    }
+}
+
 /// One of the six numbers of a displacement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Axis {
@@ -566,6 +587,14 @@ mod tests {
                 rebuilt = rebuilt.stepped(counts, lsb).unwrap();
                 prop_assert_eq!(rebuilt, setpoint);
             }
+        }
+
+        #[test]
+        fn displacement_to_undoes_displaced(start in displacement(2.0, 1.7), u in displacement(1.0, 1.7)) {
+            let start = Pose::identity().displaced(&start);
+            let found = start.displacement_to(&start.displaced(&u));
+            prop_assert!(norm(&(found.translation() - u.translation())) < 1e-15);
+            prop_assert!(norm(&(found.rotation() - u.rotation())) < 1e-13);
         }
 
         #[test]

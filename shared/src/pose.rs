@@ -12,8 +12,6 @@
 
 use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 
-use crate::displacement::Displacement;
-
 /// Below this angle (rad) sin(a/2)/a is taken from its series, whose next term is then below one part in 10^18.
 const SMALL_ANGLE_RAD: f64 = 1e-4;
 
@@ -31,25 +29,6 @@ impl Pose {
     #[must_use]
     pub fn identity() -> Self {
         Self { position_m: Vector3::zeros(), orientation: UnitQuaternion::identity() }
-    }
-
-    /// The pose after a displacement in world axes: (p + dp, exp(dr) R).
-    #[must_use]
-    pub fn displaced(&self, displacement: &Displacement) -> Self {
-        Self {
-            position_m: self.position_m + displacement.translation(),
-            orientation: renormalised(exp_so3(&displacement.rotation()) * self.orientation),
-        }
-    }
-
-    /// The displacement in world axes that takes `self` to `next`, inverse of [`Pose::displaced`].
-    #[must_use]
-    pub fn displacement_to(&self, next: &Self) -> Displacement {
-        let rotation = log_so3(&(next.orientation * self.orientation.inverse()));
-        Displacement {
-            translation_m: (next.position_m - self.position_m).into(),
-            rotation_rad: rotation.into(),
-        }
     }
 
     /// a_from_c of `self` = a_from_b and b_from_c.
@@ -180,15 +159,6 @@ mod tests {
             let q = exp_so3(&r);
             let back = exp_so3(&log_so3(&q));
             prop_assert!(norm(&log_so3(&(back * q.inverse()))) < 1e-14);
-        }
-
-        #[test]
-        fn displacement_to_undoes_displaced(p in vector(2.0), r in vector(1.7), dp in vector(1.0), dr in vector(1.7)) {
-            let start = Pose { position_m: p, orientation: exp_so3(&r) };
-            let displacement = Displacement { translation_m: dp.into(), rotation_rad: dr.into() };
-            let found = start.displacement_to(&start.displaced(&displacement));
-            prop_assert!(norm(&(found.translation() - dp)) < 1e-15);
-            prop_assert!(norm(&(found.rotation() - dr)) < 1e-13);
         }
 
         #[test]

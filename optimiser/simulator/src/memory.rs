@@ -169,23 +169,6 @@ pub(crate) fn fewest_states(steps: u64, passes: u32) -> u64 {
     low
 }
 
-/// Room for so many elements and a few more, in sixteenths of a power of two: lengths that change a little from one time to the
-/// next then need the same room.
-pub(crate) fn roomy(length: usize) -> usize {
-    length.next_multiple_of((length.next_power_of_two() / 16).max(1))
-}
-
-/// So many elements, in the memory that is already there or in more, which is taken at once and as a whole: it counts from now
-/// on, not when somebody happens to write there. A vector that is left to grow by itself takes twice the memory at the
-/// first element more.
-pub(crate) fn fit<E: Clone>(vector: &mut Vec<E>, length: usize, with: E) {
-    if vector.capacity() < length {
-        vector.reserve_exact(roomy(length) - vector.len());
-        vector.resize(vector.capacity(), with.clone());
-    }
-    vector.resize(length, with);
-}
-
 /// What is left free of a budget, for what is small and not counted one by one: some bytes, and a share.
 const LEAST_SLACK_BYTES: u64 = 4 << 20;
 const SLACK_SHARE: u64 = 32;
@@ -305,21 +288,7 @@ fn left_of_limit(folder: &Path, [limit, usage, cached]: [&str; 3]) -> Option<u64
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn a_vector_takes_little_more_memory_than_it_needs_and_takes_it_at_once() {
-        let mut vector: Vec<u64> = Vec::with_capacity(1_000);
-        fit(&mut vector, 1_001, 7);
-        assert_eq!(vector, [7; 1_001]);
-        assert_eq!(vector.capacity(), 1_024);
-        fit(&mut vector, 10, 8);
-        assert_eq!(vector, [7; 10]);
-        fit(&mut vector, 1_024, 9);
-        assert_eq!((vector[10], vector[1_023], vector.capacity()), (9, 9, 1_024));
-        for length in [0, 1, 15, 16, 17, 33, 10_000] {
-            assert!((length..=length + length / 8).contains(&roomy(length)), "{length}: {}", roomy(length));
-        }
-    }
+    use crate::mpm::spare::fit;
 
     #[test]
     fn memory_that_is_taken_counts() {

@@ -5,14 +5,14 @@ use super::{
     motion::{Motion, Task},
     next,
     options::{DEFAULT_PRECISION, PrecisionArg},
-    report::read_history,
     run::{self, RunArgs},
     steps,
 };
 use crate::{
     compare::{Budget, Comparison, Method, Row, Track, Try, summarise},
+    optim::EpochRecord,
     report::amounts::Amounts,
-    report::folder::{COMPARISON, CURVES, METRICS, RunFolder, SCENE},
+    report::folder::{COMPARISON, CURVES, METRICS, RunFolder, SCENE, TRIES},
     report::words::{count, duration, hex, precision_name},
 };
 use clap::Args;
@@ -26,11 +26,12 @@ use powderline_simulator::{
 use serde::{Deserialize, Serialize};
 use std::{
     fmt::Write as _,
+    fs,
     path::{Path, PathBuf},
 };
 
-/// What was tried, one JSON line each.
-pub(super) const TRIES: &str = "tries.jsonl";
+/// A longer file of metrics is not from a run, bytes.
+const MAX_METRICS_BYTES: u64 = 64 << 20;
 /// Every try of every track.
 const TABLE: &str = "comparison.csv";
 /// The figure for papers.
@@ -615,4 +616,19 @@ fn table(comparison: &Comparison) -> String {
         }
     }
     text
+}
+
+/// The epochs that a run has written down.
+fn read_history(path: &Path) -> Result<Vec<EpochRecord>, CliError> {
+    let wrong = |why: String| CliError::Input(format!("{} {why}", path.display()));
+    let size = fs::metadata(path).map_err(|error| wrong(format!("cannot be read: {error}")))?.len();
+    if size > MAX_METRICS_BYTES {
+        return Err(wrong(format!("has {size} bytes, more than any run writes")));
+    }
+    let text = fs::read_to_string(path).map_err(|error| wrong(format!("cannot be read: {error}")))?;
+    let line = |(number, line): (usize, &str)| {
+        serde_json::from_str(line)
+            .map_err(|error| wrong(format!("is no record of a run: line {number}: {error}")))
+    };
+    (1..).zip(text.lines()).map(line).collect()
 }

@@ -12,8 +12,9 @@ use crate::{
     optim::EpochRecord,
     report::{
         amounts::{Amounts, counted, percent},
-        finding::{Finding, Judged, Outcome},
+        finding::{Finding, Outcome},
         folder::{COMPARISON, PLAN, STATE},
+        judged::Judged,
         record::RunRecord,
         words::{duration, hex, parameter, precision_name},
     },
@@ -41,9 +42,6 @@ const PERIOD_S: f64 = 0.02;
 
 /// File in the folder of a run or a comparison.
 const REPORT: &str = "report.html";
-
-/// A longer file of metrics is not from a run, bytes.
-const MAX_METRICS_BYTES: u64 = 64 << 20;
 
 /// What `--json` prints.
 #[derive(Serialize)]
@@ -371,21 +369,6 @@ fn run_facts(record: &RunRecord) -> Vec<(String, String)> {
         fact("Epochs", format!("{} updates, in {}", record.epochs.len() - 1, duration(seconds))),
         fact("Physics", format!("version {}", record.state.physics)),
     ]
-}
-
-/// The epochs that a run has written down.
-pub(super) fn read_history(path: &Path) -> Result<Vec<EpochRecord>, CliError> {
-    let wrong = |why: String| CliError::Input(format!("{} {why}", path.display()));
-    let size = fs::metadata(path).map_err(|error| wrong(format!("cannot be read: {error}")))?.len();
-    if size > MAX_METRICS_BYTES {
-        return Err(wrong(format!("has {size} bytes, more than any run writes")));
-    }
-    let text = fs::read_to_string(path).map_err(|error| wrong(format!("cannot be read: {error}")))?;
-    let line = |(number, line): (usize, &str)| {
-        serde_json::from_str(line)
-            .map_err(|error| wrong(format!("is no record of a run: line {number}: {error}")))
-    };
-    (1..).zip(text.lines()).map(line).collect()
 }
 
 fn over_epochs(name: &str, epochs: &[Judged], value: impl Fn(&EpochRecord) -> f64) -> Series {

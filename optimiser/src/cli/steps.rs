@@ -1,6 +1,6 @@
 //! The search over displacements, as `optimise compare` runs it.
 
-use super::{CliError, Context, Interrupt, Progress, compare::TRIES, run};
+use super::{CliError, Context, Interrupt, Progress, run};
 use crate::{
     compare::{
         Method, Track, Try,
@@ -8,7 +8,7 @@ use crate::{
     },
     optim::{EpochRecord, steps::StepRule},
     report::amounts::Amounts,
-    report::folder::{RunFolder, STATE},
+    report::folder::{RunFolder, STATE, TRIES},
     report::words::{count, duration},
 };
 use powderline_simulator::{

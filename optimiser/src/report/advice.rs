@@ -2,7 +2,7 @@
 
 use super::{
     amounts::{Amounts, percent},
-    finding::Judged,
+    judged::Judged,
     words::parameter,
 };
 use powderline_shared::plan::SKILL_PARAMETERS;

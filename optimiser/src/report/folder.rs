@@ -15,6 +15,8 @@ pub const METRICS: &str = "metrics.jsonl";
 pub const CURVES: &str = "curves.svg";
 /// The resolved scene.
 pub const SCENE: &str = "scene.toml";
+/// What was tried, one JSON line each.
+pub const TRIES: &str = "tries.jsonl";
 /// What a comparison was begun with.
 pub const COMPARISON: &str = "comparison.json";
 /// The plan.

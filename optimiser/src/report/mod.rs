@@ -6,6 +6,7 @@ pub mod curves;
 pub mod finding;
 pub mod folder;
 pub(crate) mod ink;
+pub mod judged;
 pub mod plan;
 pub mod record;
 pub(crate) mod sealed;

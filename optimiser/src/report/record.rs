@@ -2,8 +2,9 @@
 
 use super::{
     amounts::Amounts,
-    finding::{Finding, Judged, RunSoFar, Shipped},
+    finding::{Finding, RunSoFar, Shipped},
     folder::{FolderError, PLAN, SCENE, STATE, read_file},
+    judged::Judged,
     sealed::StateError,
     state::RunState,
 };

@@ -127,7 +127,8 @@ mod tests {
     use crate::{
         optim::{EpochRecord, Search},
         report::{
-            finding::{Finding, Judged, Outcome, Shipped},
+            finding::{Finding, Outcome, Shipped},
+            judged::Judged,
             record::RunRecord,
             state::RunState,
         },

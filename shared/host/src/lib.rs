@@ -39,6 +39,7 @@
 
 pub mod candump;
 pub mod clock;
+mod error;
 pub mod interface;
 pub mod jitter;
 pub mod link;

@@ -1,12 +1,12 @@
 //! The cyclic frames of classic CAN: at most 8 bytes, the last of them the checksum.
 
 use super::checksum::{Context, crc8};
-use super::codec::Rejected;
 use super::fields::{Put, Take, low8, low16, nearest_with_low8, nearest_with_low16};
 use super::frame::Frame;
 use super::history::{Half, Part};
 use super::ids;
 use super::message::{FromArm, Heartbeat, NO_SESSION, Status, ToArm};
+use super::rejected::Rejected;
 use super::words::{self, StatusBits};
 use crate::displacement::Setpoint;
 use crate::fault::{Fault, FaultCode};

@@ -7,7 +7,7 @@ use core::fmt;
 
 use heapless::Vec;
 
-use super::fields::append;
+use super::frame::append;
 
 /// Ends a packet.
 pub const DELIMITER: u8 = 0;

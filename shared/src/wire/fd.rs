@@ -1,11 +1,11 @@
 //! The cyclic frames of CAN FD, which serial lines carry too: a header of 12 bytes, the first four of them the checksum.
 
 use super::checksum::{Context, crc32};
-use super::codec::Rejected;
 use super::fields::{Put, Take};
 use super::frame::Frame;
 use super::ids;
 use super::message::{FromArm, Heartbeat, NO_SESSION, Status, ToArm};
+use super::rejected::Rejected;
 use super::words::{self, StatusBits};
 use crate::displacement::Setpoint;
 use crate::fault::{Fault, FaultCode};

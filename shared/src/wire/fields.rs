@@ -2,13 +2,7 @@
 
 use heapless::Vec;
 
-use super::frame::{Frame, MAX_DATA};
-
-/// Appends bytes; `None`, with some of them appended, if there is no room. (`Vec::extend_from_slice` adds two lengths, which a
-/// build with overflow checks cannot see to be small: a microcontroller's program would not link without a panic.)
-pub(super) fn append<const N: usize>(out: &mut Vec<u8, N>, bytes: &[u8]) -> Option<()> {
-    bytes.iter().try_for_each(|byte| out.push(*byte).ok())
-}
+use super::frame::{Frame, MAX_DATA, append};
 
 /// Builds the data of a frame. Every layout is a constant of at most 64 bytes, so nothing is ever cut off; golden tests
 /// pin each of them.

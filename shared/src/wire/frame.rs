@@ -2,7 +2,6 @@
 
 use heapless::Vec;
 
-use super::fields::append;
 use crate::displacement::Lsb;
 
 /// Most data bytes of a frame.
@@ -31,6 +30,12 @@ impl Frame {
         append(&mut frame.data, data)?;
         (id <= MAX_ID).then_some(frame)
     }
+}
+
+/// Appends bytes; `None`, with some of them appended, if there is no room. (`Vec::extend_from_slice` adds two lengths, which a
+/// build with overflow checks cannot see to be small: a microcontroller's program would not link without a panic.)
+pub(super) fn append<const N: usize>(out: &mut Vec<u8, N>, bytes: &[u8]) -> Option<()> {
+    bytes.iter().try_for_each(|byte| out.push(*byte).ok())
 }
 
 /// The smallest number of data bytes that CAN FD has room for `bytes` in; 64 for anything larger.

@@ -11,10 +11,10 @@ use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
 use super::checksum::record_crc32;
-use super::codec::Rejected;
-use super::fields::{Take, append};
-use super::frame::{Dialect, Frame, fd_length};
+use super::fields::Take;
+use super::frame::{Dialect, Frame, append, fd_length};
 use super::message::{FromArm, OpenRequest, Refusal, ToArm};
+use super::rejected::Rejected;
 use crate::plan::StartPose;
 use crate::pose::Pose;
 

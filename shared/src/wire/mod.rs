@@ -20,6 +20,7 @@ mod history;
 pub mod ids;
 pub mod load;
 pub mod message;
+mod rejected;
 pub mod serial;
 pub mod state;
 pub mod words;

@@ -5,8 +5,7 @@ use core::fmt;
 use heapless::Vec;
 
 use super::cobs::{self, CobsError};
-use super::fields::append;
-use super::frame::{Frame, MAX_DATA};
+use super::frame::{Frame, MAX_DATA, append};
 
 /// Bytes of the identifier.
 const ID_BYTES: usize = 2;

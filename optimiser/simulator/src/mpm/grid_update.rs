@@ -2,10 +2,11 @@
 
 use crate::mpm::Model;
 use crate::mpm::contact::{Law, Motion, MotionBar, contact, contact_adjoint};
-use crate::mpm::layout::{BLOCK_EDGE, BLOCK_NODES, NodeBlock, Nodes, sum_tiles};
+use crate::mpm::layout::{BLOCK_EDGE, BLOCK_NODES, NodeBlock, Nodes};
 use crate::mpm::obstacle::{Piece, Touching};
 use crate::mpm::particles::{LANES, Lanes, set_vec, vec_of};
-use crate::mpm::sleep::{Tiles, wakes};
+use crate::mpm::sleep::wakes;
+use crate::mpm::tiles::Tiles;
 use crate::real::Real;
 use crate::shape::{SignedDistance, with_solid};
 use crate::small::{sub, three, tr_mul_vec};
@@ -54,7 +55,7 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodes<'_, T> {
         if !self.tiles.any_awake(self.node) {
             return false;
         }
-        *self.momentum = sum_tiles(self.node, self.tiles);
+        *self.momentum = self.tiles.sum(self.node);
         if !any_mass(self.momentum) {
             *self.velocity = [[T::ZERO; 4]; BLOCK_NODES];
             return false;
@@ -131,7 +132,7 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodesAdjoint<'_, T> {
             *self.momentum_bar = [[T::ZERO; 4]; BLOCK_NODES];
             return MotionBar::default();
         }
-        let incoming = sum_tiles(self.node, self.velocity_bar_tiles);
+        let incoming = self.velocity_bar_tiles.sum(self.node);
         let mut bar = [[Lanes::ZERO; 3]; CHUNKS];
         for (n, b) in incoming.iter().enumerate() {
             set_vec(&mut bar[n / LANES], n % LANES, [b[0], b[1], b[2]]);

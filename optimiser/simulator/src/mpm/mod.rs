@@ -27,11 +27,13 @@ pub(crate) mod places;
 pub(crate) mod principal;
 pub(crate) mod series;
 pub(crate) mod sleep;
+pub(crate) mod sort;
 pub(crate) mod spare;
 pub(crate) mod stencil;
 pub(crate) mod substep;
 #[cfg(test)]
 mod tests;
+pub(crate) mod tiles;
 
 /// Raised with every change of what a substep computes: a run is not resumed by another physics.
 pub const PHYSICS_VERSION: u32 = 4;

@@ -13,7 +13,7 @@ use std::sync::Arc;
 
 use crate::mpm::Model;
 use crate::mpm::contact::Motion;
-use crate::mpm::layout::{Block, Layout, NodeBlock, Nodes, any_shared, empty_tile};
+use crate::mpm::layout::{Block, Layout, Nodes, any_shared, empty_tile};
 use crate::mpm::p2g::ParticlesToTile;
 use crate::mpm::particles::{Group, LANES, NOBODY};
 use crate::mpm::stencil::Tile;
@@ -65,6 +65,12 @@ impl<T: Copy> Rest<T> {
         self.sleeper.is_some()
     }
 
+    /// What a sleeper sends to the grid.
+    #[inline(always)]
+    pub(crate) fn tile(&self) -> Option<&Tile<T>> {
+        self.sleeper.as_ref().map(|sleeper| &sleeper.tile)
+    }
+
     /// Puts a sleeper's particles where they belong.
     pub(crate) fn put_to(&self, groups: &mut [Group<T>]) {
         if let Some(sleeper) = &self.sleeper {
@@ -76,32 +82,6 @@ impl<T: Copy> Rest<T> {
 /// Every block awake.
 pub(crate) fn all_awake<T: Copy>(layout: &Layout) -> Vec<Rest<T>> {
     layout.blocks.iter().map(|_| Rest::AWAKE).collect()
-}
-
-/// The tiles of all blocks: those of this substep, and the sleepers'.
-#[derive(Clone, Copy)]
-pub(crate) struct Tiles<'a, T> {
-    pub(crate) fresh: &'a [Tile<T>],
-    pub(crate) rest: &'a [Rest<T>],
-    /// Whether sleepers send anything; in the adjoint they do not.
-    pub(crate) sleepers_send: bool,
-}
-
-impl<'a, T> Tiles<'a, T> {
-    /// Tile number `b`, or none where there is no block.
-    #[inline(always)]
-    pub(crate) fn of(&self, b: u32) -> Option<&'a Tile<T>> {
-        match &self.rest.get(b as usize)?.sleeper {
-            None => self.fresh.get(b as usize),
-            Some(sleeper) => self.sleepers_send.then_some(&sleeper.tile),
-        }
-    }
-
-    /// Whether anyone who is awake reaches a block of nodes.
-    #[inline(always)]
-    pub(crate) fn any_awake(&self, node: &NodeBlock) -> bool {
-        node.tiles.iter().any(|b| self.rest.get(*b as usize).is_some_and(|rest| rest.sleeper.is_none()))
-    }
 }
 
 /// Whether a node of this velocity wakes those who send to it; one that is no number does.

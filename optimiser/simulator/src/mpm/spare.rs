@@ -3,7 +3,6 @@
 //! A gradient makes and drops thousands of states. What one is done with, the next one takes: fresh pages cost more than what is
 //! done with them, and what one thread frees, the allocator keeps for that thread.
 
-use crate::memory::{fit, roomy};
 use crate::mpm::layout::{BLOCK_NODES, Nodes};
 use crate::mpm::particles::Group;
 use crate::real::Real;
@@ -104,6 +103,23 @@ pub(crate) fn state_bytes<T: Real>(size: Size) -> u64 {
     (groups + nodes) as u64 + size.besides
 }
 
+/// Room for so many elements and a few more, in sixteenths of a power of two: lengths that change a little from one time to the
+/// next then need the same room.
+fn roomy(length: usize) -> usize {
+    length.next_multiple_of((length.next_power_of_two() / 16).max(1))
+}
+
+/// So many elements, in the memory that is already there or in more, which is taken at once and as a whole: it counts from now
+/// on, not when somebody happens to write there. A vector that is left to grow by itself takes twice the memory at the
+/// first element more.
+pub(crate) fn fit<E: Clone>(vector: &mut Vec<E>, length: usize, with: E) {
+    if vector.capacity() < length {
+        vector.reserve_exact(roomy(length) - vector.len());
+        vector.resize(vector.capacity(), with.clone());
+    }
+    vector.resize(length, with);
+}
+
 /// One that is long enough; those that are not have been outgrown, and go back to the allocator.
 fn take<E: Clone>(spare: &mut Vec<Vec<E>>, count: usize, with: E) -> Vec<E> {
     while let Some(mut vector) = spare.pop() {
@@ -134,6 +150,21 @@ fn bytes<E>(spare: &[Vec<E>]) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_vector_takes_little_more_memory_than_it_needs_and_takes_it_at_once() {
+        let mut vector: Vec<u64> = Vec::with_capacity(1_000);
+        fit(&mut vector, 1_001, 7);
+        assert_eq!(vector, [7; 1_001]);
+        assert_eq!(vector.capacity(), 1_024);
+        fit(&mut vector, 10, 8);
+        assert_eq!(vector, [7; 10]);
+        fit(&mut vector, 1_024, 9);
+        assert_eq!((vector[10], vector[1_023], vector.capacity()), (9, 9, 1_024));
+        for length in [0, 1, 15, 16, 17, 33, 10_000] {
+            assert!((length..=length + length / 8).contains(&roomy(length)), "{length}: {}", roomy(length));
+        }
+    }
 
     #[test]
     fn memory_changes_hands_until_it_is_outgrown() {

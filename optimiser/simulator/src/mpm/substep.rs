@@ -4,18 +4,19 @@ use std::sync::Arc;
 
 use rayon::prelude::*;
 
-use crate::memory::fit;
 use crate::mpm::Model;
 use crate::mpm::contact::{Motion, MotionBar};
 use crate::mpm::g2p::{TileToParticles, TileToParticlesAdjoint};
 use crate::mpm::grid_update::{UpdateNodes, UpdateNodesAdjoint};
 use crate::mpm::laps::{Laps, Pass, Stage};
-use crate::mpm::layout::{Block, Layout, Lost, NodeBlock, Nodes, empty_tile, sort, unsort};
+use crate::mpm::layout::{Block, Layout, NodeBlock, Nodes, empty_tile};
 use crate::mpm::p2g::{ParticlesToTile, ParticlesToTileAdjoint, ReturnMap, ReturnMapAdjoint};
 use crate::mpm::particles::{Group, LANES, Particles};
-use crate::mpm::sleep::{self, Rest, Seen, Tiles};
-use crate::mpm::spare::{Size, Spare, state_bytes};
+use crate::mpm::sleep::{self, Rest, Seen};
+use crate::mpm::sort::{Lost, sort, unsort};
+use crate::mpm::spare::{Size, Spare, fit, state_bytes};
 use crate::mpm::stencil::Tile;
+use crate::mpm::tiles::Tiles;
 use crate::real::Real;
 
 /// Blocks that a thread takes at a time, at most: they differ in how many particles they hold, and who has done with his waits.
@@ -404,8 +405,7 @@ impl<T: Real> Workspace<T> {
         let (layout, input) = (&state.layout, &state.particles.groups);
         let mut output = std::mem::take(&mut self.unused);
         self.spare.fit_groups(&mut output, input.len());
-        let of_block =
-            |block: &crate::mpm::layout::Block| &input[block.first_group..block.first_group + block.groups()];
+        let of_block = |block: &Block| &input[block.first_group..block.first_group + block.groups()];
         self.laps.begin(Pass::Alone);
         split(layout, &mut output).into_par_iter().zip(&layout.blocks).for_each(|(output, block)| {
             model.arch.dispatch(ReturnMap { model, input: of_block(block), output });

@@ -7,6 +7,7 @@
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
 use crate::mpm::Model;
+use crate::mpm::sort::Lost;
 use crate::mpm::spare::Spare;
 use crate::mpm::substep::{State, Workspace};
 use crate::real::Real;
@@ -31,7 +32,7 @@ pub(crate) struct Family<'a, T> {
     /// As many controls each.
     pub(crate) paths: &'a [Path],
     /// Turns what went wrong in a substep into an error.
-    pub(crate) lost: &'a (dyn Fn(usize, crate::mpm::layout::Lost, &State<T>) -> RolloutError + Sync),
+    pub(crate) lost: &'a (dyn Fn(usize, Lost, &State<T>) -> RolloutError + Sync),
     /// What a path has achieved, by the state at its end.
     pub(crate) judge: &'a (dyn Fn(&Path, &State<T>) -> Evaluation + Sync),
 }

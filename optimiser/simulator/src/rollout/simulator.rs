@@ -3,13 +3,13 @@
 use powderline_shared::displacement::Displacement;
 use powderline_shared::pose::Pose;
 
-use crate::memory::{BRANCHES, Budget, fit, least_states};
+use crate::memory::{BRANCHES, Budget, least_states};
 use crate::mpm::Model;
 use crate::mpm::contact::MotionBar;
 use crate::mpm::laps::{Laps, Stage};
-use crate::mpm::layout::Lost;
 use crate::mpm::particles::{Group, LANES, Particles, set_vec};
-use crate::mpm::spare::{Spare, state_bytes};
+use crate::mpm::sort::Lost;
+use crate::mpm::spare::{Spare, fit, state_bytes};
 use crate::mpm::substep::{OnGrid, State, Workspace};
 use crate::real::Real;
 use crate::rollout::branches::{self, Family, Team};

@@ -1,6 +1,5 @@
 //! Wires that carry frames. Nothing here ever waits: [`wait`](crate::wait) does, on [`Transport::interest`].
 
-mod error;
 mod outgoing;
 mod pty;
 mod serial;
@@ -10,12 +9,12 @@ use std::path::Path;
 
 use powderline_shared::wire::frame::{Dialect, Frame};
 
-pub use error::LinkError;
 pub use outgoing::MAX_QUEUED;
 pub use pty::Pty;
 pub use serial::Serial;
 pub use socketcan::SocketCan;
 
+pub use crate::error::LinkError;
 use crate::link::Link;
 use crate::wait::Interest;
 

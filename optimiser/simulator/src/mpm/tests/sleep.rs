@@ -2,9 +2,9 @@
 
 use crate::mpm::Model;
 use crate::mpm::contact::Motion;
-use crate::mpm::layout::sort;
 use crate::mpm::particles::{Group, LANES, Particles};
 use crate::mpm::sleep;
+use crate::mpm::sort::sort;
 use crate::mpm::spare::Spare;
 use crate::mpm::substep::{State, Workspace};
 use crate::mpm::tests::{Dice, advance, empty_bench, even_lattice, far_away, standing};

@@ -7,11 +7,12 @@ use crate::mpm::contact::{Motion, MotionBar};
 use crate::mpm::g2p::TileToParticlesAdjoint;
 use crate::mpm::gather::{Gathered, Rows, Sent, gather, gather_gradient, gather_with_gradient};
 use crate::mpm::grid_update::UpdateNodesAdjoint;
-use crate::mpm::layout::{BLOCK_NODES, Nodes, empty_tile, load_tile, sort, sum_tiles, unsort};
+use crate::mpm::layout::{BLOCK_NODES, Nodes, empty_tile, load_tile};
 use crate::mpm::material::Material;
 use crate::mpm::p2g::{ParticlesToTileAdjoint, affine, at_base};
 use crate::mpm::particles::{Group, LANES, Lanes, Particles};
 use crate::mpm::places::Places;
+use crate::mpm::sort::{sort, unsort};
 use crate::mpm::spare::Spare;
 use crate::mpm::stencil::{Affine, Stencil, TILE_EDGE, TILE_LENGTH, Tile, scatter, weight_slopes, weights};
 use crate::mpm::substep::{State, Workspace};
@@ -359,7 +360,7 @@ fn particle_to_grid_has_taylor_slope_two() {
     let f = |x: &[f64]| {
         let state = with_numbers(&state, x);
         let (tiles, output) = to_tiles(&model, &state);
-        let nodes: Vec<_> = state.layout.nodes.iter().map(|n| sum_tiles(n, state.tiles(&tiles))).collect();
+        let nodes: Vec<_> = state.layout.nodes.iter().map(|n| state.tiles(&tiles).sum(n)).collect();
         inner_nodes(&nodes_bar, &nodes) + measure.of(&state.particles, &output)
     };
     let mut bar = measure.cotangent(&state.particles);
@@ -430,7 +431,7 @@ fn grid_update_has_taylor_slope_two_in_momentum_mass_and_the_tools_motion() {
 fn tiles_at_nodes(state: &State<f64>) -> Vec<[f64; BLOCK_NODES]> {
     let mut ones = vec![empty_tile(); state.layout.blocks.len()];
     ones.as_flattened_mut().iter_mut().for_each(|n| *n = [1.0; 4]);
-    state.layout.nodes.iter().map(|n| sum_tiles(n, state.tiles(&ones)).map(|n| n[0])).collect()
+    state.layout.nodes.iter().map(|n| state.tiles(&ones).sum(n).map(|n| n[0])).collect()
 }
 
 /// Tiles that add up to the given values at the nodes: each takes its share.
@@ -508,7 +509,9 @@ fn grid_to_particle_has_taylor_slope_two_in_positions_velocities_and_the_tools_m
     for node in &state.layout.nodes {
         // The fourth number at a node is no velocity.
         gradient.extend(
-            sum_tiles(node, state.tiles(&tiles))
+            state
+                .tiles(&tiles)
+                .sum(node)
                 .iter()
                 .flat_map(|b| [b[0] * SPEED, b[1] * SPEED, b[2] * SPEED, 0.0]),
         );
