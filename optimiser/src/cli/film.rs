@@ -7,7 +7,7 @@ use super::{
 use crate::report::view;
 use powderline_shared::{displacement::Displacement, pose::Pose};
 use powderline_simulator::{
-    rollout::{Evaluation, RolloutError, Shot, Take, Work, check_memory},
+    rollout::{Evaluation, Recording, RolloutError, Snapshot, Work, check_memory},
     skill::{SkillMap, displacement},
 };
 use powderline_view::{Bench, Frame, Sink, ViewError};
@@ -85,21 +85,21 @@ impl<'a> Film<'a> {
             !interrupt.is_requested()
         };
         let mut refusal = None;
-        let mut look = |shot: &Shot<'_>| {
+        let mut observer = |snapshot: &Snapshot<'_>| {
             let frame = Frame {
-                index: shot.step / every,
-                time_s: shot.step as f64 * task.scene.time.control_period_s(),
-                tool: shot.tool,
+                index: snapshot.step / every,
+                time_s: snapshot.step as f64 * task.scene.time.control_period_s(),
+                tool: snapshot.tool,
                 // A tool that has come to the plan's end is to stay there.
-                planned: planned.map(|poses| poses[shot.step.min(poses.len() - 1)]),
-                positions_m: shot.positions_m,
-                velocities_m_s: shot.velocities_m_s,
+                planned: planned.map(|poses| poses[snapshot.step.min(poses.len() - 1)]),
+                positions_m: snapshot.positions_m,
+                velocities_m_s: snapshot.velocities_m_s,
             };
             refusal = sink.frame(&frame).err();
             refusal.is_none()
         };
-        let take = Take { anchor, controls, every: *every };
-        let recorded = simulator.record(&take, &mut look, &mut tick);
+        let recording = Recording { anchor, controls, every: *every };
+        let recorded = simulator.record(&recording, &mut observer, &mut tick);
         progress.clear();
         match (recorded, refusal) {
             (_, Some(refusal)) => Err(refusal.into()),

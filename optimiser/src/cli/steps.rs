@@ -12,7 +12,9 @@ use crate::{
     report::words::{count, duration},
 };
 use powderline_simulator::{
-    rollout::{Evaluate, Evaluation, RolloutError, SimulatorSettings, Slope, Work, check_memory},
+    rollout::{
+        DisplacementGradient, Evaluate, Evaluation, RolloutError, SimulatorSettings, Work, check_memory,
+    },
     scene::Scene,
 };
 use std::path::Path;
@@ -128,7 +130,7 @@ impl Stepping<'_> {
     /// Hands the search what was found; why the motion has no loss, if that is what was found.
     fn take(
         &mut self,
-        found: Result<(Evaluation, Vec<Slope>), RolloutError>,
+        found: Result<(Evaluation, Vec<DisplacementGradient>), RolloutError>,
         seconds: f64,
     ) -> Result<Option<CliError>, CliError> {
         let lost = match found {

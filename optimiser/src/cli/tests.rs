@@ -13,7 +13,7 @@ use powderline_shared::{
     trajectory::{Sample, TrajectoryHeader},
 };
 use powderline_simulator::{
-    rollout::{Evaluation, Look, Progress, RolloutError, Shot, Slope, Take},
+    rollout::{DisplacementGradient, Evaluation, Observer, Progress, Recording, RolloutError, Snapshot},
     scene::{Amount, ContainerShape, Wanted},
     skill::{Control, SkillMap, Theta},
 };
@@ -106,13 +106,13 @@ impl Evaluate for Ends {
         &mut self,
         controls: &[Displacement],
         progress: Progress<'_>,
-    ) -> Result<(Evaluation, Vec<Slope>), RolloutError> {
+    ) -> Result<(Evaluation, Vec<DisplacementGradient>), RolloutError> {
         self.tick(progress)?;
         let (evaluation, bar) = Self::judge(controls.iter().map(Displacement::components));
         if bar[4].abs() < 0.1 {
             return Err(RolloutError::Escaped { step: 1, substep: 2, particle: 3 });
         }
-        Ok((evaluation, vec![Slope::from(bar); controls.len()]))
+        Ok((evaluation, vec![DisplacementGradient::from(bar); controls.len()]))
     }
 
     fn simulate_from(
@@ -131,8 +131,8 @@ impl Evaluate for Ends {
     /// Two particles: one that stays, one that goes with the tool.
     fn record(
         &mut self,
-        take: &Take<'_>,
-        look: Look<'_>,
+        take: &Recording<'_>,
+        look: Observer<'_>,
         progress: Progress<'_>,
     ) -> Result<(Evaluation, Vec<Destination>), RolloutError> {
         let mut tool = *take.anchor;
@@ -140,7 +140,8 @@ impl Evaluate for Ends {
             if step.is_multiple_of(take.every) {
                 let carried = tool.position_m.map(|x| x as f32).into();
                 let positions_m = [[0.05, 0.06, 0.01], carried];
-                if !look(&Shot { step, tool, positions_m: &positions_m, velocities_m_s: &[[0.0; 3]; 2] }) {
+                if !look(&Snapshot { step, tool, positions_m: &positions_m, velocities_m_s: &[[0.0; 3]; 2] })
+                {
                     return Err(RolloutError::Stopped);
                 }
             }

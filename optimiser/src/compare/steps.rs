@@ -11,7 +11,7 @@ use crate::{
 use powderline_shared::plan::Precision;
 use powderline_simulator::{
     mpm::PHYSICS_VERSION,
-    rollout::{Evaluation, Slope},
+    rollout::{DisplacementGradient, Evaluation},
     scene::{Digest, Scene},
     skill::{SkillError, SkillMap},
 };
@@ -67,7 +67,12 @@ impl StepTrack {
     /// Takes what was found of the search's motion, nothing where it has no loss. False if the search cannot go on: a
     /// number was not finite, or the first motion of all has no loss. It is then unchanged.
     #[must_use]
-    pub fn take(&mut self, rule: &StepRule, found: Option<&(Evaluation, Vec<Slope>)>, seconds: f64) -> bool {
+    pub fn take(
+        &mut self,
+        rule: &StepRule,
+        found: Option<&(Evaluation, Vec<DisplacementGradient>)>,
+        seconds: f64,
+    ) -> bool {
         let next = match found {
             Some((evaluation, slopes)) => self.search.onward(rule, evaluation.loss, slopes),
             None => self.search.back(rule),
@@ -120,8 +125,8 @@ mod tests {
         StepTrack::new(scene, origin).unwrap()
     }
 
-    fn found(loss: f64, steps: usize) -> (Evaluation, Vec<Slope>) {
-        let slope = Slope { per_metre: [1.0, 0.0, -2.0], per_radian: [0.0, 3.0, 0.0] };
+    fn found(loss: f64, steps: usize) -> (Evaluation, Vec<DisplacementGradient>) {
+        let slope = DisplacementGradient { per_metre: [1.0, 0.0, -2.0], per_radian: [0.0, 3.0, 0.0] };
         (
             Evaluation { loss, indicator: 5, transported: 1, spilled: 0, on_tool: 0, gradient: None },
             vec![slope; steps],

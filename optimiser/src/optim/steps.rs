@@ -5,7 +5,7 @@
 //! | u      | `controls`    | one displacement for each control step, metres and radians, world frame       |
 //! | r      | [`Reach`]     | velocity limit times control period, linear and angular                       |
 //! | w      |               | w = u / r, the variables, each in [-1, 1]                                     |
-//! | g      | [`Slope`]     | of the loss by w: that by u, times r                                          |
+//! | g      | [`DisplacementGradient`]     | of the loss by w: that by u, times r                                          |
 //! | w'     |               | w' = clamp(w - lr r' g / (sqrt(v^) + eps)), as for skills                     |
 //!
 //! The tool is held within the scene's workspace: a displacement that would leave it ends at its border. Accelerations and
@@ -22,7 +22,7 @@
 use super::{Pace, RmsProp, search::is_loss};
 use powderline_shared::displacement::Displacement;
 use powderline_simulator::{
-    rollout::Slope,
+    rollout::DisplacementGradient,
     scene::Scene,
     skill::{Control, displacement},
 };
@@ -105,7 +105,7 @@ struct Place {
 struct Best {
     loss: f64,
     place: Place,
-    slopes: Vec<Slope>,
+    slopes: Vec<DisplacementGradient>,
 }
 
 /// A search in progress. Serialises bit for bit (in a binary format, or one that keeps every digit).
@@ -142,7 +142,7 @@ impl StepSearch {
 
     /// The search after its motion was found to have this loss (metres) and these slopes; none if a number is not
     /// finite or missing.
-    pub fn onward(&self, rule: &StepRule, loss: f64, slopes: &[Slope]) -> Option<Self> {
+    pub fn onward(&self, rule: &StepRule, loss: f64, slopes: &[DisplacementGradient]) -> Option<Self> {
         if !is_loss(loss) || slopes.len() != self.place.controls.len() {
             return None;
         }
@@ -176,7 +176,7 @@ impl StepSearch {
 
 impl Place {
     /// One update down the slopes; none if one of them, or its square, is not finite.
-    fn updated(&self, rule: &StepRule, halvings: u32, slopes: &[Slope]) -> Option<Self> {
+    fn updated(&self, rule: &StepRule, halvings: u32, slopes: &[DisplacementGradient]) -> Option<Self> {
         let StepRule { rule: rmsprop, reach, start_m, workspace_m: [least, greatest] } = rule;
         let mut at = *start_m;
         // Halved more often than that, a step is none.
@@ -227,18 +227,20 @@ mod tests {
         workspace_m: [[-1.0; 3], [1.0; 3]],
     };
 
-    fn slope(value: f64) -> Slope {
-        Slope { per_metre: [value; 3], per_radian: [value; 3] }
+    fn slope(value: f64) -> DisplacementGradient {
+        DisplacementGradient { per_metre: [value; 3], per_radian: [value; 3] }
     }
 
     /// A bowl in w with its bottom elsewhere for each component, deeper where the step is later.
-    fn bowl(controls: &[Displacement]) -> (f64, Vec<Slope>) {
+    fn bowl(controls: &[Displacement]) -> (f64, Vec<DisplacementGradient>) {
         let (mut loss, mut slopes) = (0.0, Vec::new());
         for (step, control) in (1..).zip(controls) {
             let (u, r) = (control.components(), RULE.reach.components());
             let error: Control = std::array::from_fn(|k| u[k] / r[k] - bottom(k));
             loss += f64::from(step) * error.iter().map(|x| x * x).sum::<f64>();
-            slopes.push(Slope::from(std::array::from_fn(|k| 2.0 * f64::from(step) * error[k] / r[k])));
+            slopes.push(DisplacementGradient::from(std::array::from_fn(|k| {
+                2.0 * f64::from(step) * error[k] / r[k]
+            })));
         }
         (loss, slopes)
     }
@@ -284,7 +286,7 @@ mod tests {
     fn begins_with_the_bits_of_its_controls_and_keeps_them_where_the_loss_is_flat() {
         let control = [0.001 / 3.0, -0.0, 0.0, 0.01 / 7.0, 0.0, -0.02];
         let search = StepSearch::new(&RULE, &[control]);
-        let next = search.onward(&RULE, 1.0, &[Slope::default()]).unwrap();
+        let next = search.onward(&RULE, 1.0, &[DisplacementGradient::default()]).unwrap();
         for search in [search, next] {
             assert_eq!(search.controls()[0].components().map(f64::to_bits), control.map(f64::to_bits));
         }
@@ -377,7 +379,7 @@ mod tests {
         let mut search = StepSearch::new(&rule, &[[0.0; 6]; 3]);
         for _ in 0..20 {
             // Down the slope is towards -x and +y.
-            let pushed = Slope { per_metre: [1.0, -1.0, 0.0], per_radian: [0.0; 3] };
+            let pushed = DisplacementGradient { per_metre: [1.0, -1.0, 0.0], per_radian: [0.0; 3] };
             search = search.onward(&rule, 1.0, &[pushed; 3]).unwrap();
             let mut at = [0.0; 3];
             for control in search.controls() {
@@ -396,7 +398,7 @@ mod tests {
         ) {
             let mut search = StepSearch::new(&RULE, &[start]);
             for slope in slopes {
-                search = search.onward(&RULE, 1.0, &[Slope::from(slope)]).unwrap();
+                search = search.onward(&RULE, 1.0, &[DisplacementGradient::from(slope)]).unwrap();
                 prop_assert!(search.is_sound(&RULE, 1));
                 let control = search.controls()[0];
                 prop_assert!(control.translation_m.iter().all(|x| x.abs() <= 0.004));

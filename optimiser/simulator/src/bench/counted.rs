@@ -10,7 +10,7 @@ use std::cell::Cell;
 use std::fmt;
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
-use crate::mpm::laps::Reading;
+use crate::mpm::timings::Reading;
 use crate::real::{Real, Series};
 
 thread_local! {
@@ -167,8 +167,8 @@ mod tests {
     use super::*;
     use crate::mpm::gather::gather;
     use crate::mpm::particles::Lanes;
-    use crate::mpm::places::Places;
     use crate::mpm::stencil::{Affine, Stencil, TILE_LENGTH, scatter, weights};
+    use crate::mpm::stencil_positions::StencilPositions;
     use crate::small::{compose, dot};
 
     fn cost<R>(job: impl FnOnce() -> R) -> Reading {
@@ -226,8 +226,10 @@ mod tests {
         // For each of sixteen lanes: the weights of moments along a row; nine rows of four and three nodes for three components;
         // three layers of two sums and a moment; over the layers the same and one more sum, each put to the other runs', and the
         // step back of two. Once for each of the two runs here.
-        let places =
-            Places { start: std::array::from_fn(|l| if l < 9 { 3 } else { 77 }), f: [Lanes([x; 16]); 3] };
+        let places = StencilPositions {
+            start: std::array::from_fn(|l| if l < 9 { 3 } else { 77 }),
+            f: [Lanes([x; 16]); 3],
+        };
         let w = places.weights();
         let run = 2 + 9 * 3 * (7 + 5) + 3 * 3 * (5 + 4 + 5) + 3 * ((5 + 1) + (4 + 1) + (5 + 1) + (5 + 2 + 1));
         assert_eq!(cost(|| gather(&tile, &places, &w, 16)), [2 * 16 * run, 0]);

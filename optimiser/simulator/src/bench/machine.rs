@@ -8,7 +8,7 @@ use powderline_shared::plan::Precision;
 use pulp::{Simd, WithSimd};
 
 use crate::memory::kibibytes;
-use crate::mpm::laps::Reading;
+use crate::mpm::timings::Reading;
 
 /// Sums that are independent of each other: enough to hide the latency of two units, and few enough for 16 registers.
 const SUMS: usize = 12;

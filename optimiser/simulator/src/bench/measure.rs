@@ -10,9 +10,9 @@ use super::counted::{Counted, Elementary, operations};
 use super::machine::{self, nanoseconds};
 use super::problem::{Problem, SUBSTEPS};
 use crate::memory::{PARTICLE_SCALARS, available_bytes, fewest_states};
-use crate::mpm::laps::{Gauge, Lap, Pass, Reading, Stage};
+use crate::mpm::timings::{Gauge, Pass, PassTimings, Reading, Stage};
 use crate::real::Real;
-use crate::rollout::{Moment, Progress, RolloutError, Simulator, thread_pool};
+use crate::rollout::{Progress, RolloutError, RolloutState, Simulator, thread_pool};
 
 /// What is to be measured.
 #[derive(Clone, Copy, Debug)]
@@ -81,7 +81,7 @@ pub const STAGES: [Stage; 10] = [
 pub struct Bench<T: Real> {
     problem: Problem,
     simulator: Simulator<T>,
-    moment: Moment<T>,
+    moment: RolloutState<T>,
     /// Control steps done.
     step: usize,
     gauge: Gauge,
@@ -91,7 +91,7 @@ pub struct Bench<T: Real> {
 struct Taken {
     /// Readings when a control step began, and when the last one ended.
     stamps: Vec<Reading>,
-    laps: Vec<Lap>,
+    timings: Vec<PassTimings>,
 }
 
 impl<T: Real> Bench<T> {
@@ -124,15 +124,15 @@ impl<T: Real> Bench<T> {
     fn forward(&mut self, steps: usize, progress: Progress<'_>) -> Result<Taken, RolloutError> {
         let controls = self.problem.controls(self.next(steps));
         let (gauge, mut stamps) = (self.gauge, Vec::with_capacity(steps + 1));
-        self.simulator.laps().follow(self.gauge);
+        self.simulator.timings().follow(self.gauge);
         let end = self.simulator.after(&self.moment, &controls, &mut |done, total| {
             stamps.push(gauge());
             progress(done, total)
         });
-        let laps = self.simulator.laps().take();
+        let timings = self.simulator.timings().take();
         self.moment = end?;
         self.step += steps;
-        Ok(Taken { stamps, laps })
+        Ok(Taken { stamps, timings })
     }
 
     /// The gradient of the loss after so many control steps, from here; stays here.
@@ -140,21 +140,21 @@ impl<T: Real> Bench<T> {
         let controls = self.problem.controls(self.next(steps));
         let kept = fewest_states(self.substeps(steps) as u64, PASSES) as usize;
         self.simulator.keep_at_most(kept);
-        self.simulator.laps().follow(self.gauge);
+        self.simulator.timings().follow(self.gauge);
         let began = (self.gauge)();
         let gradient = self.simulator.control_gradient(&self.moment, &controls, progress);
         let stamps = vec![began, (self.gauge)()];
-        let laps = self.simulator.laps().take();
+        let timings = self.simulator.timings().take();
         gradient?;
-        Ok(Taken { stamps, laps })
+        Ok(Taken { stamps, timings })
     }
 
     /// Sort, material and their adjoints by themselves, for the powder as it is.
-    fn alone(&mut self) -> Result<Vec<Lap>, RolloutError> {
-        self.simulator.laps().follow(self.gauge);
+    fn alone(&mut self) -> Result<Vec<PassTimings>, RolloutError> {
+        self.simulator.timings().follow(self.gauge);
         let done = self.simulator.alone(&self.moment);
-        let laps = self.simulator.laps().take();
-        done.map(|()| laps)
+        let timings = self.simulator.timings().take();
+        done.map(|()| timings)
     }
 
     /// Nanoseconds that a stage takes in so many substeps (or adjoints of substeps, or sorts); a stage of a substep lets
@@ -172,12 +172,12 @@ impl<T: Real> Bench<T> {
         };
         let (mut total_ns, mut count) = (0, 0);
         while count < substeps {
-            let laps = match pass {
-                Pass::Forward => self.forward(1, &mut |_, _| true)?.laps,
-                Pass::Adjoint => self.gradient(1, &mut |_, _| true)?.laps,
+            let timings = match pass {
+                Pass::Forward => self.forward(1, &mut |_, _| true)?.timings,
+                Pass::Adjoint => self.gradient(1, &mut |_, _| true)?.timings,
                 Pass::Alone => self.alone()?,
             };
-            for lap in laps.iter().filter(|lap| lap.pass == pass) {
+            for lap in timings.iter().filter(|lap| lap.pass == pass) {
                 total_ns += lap.stages[stage as usize][0];
                 count += 1;
             }
@@ -364,36 +364,40 @@ fn difference(after: Reading, before: Reading) -> Reading {
     [after[0] - before[0], after[1] - before[1]]
 }
 
-/// Per particle and pass: an entry's share of the laps; none where they do not have its pass.
-fn share(laps: &[Lap], (pass, stage, ..): (Pass, Stage, &str, &str), particles: usize) -> Option<Block> {
-    let readings = || laps.iter().filter(|lap| lap.pass == pass).map(|lap| lap.stages[stage as usize]);
+/// Per particle and pass: an entry's share of the timings; none where they do not have its pass.
+fn share(
+    timings: &[PassTimings],
+    (pass, stage, ..): (Pass, Stage, &str, &str),
+    particles: usize,
+) -> Option<Block> {
+    let readings = || timings.iter().filter(|lap| lap.pass == pass).map(|lap| lap.stages[stage as usize]);
     let count = readings().count();
     let total = readings().fold([0; 2], |sum, reading| [sum[0] + reading[0], sum[1] + reading[1]]);
     (count > 0).then(|| each(total, count * particles))
 }
 
 impl Blocks {
-    /// The laps of one block, as far as they belong to a pass.
-    fn take_stages(&mut self, laps: &[Lap], pass: Pass, particles: usize) {
+    /// The timings of one block, as far as they belong to a pass.
+    fn take_stages(&mut self, timings: &[PassTimings], pass: Pass, particles: usize) {
         for (entry, blocks) in ENTRIES.iter().zip(&mut self.stages) {
             if entry.0 == pass {
-                blocks.extend(share(laps, *entry, particles));
+                blocks.extend(share(timings, *entry, particles));
             }
         }
     }
 
     fn take_forward(&mut self, taken: &Taken, particles: usize) {
         let substeps = SUBSTEPS as usize;
-        for (laps, stamps) in taken.laps.chunks(substeps).zip(taken.stamps.windows(2)) {
-            self.take_stages(laps, Pass::Forward, particles);
+        for (timings, stamps) in taken.timings.chunks(substeps).zip(taken.stamps.windows(2)) {
+            self.take_stages(timings, Pass::Forward, particles);
             self.forward.push(each(difference(stamps[1], stamps[0]), substeps * particles));
         }
     }
 
     fn take_gradient(&mut self, taken: &Taken, substeps: usize, particles: usize) {
-        self.take_stages(&taken.laps, Pass::Adjoint, particles);
+        self.take_stages(&taken.timings, Pass::Adjoint, particles);
         self.gradient.push(each(difference(taken.stamps[1], taken.stamps[0]), substeps * particles));
-        self.advanced[0] += taken.laps.iter().filter(|lap| lap.pass == Pass::Forward).count();
+        self.advanced[0] += taken.timings.iter().filter(|lap| lap.pass == Pass::Forward).count();
         self.advanced[1] += substeps;
     }
 }
@@ -407,14 +411,14 @@ fn counts<T: Elementary>(
     let problem = Problem::new(settings.particles, settings.grid)?.by_substeps();
     let mut bench = Bench::<Counted<T>>::of(problem, 1, operations)?;
     let mut told = |done, total| watch("counting operations", done, total);
-    let laps = if settings.forward_only {
-        bench.forward(1, &mut told)?.laps
+    let timings = if settings.forward_only {
+        bench.forward(1, &mut told)?.timings
     } else {
-        let mut laps = bench.gradient(1, &mut told)?.laps;
-        laps.extend(bench.alone()?);
-        laps
+        let mut timings = bench.gradient(1, &mut told)?.timings;
+        timings.extend(bench.alone()?);
+        timings
     };
-    Ok(ENTRIES.map(|entry| share(&laps, entry, settings.particles).unwrap_or_default()))
+    Ok(ENTRIES.map(|entry| share(&timings, entry, settings.particles).unwrap_or_default()))
 }
 
 /// Memory that a measurement needs, bytes, generously.

@@ -8,7 +8,7 @@
 //! by themselves, and a forward run of the same substeps take turns, so that whatever slows the machine slows all of them.
 //!
 //! No stage is imitated. The rollout's own code runs, with its checkpoints, and the clocks are read between the
-//! stages of its substeps (`mpm/laps.rs`): the stages add up to the whole, and meet the caches as they are. A control step
+//! stages of its substeps (`mpm/timings.rs`): the stages add up to the whole, and meet the caches as they are. A control step
 //! is one block of a forward run, a part is one block of a gradient.
 //!
 //! The gradient keeps as few states as let it advance each substep at most twice. That is what a long motion costs that
@@ -114,7 +114,7 @@ use thiserror::Error;
 use crate::rollout::RolloutError;
 use crate::scene::figures::grouped;
 
-pub use crate::mpm::laps::Stage;
+pub use crate::mpm::timings::Stage;
 pub use counted::Elementary;
 pub use measure::{
     Arithmetic, Bench, Machine, Memory, Report, STAGES, Settings, StageReport, Timing, Watch, WholeReport,

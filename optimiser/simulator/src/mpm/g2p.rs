@@ -10,9 +10,9 @@ use crate::mpm::grid_update::{contact_lanes, contact_lanes_adjoint, find_near, m
 use crate::mpm::layout::{Block, Grid, Nodes, empty_tile, load_tile};
 use crate::mpm::p2g::at_base;
 use crate::mpm::particles::{Group, LANES, Lanes, mat_of, set_mat, set_vec, vec_of};
-use crate::mpm::places::Places;
 use crate::mpm::sleep::Seen;
 use crate::mpm::stencil::{TILE_EDGE, Tile, scatter};
+use crate::mpm::stencil_positions::StencilPositions;
 use crate::real::Real;
 use crate::small::{dot, three, tr_mul_vec};
 
@@ -39,7 +39,7 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticles<'_, T> {
         let sleep = [model.sleep_speed, model.sleep_speed * model.inverse_dx].map(|limit| limit * limit);
         for (g, state) in self.state.iter_mut().enumerate() {
             let x = state.x;
-            let places = Places::of(model.inverse_dx, shift, &x);
+            let places = StencilPositions::of(model.inverse_dx, shift, &x);
             let living = self.block.living(g);
             let gathered = gather(&tile, &places, &places.weights(), living);
             let mut loud = Lanes::ZERO;
@@ -105,7 +105,7 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
         let mut rows = Rows::new();
         for g in 0..self.input.len() {
             let (input, bar) = (&self.input[g], &mut self.bar[g]);
-            let places = Places::of(model.inverse_dx, shift, &input.x);
+            let places = StencilPositions::of(model.inverse_dx, shift, &input.x);
             let (living, weights) = (self.block.living(g), places.weights());
             // x' = x + dt v'
             for axis in 0..3 {

@@ -11,8 +11,8 @@
 //! particle's own first node.
 
 use crate::mpm::particles::{LANES, Lanes};
-use crate::mpm::places::{Places, Weights};
 use crate::mpm::stencil::{TILE_EDGE, Tile};
+use crate::mpm::stencil_positions::{StencilPositions, Weights};
 use crate::real::Real;
 use crate::small::three;
 
@@ -135,7 +135,7 @@ macro_rules! for_parts {
 #[inline(always)]
 pub(crate) fn gather<T: Real>(
     tile: &Tile<T>,
-    places: &Places<T>,
+    places: &StencilPositions<T>,
     w: &Weights<T>,
     living: usize,
 ) -> Gathered<T> {
@@ -147,7 +147,7 @@ pub(crate) fn gather<T: Real>(
 #[inline(always)]
 fn moments<T: Real, const FROM: usize, const TO: usize>(
     tile: &Tile<T>,
-    places: &Places<T>,
+    places: &StencilPositions<T>,
     w: &Weights<T>,
     living: usize,
     out: &mut Gathered<T>,
@@ -190,7 +190,7 @@ fn moments<T: Real, const FROM: usize, const TO: usize>(
 #[inline(always)]
 pub(crate) fn gather_with_gradient<T: Real>(
     tile: &Tile<T>,
-    places: &Places<T>,
+    places: &StencilPositions<T>,
     w: &Weights<T>,
     sent: &Sent<T>,
     mass: T,
@@ -206,7 +206,7 @@ pub(crate) fn gather_with_gradient<T: Real>(
 #[inline(always)]
 pub(crate) fn gather_gradient<T: Real>(
     tile: &Tile<T>,
-    places: &Places<T>,
+    places: &StencilPositions<T>,
     w: &Weights<T>,
     sent: &Sent<T>,
     living: usize,
@@ -256,7 +256,7 @@ struct Along<T> {
 #[expect(clippy::too_many_arguments, reason = "inlined parts of one function")]
 fn of_runs<T: Real, const FROM: usize, const TO: usize, const ALL: bool>(
     tile: &Tile<T>,
-    places: &Places<T>,
+    places: &StencilPositions<T>,
     w: &Weights<T>,
     slopes: &Weights<T>,
     sent: &Sent<T>,

@@ -17,23 +17,23 @@ pub(crate) mod contact;
 pub(crate) mod g2p;
 pub(crate) mod gather;
 pub(crate) mod grid_update;
-pub(crate) mod laps;
 pub(crate) mod layout;
 pub(crate) mod material;
 pub(crate) mod obstacle;
 pub(crate) mod p2g;
 pub(crate) mod particles;
-pub(crate) mod places;
 pub(crate) mod principal;
 pub(crate) mod series;
 pub(crate) mod sleep;
 pub(crate) mod sort;
 pub(crate) mod spare;
 pub(crate) mod stencil;
+pub(crate) mod stencil_positions;
 pub(crate) mod substep;
 #[cfg(test)]
 mod tests;
 pub(crate) mod tiles;
+pub(crate) mod timings;
 
 /// Raised with every change of what a substep computes: a run is not resumed by another physics.
 pub const PHYSICS_VERSION: u32 = 4;

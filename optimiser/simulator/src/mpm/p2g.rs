@@ -9,9 +9,9 @@ use crate::mpm::gather::{Rows, Sent, gather_with_gradient};
 use crate::mpm::layout::{Block, Grid, Nodes, empty_tile, load_tile};
 use crate::mpm::material::{self, is_mild, trial_strain, trial_strain_adjoint};
 use crate::mpm::particles::{Group, LANES, Lanes, mat_of, set_mat, set_vec, vec_of};
-use crate::mpm::places::Places;
 use crate::mpm::principal;
 use crate::mpm::stencil::{Affine, Tile, scatter};
+use crate::mpm::stencil_positions::StencilPositions;
 use crate::real::Real;
 use crate::small::{Mat3, Sym3, Vec3, full, mul_vec, scale, sub, three, tr_mul_vec};
 
@@ -58,7 +58,7 @@ impl<T: Real> pulp::NullaryFnOnce for ParticlesToTile<'_, T> {
         *self.tile = empty_tile();
         for g in 0..self.state.len() {
             let input = self.from.map_or(&self.state[g], |from| &from[g]);
-            let places = Places::of(self.model.inverse_dx, shift, &input.x);
+            let places = StencilPositions::of(self.model.inverse_dx, shift, &input.x);
             let mut returned = Returned::ZERO;
             stress(self.model, input, &TrialStrains::new(self.model, input), &places, &mut returned);
             let (x, sent, state) = (input.x, &returned.sent, &mut self.state[g]);
@@ -92,7 +92,7 @@ fn stress<T: Real>(
     model: &Model<T>,
     input: &Group<T>,
     trial: &TrialStrains<T>,
-    places: &Places<T>,
+    places: &StencilPositions<T>,
     out: &mut Returned<T>,
 ) {
     if trial.all_mild {
@@ -137,7 +137,7 @@ fn send_sheared<T: Real>(
     model: &Model<T>,
     input: &Group<T>,
     trial: &TrialStrains<T>,
-    places: &Places<T>,
+    places: &StencilPositions<T>,
     out: &mut Returned<T>,
 ) {
     send::<T, false>(model, input, trial, places, out);
@@ -148,7 +148,7 @@ fn send<T: Real, const MILD: bool>(
     model: &Model<T>,
     input: &Group<T>,
     trial: &TrialStrains<T>,
-    places: &Places<T>,
+    places: &StencilPositions<T>,
     out: &mut Returned<T>,
 ) {
     for l in 0..LANES {
@@ -214,7 +214,7 @@ impl<T: Real> pulp::NullaryFnOnce for ParticlesToTileAdjoint<'_, T> {
         let mut rows = Rows::new();
         for g in 0..self.input.len() {
             let (input, bar) = (&self.input[g], &mut self.bar[g]);
-            let places = Places::of(model.inverse_dx, shift, &input.x);
+            let places = StencilPositions::of(model.inverse_dx, shift, &input.x);
             let (trial, weights) = (TrialStrains::new(model, input), places.weights());
             let mut returned = Returned::ZERO;
             stress(model, input, &trial, &places, &mut returned);
@@ -317,7 +317,7 @@ impl<T: Real> pulp::NullaryFnOnce for ReturnMap<'_, T> {
 
     #[inline(always)]
     fn call(self) {
-        let places = Places { start: [0; LANES], f: [Lanes([T::ONE; LANES]); 3] };
+        let places = StencilPositions { start: [0; LANES], f: [Lanes([T::ONE; LANES]); 3] };
         for (input, output) in self.input.iter().zip(self.output) {
             let trial = TrialStrains::new(self.model, input);
             let mut returned = Returned::ZERO;

@@ -8,7 +8,6 @@ use crate::mpm::Model;
 use crate::mpm::contact::{Motion, MotionBar};
 use crate::mpm::g2p::{TileToParticles, TileToParticlesAdjoint};
 use crate::mpm::grid_update::{UpdateNodes, UpdateNodesAdjoint};
-use crate::mpm::laps::{Laps, Pass, Stage};
 use crate::mpm::layout::{Block, Layout, NodeBlock, Nodes, empty_tile};
 use crate::mpm::p2g::{ParticlesToTile, ParticlesToTileAdjoint, ReturnMap, ReturnMapAdjoint};
 use crate::mpm::particles::{Group, LANES, Particles};
@@ -17,6 +16,7 @@ use crate::mpm::sort::{Lost, sort, unsort};
 use crate::mpm::spare::{Size, Spare, fit, state_bytes};
 use crate::mpm::stencil::Tile;
 use crate::mpm::tiles::Tiles;
+use crate::mpm::timings::{Pass, Stage, StageTimings};
 use crate::real::Real;
 
 /// Blocks that a thread takes at a time, at most: they differ in how many particles they hold, and who has done with his waits.
@@ -75,7 +75,7 @@ impl<T: Real> State<T> {
     }
 
     /// Sorts if a particle has come to the end of its block's reach.
-    fn freshen(&mut self, model: &Model<T>, spare: &mut Spare<T>) -> Result<(), Lost> {
+    fn sort_if_due(&mut self, model: &Model<T>, spare: &mut Spare<T>) -> Result<(), Lost> {
         self.sorted_from = None;
         if self.stale {
             self.fill();
@@ -176,7 +176,7 @@ pub(crate) struct Workspace<T> {
     /// For what nobody asks for.
     unused: Vec<Group<T>>,
     pub(crate) spare: Spare<T>,
-    pub(crate) laps: Laps,
+    pub(crate) timings: StageTimings,
 }
 
 /// Slices of a group array, one per block.
@@ -201,7 +201,7 @@ impl<T: Real> Workspace<T> {
             other_bar: Vec::new(),
             unused: Vec::new(),
             spare: Spare::none(),
-            laps: Laps::default(),
+            timings: StageTimings::default(),
         }
     }
 
@@ -221,27 +221,27 @@ impl<T: Real> Workspace<T> {
     }
 
     /// Advances the state by one substep with the tool's motion at the substep's end.
-    pub(crate) fn advance(
+    pub(crate) fn substep(
         &mut self,
         model: &Model<T>,
         tool: &Motion<T>,
         state: &mut State<T>,
     ) -> Result<(), Lost> {
-        self.laps.begin(Pass::Forward);
+        self.timings.begin(Pass::Forward);
         self.particles_to_grid(model, tool, &state.layout, &state.rest, None, &mut state.particles.groups);
         state.age += 1;
         self.grid_to_particles(model, tool, state)
     }
 
-    /// [`Self::advance`] with the state after the substep written elsewhere, into memory that is used again.
-    pub(crate) fn advance_to(
+    /// [`Self::substep`] with the state after the substep written elsewhere, into memory that is used again.
+    pub(crate) fn substep_to(
         &mut self,
         model: &Model<T>,
         tool: &Motion<T>,
         from: &State<T>,
         to: &mut State<T>,
     ) -> Result<(), Lost> {
-        self.laps.begin(Pass::Forward);
+        self.timings.begin(Pass::Forward);
         let input = &from.particles.groups;
         self.spare.fit_groups(&mut to.particles.groups, input.len());
         to.particles.ids = Arc::clone(&from.particles.ids);
@@ -280,12 +280,12 @@ impl<T: Real> Workspace<T> {
                 (Seen::ASLEEP, rest)
             })
             .unzip();
-        self.laps.mark(Stage::GridToParticles);
+        self.timings.mark(Stage::GridToParticles);
         state.rest = rest;
         state.stale = seen.iter().any(|seen| !seen.inside) || state.age >= SORT_EVERY;
-        let freshened = state.freshen(model, &mut self.spare);
+        let freshened = state.sort_if_due(model, &mut self.spare);
         sleep::fall_asleep(model, &state.layout, &state.particles.groups, &mut state.rest);
-        self.laps.mark(Stage::Sort);
+        self.timings.mark(Stage::Sort);
         freshened
     }
 
@@ -308,7 +308,7 @@ impl<T: Real> Workspace<T> {
                 model.arch.dispatch(ParticlesToTile { model, block, from, state, tile });
             }
         });
-        self.laps.mark(Stage::ParticlesToGrid);
+        self.timings.mark(Stage::ParticlesToGrid);
         let OnGrid { momentum, velocity } = &mut self.on_grid;
         let tiles = Tiles { fresh: &self.tiles, rest, sleepers_send: true };
         let nodes = layout.nodes.par_iter().zip(momentum).zip(velocity);
@@ -317,13 +317,13 @@ impl<T: Real> Workspace<T> {
                 model.arch.dispatch(UpdateNodes { model, tool, node, tiles, momentum, velocity })
             })
             .collect_into_vec(&mut self.moving);
-        self.laps.mark(Stage::GridUpdate);
+        self.timings.mark(Stage::GridUpdate);
     }
 
-    /// Adjoint of [`Self::advance`], the sort at its end excepted: turns the cotangent `bar` of the state after the
+    /// Adjoint of [`Self::substep`], the sort at its end excepted: turns the cotangent `bar` of the state after the
     /// substep into the one of `state`, and returns the cotangent of the tool's motion. What was on the grid is computed again if
     /// it is not known.
-    pub(crate) fn retreat(
+    pub(crate) fn substep_adjoint(
         &mut self,
         model: &Model<T>,
         tool: &Motion<T>,
@@ -331,7 +331,7 @@ impl<T: Real> Workspace<T> {
         known: Option<&OnGrid<T>>,
         bar: &mut [Group<T>],
     ) -> MotionBar {
-        self.laps.begin(Pass::Adjoint);
+        self.timings.begin(Pass::Adjoint);
         let layout = &*state.layout;
         let input = &state.particles.groups;
         self.fit(layout);
@@ -363,7 +363,7 @@ impl<T: Real> Workspace<T> {
                 })
             })
             .collect();
-        self.laps.mark(Stage::GridToParticlesAdjoint);
+        self.timings.mark(Stage::GridToParticlesAdjoint);
         let tiles = Tiles { fresh: &self.tiles, rest: &state.rest, sleepers_send: false };
         let at_nodes: Vec<MotionBar> = layout
             .nodes
@@ -381,7 +381,7 @@ impl<T: Real> Workspace<T> {
                 })
             })
             .collect();
-        self.laps.mark(Stage::GridUpdateAdjoint);
+        self.timings.mark(Stage::GridUpdateAdjoint);
         let nodes_bar = &self.momentum_bar;
         split(layout, bar)
             .into_par_iter()
@@ -396,7 +396,7 @@ impl<T: Real> Workspace<T> {
             });
         let mut total = MotionBar::default();
         at_particles.iter().chain(&at_nodes).for_each(|b| total.add(b));
-        self.laps.mark(Stage::ParticlesToGridAdjoint);
+        self.timings.mark(Stage::ParticlesToGridAdjoint);
         total
     }
 
@@ -406,26 +406,26 @@ impl<T: Real> Workspace<T> {
         let mut output = std::mem::take(&mut self.unused);
         self.spare.fit_groups(&mut output, input.len());
         let of_block = |block: &Block| &input[block.first_group..block.first_group + block.groups()];
-        self.laps.begin(Pass::Alone);
+        self.timings.begin(Pass::Alone);
         split(layout, &mut output).into_par_iter().zip(&layout.blocks).for_each(|(output, block)| {
             model.arch.dispatch(ReturnMap { model, input: of_block(block), output });
         });
-        self.laps.mark(Stage::ReturnMap);
+        self.timings.mark(Stage::ReturnMap);
         let mut bar: Vec<Group<T>> = output.clone();
-        self.laps.skip();
+        self.timings.skip();
         split(layout, &mut bar).into_par_iter().zip(&layout.blocks).for_each(|(bar, block)| {
             model.arch.dispatch(ReturnMapAdjoint { model, input: of_block(block), bar });
         });
-        self.laps.mark(Stage::ReturnMapAdjoint);
+        self.timings.mark(Stage::ReturnMapAdjoint);
         let sorted = sort(&model.grid, &state.particles, &mut self.spare);
-        self.laps.mark(Stage::Sort);
+        self.timings.mark(Stage::Sort);
         let (particles, _, order) = sorted?;
         self.spare.give_groups(particles.groups);
         bar.resize(order.len() / LANES, Group::ZERO);
-        self.laps.skip();
+        self.timings.skip();
         unsort(&bar, &order, input.len(), &mut self.other_bar);
         std::hint::black_box(&self.other_bar);
-        self.laps.mark(Stage::Unsort);
+        self.timings.mark(Stage::Unsort);
         self.unused = output;
         Ok(())
     }

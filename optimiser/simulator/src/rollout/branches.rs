@@ -190,7 +190,7 @@ impl<T: Real> Family<'_, T> {
         for step in branch.step..end {
             for substep in path.substeps_of(step) {
                 workspace
-                    .advance(self.model, &path.motion(substep), &mut branch.state)
+                    .substep(self.model, &path.motion(substep), &mut branch.state)
                     .map_err(|lost| (self.lost)(substep, lost, &branch.state))?;
             }
             let mut guard = lock(work);

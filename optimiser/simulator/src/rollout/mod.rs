@@ -11,7 +11,7 @@ mod simulator;
 mod tests;
 
 pub use outcome::Destination;
-pub(crate) use simulator::Moment;
+pub(crate) use simulator::RolloutState;
 pub use simulator::Simulator;
 
 pub use crate::memory::Work;
@@ -43,7 +43,7 @@ pub struct Evaluation {
 /// Derivative of the loss with respect to one displacement of a control sequence, the others held, in the world
 /// frame: what [`Displacement`] has in metres and in radians, this has per metre and per radian.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Slope {
+pub struct DisplacementGradient {
     /// Metres of loss per metre of each component of the translation.
     pub per_metre: [f64; 3],
     /// Metres of loss per radian of each component of the rotation vector, as it stands in the displacement: about the
@@ -51,7 +51,7 @@ pub struct Slope {
     pub per_radian: [f64; 3],
 }
 
-impl Slope {
+impl DisplacementGradient {
     /// The six numbers in the order of [`Displacement::components`].
     pub fn components(&self) -> [f64; 6] {
         let [x, y, z] = self.per_metre;
@@ -60,7 +60,7 @@ impl Slope {
     }
 }
 
-impl From<Control> for Slope {
+impl From<Control> for DisplacementGradient {
     /// From the cotangent of a [`Control`], translation before rotation vector as there.
     fn from([x, y, z, rx, ry, rz]: Control) -> Self {
         Self { per_metre: [x, y, z], per_radian: [rx, ry, rz] }
@@ -72,7 +72,7 @@ pub type Progress<'a> = &'a mut (dyn FnMut(u64, u64) -> bool + Send);
 
 /// Powder and tool at one moment of a motion.
 #[derive(Clone, Copy, Debug)]
-pub struct Shot<'a> {
+pub struct Snapshot<'a> {
     /// Control steps done.
     pub step: usize,
     /// The tool.
@@ -83,17 +83,17 @@ pub struct Shot<'a> {
     pub velocities_m_s: &'a [[f32; 3]],
 }
 
-/// Looks at shots as they come; `false` stops the rollout with [`RolloutError::Stopped`].
-pub type Look<'a> = &'a mut (dyn FnMut(&Shot<'_>) -> bool + Send);
+/// Looks at snapshots as they come; `false` stops the rollout with [`RolloutError::Stopped`].
+pub type Observer<'a> = &'a mut (dyn FnMut(&Snapshot<'_>) -> bool + Send);
 
-/// A motion that is looked at.
+/// A motion that is recorded.
 #[derive(Clone, Copy, Debug)]
-pub struct Take<'a> {
+pub struct Recording<'a> {
     /// Where the tool begins.
     pub anchor: &'a Pose,
     /// What it does.
     pub controls: &'a [Displacement],
-    /// Control steps from one shot to the next, at least one; the first shot is that of the beginning.
+    /// Control steps from one snapshot to the next, at least one; the first is that of the beginning.
     pub every: usize,
 }
 
@@ -224,7 +224,7 @@ pub trait Evaluate {
         &mut self,
         controls: &[Displacement],
         progress: Progress<'_>,
-    ) -> Result<(Evaluation, Vec<Slope>), RolloutError>;
+    ) -> Result<(Evaluation, Vec<DisplacementGradient>), RolloutError>;
 
     /// Loss of a given control sequence for a tool that begins at `anchor` and not at the scene's start pose.
     ///
@@ -237,14 +237,14 @@ pub trait Evaluate {
         progress: Progress<'_>,
     ) -> Result<Evaluation, RolloutError>;
 
-    /// The same, looked at on the way; and where each particle is in the end, in the order of the packing.
+    /// The same, with snapshots on the way; and where each particle is in the end, in the order of the packing.
     ///
     /// # Errors
     /// See [`RolloutError`].
     fn record(
         &mut self,
-        take: &Take<'_>,
-        look: Look<'_>,
+        recording: &Recording<'_>,
+        observer: Observer<'_>,
         progress: Progress<'_>,
     ) -> Result<(Evaluation, Vec<Destination>), RolloutError>;
 }

@@ -6,17 +6,18 @@ use powderline_shared::pose::Pose;
 use crate::memory::{BRANCHES, Budget, least_states};
 use crate::mpm::Model;
 use crate::mpm::contact::MotionBar;
-use crate::mpm::laps::{Laps, Stage};
 use crate::mpm::particles::{Group, LANES, Particles, set_vec};
 use crate::mpm::sort::Lost;
 use crate::mpm::spare::{Spare, fit, state_bytes};
 use crate::mpm::substep::{OnGrid, State, Workspace};
+use crate::mpm::timings::{Stage, StageTimings};
 use crate::real::Real;
 use crate::rollout::branches::{self, Family, Team};
 use crate::rollout::path::{Path, resting};
 use crate::rollout::schedule::{Action, advances, schedule};
 use crate::rollout::{
-    Destination, Evaluate, Evaluation, Look, Progress, RolloutError, Shot, Slope, Take, loss, outcome,
+    Destination, DisplacementGradient, Evaluate, Evaluation, Observer, Progress, Recording, RolloutError,
+    Snapshot, loss, outcome,
 };
 use crate::scene::Scene;
 use crate::skill::{Control, SkillMap, Theta, displacement};
@@ -29,7 +30,7 @@ const WORKER_STATES: u64 = 4;
 const ADJOINT_WORK: u64 = 3;
 
 /// Powder and tool at one moment of a rollout.
-pub(crate) struct Moment<T> {
+pub(crate) struct RolloutState<T> {
     state: State<T>,
     tool: Pose,
 }
@@ -61,16 +62,21 @@ struct Kept<T> {
     on_grid: Option<OnGrid<T>>,
 }
 
-impl<T: Real> Moment<T> {
-    /// Lets somebody look at it.
-    fn show(&self, step: usize, look: Look<'_>) -> bool {
+impl<T: Real> RolloutState<T> {
+    /// Shows it to an observer.
+    fn show(&self, step: usize, observer: Observer<'_>) -> bool {
         let particles = &self.state.particles;
         let narrow = |rows: Vec<[f64; 3]>| -> Vec<[f32; 3]> {
             rows.into_iter().map(|row| row.map(|x| x as f32)).collect()
         };
         let positions_m = narrow(particles.positions_by_id());
         let velocities_m_s = narrow(particles.velocities_by_id());
-        look(&Shot { step, tool: self.tool, positions_m: &positions_m, velocities_m_s: &velocities_m_s })
+        observer(&Snapshot {
+            step,
+            tool: self.tool,
+            positions_m: &positions_m,
+            velocities_m_s: &velocities_m_s,
+        })
     }
 
     /// Blocks whose powder sleeps.
@@ -116,12 +122,12 @@ impl<T: Real> Simulator<T> {
     }
 
     /// What each stage of the substeps to come takes.
-    pub(crate) fn laps(&mut self) -> &mut Laps {
-        &mut self.workspace.laps
+    pub(crate) fn timings(&mut self) -> &mut StageTimings {
+        &mut self.workspace.timings
     }
 
-    /// Runs some stages by themselves, for what they take.
-    pub(crate) fn alone(&mut self, moment: &Moment<T>) -> Result<(), RolloutError> {
+    /// Runs some stages by themselves, for what they recording.
+    pub(crate) fn alone(&mut self, moment: &RolloutState<T>) -> Result<(), RolloutError> {
         let lost = |r: &Rollout<'_, T>, lost| lost_error(r.scene, 0, lost, Some(&moment.state));
         let job = |r: &mut Rollout<'_, T>| r.workspace.alone(r.model, &moment.state).map_err(|l| lost(r, l));
         self.in_pool(job, &mut |_, _| true)
@@ -132,45 +138,49 @@ impl<T: Real> Simulator<T> {
     }
 
     /// The settled powder under the tool's start pose.
-    pub(crate) fn beginning(&mut self, progress: Progress<'_>) -> Result<Moment<T>, RolloutError> {
+    pub(crate) fn beginning(&mut self, progress: Progress<'_>) -> Result<RolloutState<T>, RolloutError> {
         let tool = self.anchor;
-        Ok(Moment { state: self.in_pool(|r| r.settled(), progress)?, tool })
+        Ok(RolloutState { state: self.in_pool(|r| r.settled(), progress)?, tool })
     }
 
     /// The settled powder under a tool that waits at `tool`.
-    fn beginning_under(&mut self, tool: &Pose, progress: Progress<'_>) -> Result<Moment<T>, RolloutError> {
+    fn beginning_under(
+        &mut self,
+        tool: &Pose,
+        progress: Progress<'_>,
+    ) -> Result<RolloutState<T>, RolloutError> {
         if *tool == self.anchor {
             return self.beginning(progress);
         }
-        Ok(Moment { state: self.in_pool(|r| r.settle_under(tool), progress)?, tool: *tool })
+        Ok(RolloutState { state: self.in_pool(|r| r.settle_under(tool), progress)?, tool: *tool })
     }
 
     /// The moment after the given controls.
     pub(crate) fn after(
         &mut self,
-        from: &Moment<T>,
+        from: &RolloutState<T>,
         controls: &[Displacement],
         progress: Progress<'_>,
-    ) -> Result<Moment<T>, RolloutError> {
+    ) -> Result<RolloutState<T>, RolloutError> {
         let path = self.path(from.tool, controls.to_vec());
         let state = self.in_pool(|r| r.forward(&from.state, &path), progress)?;
-        Ok(Moment { state, tool: path.end().unwrap_or(from.tool) })
+        Ok(RolloutState { state, tool: path.end().unwrap_or(from.tool) })
     }
 
     /// Takes the memory of a moment that is past.
-    fn forget(&mut self, moment: Moment<T>) {
+    fn forget(&mut self, moment: RolloutState<T>) {
         moment.state.give_to(&mut self.workspace.spare);
     }
 
     /// What has been achieved at a moment.
-    pub(crate) fn judge(&self, moment: &Moment<T>) -> Evaluation {
+    pub(crate) fn judge(&self, moment: &RolloutState<T>) -> Evaluation {
         evaluation(&self.scene, &moment.state.particles.positions_by_id(), &moment.tool).0
     }
 
     /// Evaluation after the given controls, and the loss's cotangents of the controls.
     pub(crate) fn control_gradient(
         &mut self,
-        from: &Moment<T>,
+        from: &RolloutState<T>,
         controls: &[Displacement],
         progress: Progress<'_>,
     ) -> Result<(Evaluation, Vec<Control>), RolloutError> {
@@ -182,7 +192,7 @@ impl<T: Real> Simulator<T> {
     /// Evaluations after each of several control sequences of one length, side by side.
     pub(crate) fn evaluate_motions(
         &mut self,
-        from: &Moment<T>,
+        from: &RolloutState<T>,
         motions: Vec<Vec<Displacement>>,
         progress: Progress<'_>,
     ) -> Result<Vec<Evaluation>, RolloutError> {
@@ -319,11 +329,13 @@ impl<T: Real> Evaluate for Simulator<T> {
         &mut self,
         controls: &[Displacement],
         progress: Progress<'_>,
-    ) -> Result<(Evaluation, Vec<Slope>), RolloutError> {
+    ) -> Result<(Evaluation, Vec<DisplacementGradient>), RolloutError> {
         let start = self.beginning(progress)?;
         let gradient = self.control_gradient(&start, controls, progress);
         self.forget(start);
-        gradient.map(|(evaluation, bars)| (evaluation, bars.into_iter().map(Slope::from).collect()))
+        gradient.map(|(evaluation, bars)| {
+            (evaluation, bars.into_iter().map(DisplacementGradient::from).collect())
+        })
     }
 
     fn simulate_from(
@@ -343,19 +355,19 @@ impl<T: Real> Evaluate for Simulator<T> {
 
     fn record(
         &mut self,
-        take: &Take<'_>,
-        look: Look<'_>,
+        recording: &Recording<'_>,
+        observer: Observer<'_>,
         progress: Progress<'_>,
     ) -> Result<(Evaluation, Vec<Destination>), RolloutError> {
-        let mut moment = self.beginning_under(take.anchor, progress)?;
-        let (total, mut step) = (take.controls.len(), 0);
-        let mut shown = take.controls.chunks(take.every.max(1)).peekable();
+        let mut moment = self.beginning_under(recording.anchor, progress)?;
+        let (total, mut step) = (recording.controls.len(), 0);
+        let mut shown = recording.controls.chunks(recording.every.max(1)).peekable();
         loop {
-            if !moment.show(step, look) {
+            if !moment.show(step, observer) {
                 return Err(RolloutError::Stopped);
             }
-            // What is left after the last shot belongs to the motion all the same.
-            let whole = shown.next_if(|controls| controls.len() == take.every.max(1));
+            // What is left after the last snapshot belongs to the motion all the same.
+            let whole = shown.next_if(|controls| controls.len() == recording.every.max(1));
             let Some(controls) = whole else { break };
             let next = self.after(&moment, controls, &mut |_, _| true);
             self.forget(std::mem::replace(&mut moment, next.map_err(|error| error.later_by(step))?));
@@ -364,7 +376,7 @@ impl<T: Real> Evaluate for Simulator<T> {
                 return Err(RolloutError::Stopped);
             }
         }
-        let end = self.after(&moment, &take.controls[step..], &mut |_, _| true);
+        let end = self.after(&moment, &recording.controls[step..], &mut |_, _| true);
         let end = end.map_err(|error| error.later_by(step))?;
         let positions = end.state.particles.positions_by_id();
         Ok((self.judge(&end), outcome::destinations(&self.scene, &positions, &end.tool)))
@@ -454,7 +466,7 @@ impl<T: Real> Rollout<'_, T> {
         substep: usize,
         tool: &crate::mpm::contact::Motion<T>,
     ) -> Result<(), RolloutError> {
-        match self.workspace.advance(self.model, tool, state) {
+        match self.workspace.substep(self.model, tool, state) {
             Ok(()) => Ok(()),
             Err(lost) => Err(lost_error(self.scene, substep, lost, Some(state))),
         }
@@ -467,7 +479,7 @@ impl<T: Real> Rollout<'_, T> {
         tool: &crate::mpm::contact::Motion<T>,
         to: &mut State<T>,
     ) -> Result<(), RolloutError> {
-        let advanced = self.workspace.advance_to(self.model, tool, from, to);
+        let advanced = self.workspace.substep_to(self.model, tool, from, to);
         advanced.map_err(|lost| lost_error(self.scene, substep, lost, Some(to)))
     }
 
@@ -537,13 +549,13 @@ impl<T: Real> Rollout<'_, T> {
                         None => self.end_of(path, state)?,
                     };
                     let tool_bar =
-                        self.workspace.retreat(self.model, &path.motion(step), state, grid, &mut bar);
+                        self.workspace.substep_adjoint(self.model, &path.motion(step), state, grid, &mut bar);
                     self.check_finite(step, &tool_bar, state, &bar)?;
                     back.take(step, tool_bar);
-                    self.workspace.laps.skip();
+                    self.workspace.timings.skip();
                     self.workspace.unsort(state, &mut bar);
                     end = Some((evaluation, bar));
-                    self.workspace.laps.mark(Stage::Unsort);
+                    self.workspace.timings.mark(Stage::Unsort);
                     done += ADJOINT_WORK;
                     self.report(done.min(total), total)?;
                 }

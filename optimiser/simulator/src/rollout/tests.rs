@@ -2,7 +2,10 @@
 
 use powderline_shared::plan::Precision;
 
-use crate::rollout::{Evaluate, RolloutError, Shot, SimulatorSettings, Slope, Take, gradcheck, simulator};
+use crate::rollout::{
+    DisplacementGradient, Evaluate, Recording, RolloutError, SimulatorSettings, Snapshot, gradcheck,
+    simulator,
+};
 use crate::scene::{Aim, Scene};
 use crate::skill::{Control, SkillMap, Theta, displacement};
 
@@ -139,15 +142,15 @@ fn a_motion_that_is_looked_at_ends_as_one_that_is_not() {
     let alone = s.simulate(&controls, &mut |_, _| true).expect("runs");
     let positions = s.final_positions(&controls, &mut |_, _| true).expect("runs");
     for every in [1, 10, 25, 40] {
-        let take = Take { anchor: map.start_pose(), controls: &controls, every };
+        let recording = Recording { anchor: map.start_pose(), controls: &controls, every };
         let (mut steps, mut last) = (Vec::new(), Vec::new());
-        let mut look = |shot: &Shot<'_>| {
-            steps.push(shot.step);
-            last = shot.positions_m.to_vec();
-            assert_eq!(shot.positions_m.len(), shot.velocities_m_s.len());
+        let mut observer = |snapshot: &Snapshot<'_>| {
+            steps.push(snapshot.step);
+            last = snapshot.positions_m.to_vec();
+            assert_eq!(snapshot.positions_m.len(), snapshot.velocities_m_s.len());
             true
         };
-        let (evaluation, destinations) = s.record(&take, &mut look, &mut |_, _| true).expect("runs");
+        let (evaluation, destinations) = s.record(&recording, &mut observer, &mut |_, _| true).expect("runs");
         assert_eq!(evaluation.loss.to_bits(), alone.loss.to_bits(), "{every}");
         assert_eq!(steps, (0..=25).step_by(every).collect::<Vec<_>>());
         assert_eq!(destinations.len(), positions.len());
@@ -158,7 +161,7 @@ fn a_motion_that_is_looked_at_ends_as_one_that_is_not() {
                     .all(|(shown, end)| shown.map(f32::to_bits) == end.map(|x| (x as f32).to_bits()))
             );
         }
-        let refused = s.record(&take, &mut |_| false, &mut |_, _| true);
+        let refused = s.record(&recording, &mut |_| false, &mut |_, _| true);
         assert_eq!(refused.err(), Some(RolloutError::Stopped));
     }
 }
@@ -191,7 +194,7 @@ fn the_gradient_of_controls_agrees_with_central_differences() {
             let moved: Vec<_> = controls.iter().enumerate().map(moved).collect();
             s.simulate(&moved, &mut |_, _| true).expect("runs").loss
         };
-        let along = |(step, slope): (usize, &Slope)| -> f64 {
+        let along = |(step, slope): (usize, &DisplacementGradient)| -> f64 {
             slope.components().iter().enumerate().map(|(k, slope)| slope * direction(step, k)).sum()
         };
         let adjoint: f64 = slopes.iter().enumerate().map(along).sum();

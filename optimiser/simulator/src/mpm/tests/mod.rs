@@ -230,7 +230,7 @@ fn to_particles<T: Real>(
 fn advance<T: Real>(model: &Model<T>, tool: &Motion<T>, state: &mut State<T>, substeps: usize) {
     let mut workspace = Workspace::new();
     for _ in 0..substeps {
-        workspace.advance(model, tool, state).unwrap();
+        workspace.substep(model, tool, state).unwrap();
     }
 }
 

@@ -91,7 +91,7 @@ fn what_falls_on_sleepers_wakes_them_and_comes_to_rest_as_on_those_awake() {
     let mut workspace = Workspace::new();
     let (mut sleepers, mut awake) = (0, 0);
     for substep in 0..1200 {
-        workspace.advance(&sleepy, &far_away(), &mut state).unwrap();
+        workspace.substep(&sleepy, &far_away(), &mut state).unwrap();
         if substep < 250 {
             sleepers = asleep(&state);
         } else {
@@ -134,8 +134,8 @@ fn cotangents_of_sleepers_stay_and_those_of_others_are_what_they_are_without_the
     wide_awake.particles = state.particles.clone();
     wide_awake.layout = state.layout.clone();
     let mut other = bar.clone();
-    Workspace::new().retreat(&sleepy, &far_away(), &state, None, &mut bar);
-    Workspace::new().retreat(&wakeful, &far_away(), &wide_awake, None, &mut other);
+    Workspace::new().substep_adjoint(&sleepy, &far_away(), &state, None, &mut bar);
+    Workspace::new().substep_adjoint(&wakeful, &far_away(), &wide_awake, None, &mut other);
     let (mut of_lump, mut kept) = (0, 0);
     for (block, asleep) in state.layout.blocks.iter().zip(sleepers) {
         for g in block.first_group..block.first_group + block.groups() {

@@ -11,10 +11,10 @@ use crate::mpm::layout::{BLOCK_NODES, Nodes, empty_tile, load_tile};
 use crate::mpm::material::Material;
 use crate::mpm::p2g::{ParticlesToTileAdjoint, affine, at_base};
 use crate::mpm::particles::{Group, LANES, Lanes, Particles};
-use crate::mpm::places::Places;
 use crate::mpm::sort::{sort, unsort};
 use crate::mpm::spare::Spare;
 use crate::mpm::stencil::{Affine, Stencil, TILE_EDGE, TILE_LENGTH, Tile, scatter, weight_slopes, weights};
+use crate::mpm::stencil_positions::StencilPositions;
 use crate::mpm::substep::{State, Workspace};
 use crate::mpm::tests::{
     Dice, assert_gradient, empty_bench, far_away, lattice, moved, on_grid, row, standing, to_particles,
@@ -206,7 +206,7 @@ fn taken(tile: &Tile<f64>, x: Vec3<f64>, sent: &Affine<f64>) -> ([f64; 4], [[f64
 }
 
 /// A group of particles at coordinates in a tile, and what they send.
-fn group_at<T: Real>(x: &[Vec3<f64>], sent: &[Affine<f64>]) -> (Places<T>, Sent<T>) {
+fn group_at<T: Real>(x: &[Vec3<f64>], sent: &[Affine<f64>]) -> (StencilPositions<T>, Sent<T>) {
     let mut at = [Lanes([T::of(4.0); LANES]); 3];
     let mut out = Sent::ZERO;
     for (l, (x, sent)) in x.iter().zip(sent).enumerate() {
@@ -218,7 +218,7 @@ fn group_at<T: Real>(x: &[Vec3<f64>], sent: &[Affine<f64>]) -> (Places<T>, Sent<
             }
         }
     }
-    (Places::of(T::ONE, [T::ZERO; 3], &at), out)
+    (StencilPositions::of(T::ONE, [T::ZERO; 3], &at), out)
 }
 
 /// An affine function whose fourth number is the same at all nodes.
@@ -532,15 +532,15 @@ fn a_whole_substep_has_taylor_slope_two_in_the_state_and_the_tools_motion() {
     let f = |x: &[f64]| {
         let mut state = with_numbers(&state, &x[..22 * count]);
         let tool = moved(&tool, &scaled(&x[22 * count..], &TOOL_SIZES));
-        Workspace::new().advance(&model, &tool, &mut state).unwrap();
+        Workspace::new().substep(&model, &tool, &mut state).unwrap();
         measure.of(&state.particles, &state.particles.groups)
     };
     let mut after = state.clone();
     let mut workspace = Workspace::new();
-    workspace.advance(&model, &tool, &mut after).unwrap();
+    workspace.substep(&model, &tool, &mut after).unwrap();
     let mut bar = measure.cotangent(&after.particles);
     workspace.unsort(&after, &mut bar);
-    let tool_bar = workspace.retreat(&model, &tool, &state, None, &mut bar);
+    let tool_bar = workspace.substep_adjoint(&model, &tool, &state, None, &mut bar);
     let mut gradient = gradient_of(&state.particles, &bar);
     gradient.extend(tool_gradient(&tool_bar));
     let mut x = numbers(&state.particles);
@@ -593,7 +593,7 @@ fn cotangents_survive_sorting() {
         let mut state = with_numbers(&first, x);
         let mut workspace = Workspace::new();
         for _ in 0..SUBSTEPS {
-            workspace.advance(&model, &tool, &mut state).unwrap();
+            workspace.substep(&model, &tool, &mut state).unwrap();
         }
         measure.of(&state.particles, &state.particles.groups)
     };
@@ -612,14 +612,14 @@ fn cotangents_survive_sorting() {
             (0..groups * crate::mpm::particles::LANES).map(|i| i as u32).collect()
         };
         states.push((state.clone(), order, groups));
-        workspace.advance(&model, &tool, &mut state).unwrap();
+        workspace.substep(&model, &tool, &mut state).unwrap();
         needed += usize::from(state.sorted_from.is_some());
     }
     let mut after = state;
     let mut bar = measure.cotangent(&after.particles);
     for (state, order, groups) in states.into_iter().rev() {
         workspace.unsort(&after, &mut bar);
-        workspace.retreat(&model, &tool, &state, None, &mut bar);
+        workspace.substep_adjoint(&model, &tool, &state, None, &mut bar);
         if state.sorted_from.is_none() {
             let sorted = bar.clone();
             unsort(&sorted, &order, groups, &mut bar);

@@ -7,7 +7,7 @@ use crate::small::{Vec3, three};
 
 /// Where the particles of a group stand in their block's tile.
 #[derive(Clone, Copy)]
-pub(crate) struct Places<T> {
+pub(crate) struct StencilPositions<T> {
     /// The first of each particle's 27 nodes.
     pub(crate) start: [i32; LANES],
     /// Distance from that node, in cells.
@@ -34,7 +34,7 @@ impl<T: Real> Stencils<T> {
     }
 }
 
-impl<T: Real> Places<T> {
+impl<T: Real> StencilPositions<T> {
     /// Of the particles at `x` (m); `shift` is what `x/dx` lacks of the coordinate in the tile.
     #[inline(always)]
     pub(crate) fn of(inverse_dx: T, shift: Vec3<T>, x: &[Lanes<T>; 3]) -> Self {

@@ -49,36 +49,36 @@ pub(crate) enum Pass {
 
 /// One pass, and what each stage took of it.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Lap {
+pub(crate) struct PassTimings {
     pub(crate) pass: Pass,
     pub(crate) stages: [Reading; STAGES],
 }
 
 /// The passes since a gauge was set.
 #[derive(Debug, Default)]
-pub(crate) struct Laps {
+pub(crate) struct StageTimings {
     gauge: Option<Gauge>,
     last: Reading,
-    laps: Vec<Lap>,
+    timings: Vec<PassTimings>,
 }
 
-impl Laps {
-    /// Begins to keep laps.
+impl StageTimings {
+    /// Begins to keep timings.
     pub(crate) fn follow(&mut self, gauge: Gauge) {
         self.gauge = Some(gauge);
-        self.laps.clear();
+        self.timings.clear();
     }
 
     /// Ends it, and gives what was kept.
-    pub(crate) fn take(&mut self) -> Vec<Lap> {
+    pub(crate) fn take(&mut self) -> Vec<PassTimings> {
         self.gauge = None;
-        std::mem::take(&mut self.laps)
+        std::mem::take(&mut self.timings)
     }
 
     /// A pass begins.
     pub(crate) fn begin(&mut self, pass: Pass) {
         if self.gauge.is_some() {
-            self.laps.push(Lap { pass, stages: [[0; 2]; STAGES] });
+            self.timings.push(PassTimings { pass, stages: [[0; 2]; STAGES] });
             self.skip();
         }
     }
@@ -92,7 +92,7 @@ impl Laps {
 
     /// What was done since the last reading was this stage of the present pass.
     pub(crate) fn mark(&mut self, stage: Stage) {
-        let (Some(gauge), Some(lap)) = (self.gauge, self.laps.last_mut()) else { return };
+        let (Some(gauge), Some(lap)) = (self.gauge, self.timings.last_mut()) else { return };
         let now = gauge();
         for (sum, (now, last)) in lap.stages[stage as usize].iter_mut().zip(now.iter().zip(self.last)) {
             *sum += now - last;
