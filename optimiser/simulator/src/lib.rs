@@ -1,4 +1,81 @@
-//! A differentiable powder simulator: scenes, skills, rollouts, losses and their exact adjoint.
+//! Powder in motion, simulated and differentiated: what a spoon that is moved along a path brings from one container into
+//! another, and the exact derivative of that with respect to every displacement of the path.
+//!
+//! The powder is a continuum, moved by the moving least squares material point method (MLS-MPM) with Drucker-Prager
+//! plasticity, in contact with rigid containers and a rigid tool by Coulomb friction. Every stage of a substep has its adjoint beside
+//! it, tested by Taylor slopes. The same scene, seed and precision give the same bits on any machine, for any number of threads
+//! and any memory budget.
+//!
+//! ```
+//! use powderline_simulator::rollout::{SimulatorSettings, boxed_simulator};
+//! use powderline_simulator::scene::Scene;
+//! use powderline_simulator::skill::{SkillMap, displacement};
+//!
+//! # fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! // A bench that comes along; `Scene::from_toml` reads one of your own, and says in a sentence what is wrong with it.
+//! let scene = Scene::load("bench-small")?;
+//! let mut simulator = boxed_simulator(&scene, &SimulatorSettings::default())?;
+//!
+//! // Five skill parameters, each from -1 to 1, become a displacement of the tool for each control step.
+//! let skill = SkillMap::new(&scene).controls(&[0.3, 0.0, 0.0, 0.0, 0.3])?;
+//! let controls: Vec<_> = skill.iter().take(60).map(displacement).collect();
+//!
+//! // What the powder makes of them. The closure hears of the progress and may end it.
+//! let found = simulator.simulate(&controls, &mut |_done, _total| true)?;
+//! println!("loss {} m, {} particles in the target", found.loss, found.transported);
+//!
+//! // And the derivative of the loss by each of these displacements.
+//! let (_, gradient) = simulator.gradient_of(&controls, &mut |_, _| true)?;
+//! assert!(gradient.iter().flat_map(|step| step.components()).any(|slope| slope != 0.0));
+//! # Ok(())
+//! # }
+//! ```
+//!
+//! More in `examples/`: a whole skill (`rollout`), the gradient beside a difference (`gradient`), a bench built in code
+//! (`scene_in_code`), a loss of one's own (`objective`), every grain on its way (`grains`).
+//!
+//! # The way of the data
+//!
+//! ```text
+//! scene.toml -> scene::Scene -> skill::SkillMap --- theta -> displacements --+
+//!                    |                                                       v
+//!                    +-> packing, shapes, material -> rollout::Simulator -> Evaluation, gradient
+//!                                                          |
+//!                                                  mpm: p2g -> grid_update -> g2p, and back
+//! ```
+//!
+//! A control step is one displacement of the tool in world axes (metres, radians), cut into substeps. The adjoint goes back over them,
+//! from states that were kept and, where memory is short, computed again ([`memory`]).
+//!
+//! # Where each equation lives
+//!
+//! | What | Where | Source |
+//! |---|---|---|
+//! | transfers, affine velocities | `mpm/p2g.rs`, `mpm/g2p.rs` | Hu et al. 2018, MLS-MPM |
+//! | splines and their slopes | `mpm/stencil.rs` | Steffen et al. 2008 |
+//! | elasticity, yield cone, volume correction, cohesion | `mpm/material.rs` | Klar et al. 2016; Tampubolon et al. 2017 |
+//! | contact, friction | `mpm/contact.rs`, `mpm/grid_update.rs` | Coulomb; Stomakhin et al. 2013 |
+//! | signed distances, with second derivatives | `shape` | |
+//! | which states are kept | `rollout/schedule.rs` | Griewank and Walther 2000, revolve |
+//! | the loss | `rollout/loss.rs` | the paper's, and one that asks for an amount |
+//! | the skill | `skill` | the paper's five parameters; minimum jerk |
+//! | what a tool holds, heaped | `scene/capacity.rs` | the friction angle over every edge |
+//!
+//! Units are SI, and stand in the names of fields: `cell_m`, `density_kg_m3`. World frame: z up, the floor at z = 0.
+//!
+//! # To add something
+//!
+//! - **A loss**: no change here; give a function to [`rollout::Simulator::gradient_of_loss`].
+//! - **A tool shape**: a variant of [`scene::ToolShape`] with its fields' ranges in `scene/validate/fields.rs`; its signed distance in
+//!   `shape` (written once: the same code gives normal and curvature); its place in the list of `mpm/obstacle.rs`. The compiler names the
+//!   other places: what it holds (`scene/capacity.rs`), where it reaches (`scene/tool_body.rs`), what lies on it (`rollout/outcome.rs`).
+//! - **A material**: `mpm/material.rs` has the return map and its adjoint side by side; `mpm/tests/` holds both to a Taylor slope
+//!   of 2 and to the closed forms of the element tests. What a run was simulated with is [`mpm::PHYSICS_VERSION`]: raise it.
+//!
+//! # Features, versions
+//!
+//! No features. Semantic versioning; enums that will grow are `#[non_exhaustive]`. `nalgebra` vectors appear in
+//! [`powderline_shared::pose`] on purpose; no other dependency's types are in the interface.
 
 pub mod bench;
 pub mod memory;

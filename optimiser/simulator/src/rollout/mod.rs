@@ -67,6 +67,10 @@ impl From<Control> for DisplacementGradient {
     }
 }
 
+/// A loss of one's own: from the positions of the particles at the end of a motion (m, in the order of the packing) its value,
+/// and its derivative with respect to each position.
+pub type Loss<'a> = &'a (dyn Fn(&[[f64; 3]]) -> (f64, Vec<[f64; 3]>) + Sync);
+
 /// Called now and then with work units done and in total; `false` stops the rollout with [`RolloutError::Stopped`].
 pub type Progress<'a> = &'a mut (dyn FnMut(u64, u64) -> bool + Send);
 
@@ -155,6 +159,16 @@ pub enum RolloutError {
         besides: bool,
         /// By how many threads.
         threads: usize,
+    },
+    /// A loss of one's own is not differentiated by every particle.
+    #[error(
+        "the loss has {given} derivatives, but there are {particles} particles: one for each would be right"
+    )]
+    Loss {
+        /// Derivatives.
+        given: usize,
+        /// Particles.
+        particles: usize,
     },
     /// The skill is not a motion.
     #[error(transparent)]
@@ -260,6 +274,13 @@ pub struct SimulatorSettings {
     pub threads: Option<usize>,
     /// Most memory that the process may take, bytes; checkpoints are chosen to fit.
     pub memory_bytes: u64,
+}
+
+impl Default for SimulatorSettings {
+    /// The first packing in `f32`, a thread for each processor, 1 GiB.
+    fn default() -> Self {
+        Self { seed: 1, precision: Precision::F32, threads: None, memory_bytes: 1 << 30 }
+    }
 }
 
 impl SimulatorSettings {

@@ -16,8 +16,8 @@ use crate::rollout::branches::{self, Family, Team};
 use crate::rollout::path::{Path, resting};
 use crate::rollout::schedule::{Action, advances, schedule};
 use crate::rollout::{
-    Destination, DisplacementGradient, Evaluate, Evaluation, Observer, Progress, Recording, RolloutError,
-    Snapshot, loss, outcome,
+    Destination, DisplacementGradient, Evaluate, Evaluation, Loss, Observer, Progress, Recording,
+    RolloutError, Snapshot, loss, outcome,
 };
 use crate::scene::Scene;
 use crate::skill::{Control, SkillMap, Theta, displacement};
@@ -184,9 +184,35 @@ impl<T: Real> Simulator<T> {
         controls: &[Displacement],
         progress: Progress<'_>,
     ) -> Result<(Evaluation, Vec<Control>), RolloutError> {
+        self.control_gradient_of(None, from, controls, progress)
+    }
+
+    /// The same for a loss of one's own, if it is not the scene's.
+    fn control_gradient_of(
+        &mut self,
+        loss: Option<Loss<'_>>,
+        from: &RolloutState<T>,
+        controls: &[Displacement],
+        progress: Progress<'_>,
+    ) -> Result<(Evaluation, Vec<Control>), RolloutError> {
         let path = self.path(from.tool, controls.to_vec());
         let reserved_bytes = self.bytes_of_workers_to_come();
-        self.in_pool(|r| r.gradient(&from.state, &path, reserved_bytes), progress)
+        self.in_pool_for(loss, |r| r.gradient(&from.state, &path, reserved_bytes), progress)
+    }
+
+    /// A loss of one's own after the given controls, and its derivative with respect to each displacement, the others held.
+    ///
+    /// # Errors
+    /// See [`RolloutError`].
+    pub fn gradient_of_loss(
+        &mut self,
+        controls: &[Displacement],
+        loss: Loss<'_>,
+        progress: Progress<'_>,
+    ) -> Result<(f64, Vec<DisplacementGradient>), RolloutError> {
+        let start = self.beginning(progress)?;
+        let (evaluation, bars) = self.control_gradient_of(Some(loss), &start, controls, progress)?;
+        Ok((evaluation.loss, bars.into_iter().map(DisplacementGradient::from).collect()))
     }
 
     /// Evaluations after each of several control sequences of one length, side by side.
@@ -253,6 +279,16 @@ impl<T: Real> Simulator<T> {
         job: impl FnOnce(&mut Rollout<'_, T>) -> R + Send,
         progress: Progress<'_>,
     ) -> R {
+        self.in_pool_for(None, job, progress)
+    }
+
+    /// The same with a loss of one's own.
+    fn in_pool_for<R: Send>(
+        &mut self,
+        loss: Option<Loss<'_>>,
+        job: impl FnOnce(&mut Rollout<'_, T>) -> R + Send,
+        progress: Progress<'_>,
+    ) -> R {
         let mut rollout = Rollout {
             scene: &self.scene,
             anchor: &self.anchor,
@@ -262,6 +298,7 @@ impl<T: Real> Simulator<T> {
             budget: &self.budget,
             packing: &self.packing,
             most_kept: self.most_kept,
+            loss,
             progress,
         };
         in_first(&self.pool, || job(&mut rollout))
@@ -424,6 +461,8 @@ struct Rollout<'a, T: Real> {
     budget: &'a Budget,
     packing: &'a [[f64; 3]],
     most_kept: usize,
+    /// Instead of the scene's.
+    loss: Option<Loss<'a>>,
     progress: Progress<'a>,
 }
 
@@ -597,7 +636,15 @@ impl<T: Real> Rollout<'_, T> {
             self.step(&mut state, last, &path.motion(last))?;
         }
         let positions = state.particles.positions_by_id();
-        let (evaluation, gradient) = evaluation(self.scene, &positions, &path.end().unwrap_or(*self.anchor));
+        let (mut evaluation, mut gradient) =
+            evaluation(self.scene, &positions, &path.end().unwrap_or(*self.anchor));
+        if let Some(loss) = self.loss {
+            (evaluation.loss, gradient) = loss(&positions);
+            let (given, particles) = (gradient.len(), positions.len());
+            if given != particles {
+                return Err(RolloutError::Loss { given, particles });
+            }
+        }
         let mut bar = std::mem::take(&mut self.workspace.bar);
         fit(&mut bar, state.particles.groups.len(), Group::ZERO);
         bar.fill(Group::ZERO);

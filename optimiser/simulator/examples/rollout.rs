@@ -1,0 +1,19 @@
+//! One skill of a shipped bench, and what it brings: `cargo run --release -p powderline-simulator --example rollout`.
+
+use powderline_simulator::rollout::{Evaluate, SimulatorSettings, simulator};
+use powderline_simulator::scene::Scene;
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let scene = Scene::load("bench-small")?;
+    let mut simulator = simulator::<f32>(&scene, &SimulatorSettings::default())?;
+    // Depth, scooping angle, lift, transport, pouring angle: each from -1 to 1 within the scene's bounds.
+    for theta in [[0.0, -0.5, 0.0, 0.0, 0.3], [0.5, -0.5, 0.0, 0.0, 0.3], [1.0, -0.5, 0.0, 0.0, 0.3]] {
+        let found = simulator.evaluate(&theta, false, &mut |_, _| true)?;
+        let grams = 1e3 * scene.particle_mass_kg() * f64::from(found.transported);
+        println!(
+            "{theta:5.1?}: {grams:.3} g arrive, {} particles spill, loss {:.3} m",
+            found.spilled, found.loss
+        );
+    }
+    Ok(())
+}
