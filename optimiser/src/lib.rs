@@ -4,3 +4,20 @@ pub mod cli;
 pub mod compare;
 pub mod optim;
 pub mod report;
+
+/// The guide, as it stands in `optimiser/guide/`.
+#[cfg(doc)]
+pub mod guide {
+    #[doc = include_str!("../guide/commands.md")]
+    pub mod commands {}
+    #[doc = include_str!("../guide/results.md")]
+    pub mod results {}
+    #[doc = include_str!("../guide/scenes.md")]
+    pub mod scenes {}
+    #[doc = include_str!("../guide/wire.md")]
+    pub mod wire {}
+    #[doc = include_str!("../guide/figures.md")]
+    pub mod figures {}
+    #[doc = include_str!("../guide/limits.md")]
+    pub mod limits {}
+}

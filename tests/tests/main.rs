@@ -8,6 +8,7 @@
 mod changelog;
 mod executed;
 mod interrupted;
+mod links;
 mod next;
 mod pipeline;
 mod pipes;
