@@ -1,7 +1,7 @@
 //! Draws the picture in the README: the bench from the side at four moments of a simulated skill.
 //!
 //! ```text
-//! cargo run --release -p powderline-optimiser --example picture > optimiser/scenes/bench.svg
+//! cargo run --release -p powderline-optimiser --example picture > optimiser/guide/bench.svg
 //! ```
 //!
 //! Each dot is a simulated particle within [`SLICE_M`] of the plane that the tool moves in. Same bytes on every run.

@@ -5,10 +5,10 @@ pub const DEFAULT_SCENE: &str = "bench";
 
 /// Names and TOML texts of the embedded scenes.
 pub const EMBEDDED_SCENES: [(&str, &str); 4] = [
-    ("bench", include_str!("../../../scenes/bench.toml")),
-    ("bench-small", include_str!("../../../scenes/bench-small.toml")),
-    ("bench-fine", include_str!("../../../scenes/bench-fine.toml")),
-    ("vial", include_str!("../../../scenes/vial.toml")),
+    ("bench", include_str!("../../scenes/bench.toml")),
+    ("bench-small", include_str!("../../scenes/bench-small.toml")),
+    ("bench-fine", include_str!("../../scenes/bench-fine.toml")),
+    ("vial", include_str!("../../scenes/vial.toml")),
 ];
 
 /// TOML text of the embedded scene called `name`.
