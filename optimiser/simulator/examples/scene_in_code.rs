@@ -9,6 +9,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     scene.name = "a finer powder and a beaker".to_owned();
     scene.powder.density_kg_m3 = 620.0;
     scene.powder.friction_angle_deg = 32.0;
+    // Waves are faster in light powder.
+    scene.time.substeps = 24;
     let target = scene.container.iter_mut().find(|one| one.name == scene.objective.target);
     let target = target.ok_or("the scene has no target")?;
     *target = Container {

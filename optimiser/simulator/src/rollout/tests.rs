@@ -204,3 +204,32 @@ fn the_gradient_of_controls_agrees_with_central_differences() {
         assert!(errors.iter().any(|error| *error < 1e-5), "{half:?}: {adjoint:e} {errors:?}");
     }
 }
+
+#[test]
+fn a_loss_of_ones_own_is_differentiated_like_the_scenes() {
+    let mut scene = Scene::load("bench-small").expect("shipped");
+    scene.time.settle_s = 0.0;
+    let map = SkillMap::new(&scene);
+    let controls: Vec<_> =
+        map.controls(&gradcheck::CHECKED_THETA).expect("fits")[..20].iter().map(displacement).collect();
+    let settings = SimulatorSettings { precision: Precision::F64, ..SimulatorSettings::default() };
+    let mut s = simulator::<f64>(&scene, &settings).expect("threads");
+    let (usual, slopes) = s.gradient_of(&controls, &mut |_, _| true).expect("runs");
+    let own = |positions: &[[f64; 3]]| super::loss::loss(&scene, positions);
+    let (loss, again) = s.gradient_of_loss(&controls, &own, &mut |_, _| true).expect("runs");
+    assert_eq!(loss.to_bits(), usual.loss.to_bits());
+    assert!(slopes == again && slopes.iter().any(|slope| slope.per_metre[2] != 0.0));
+    // A multiple of it has as much of a slope.
+    let twice = |positions: &[[f64; 3]]| {
+        let (loss, gradient) = own(positions);
+        (2.0 * loss, gradient.iter().map(|row| row.map(|g| 2.0 * g)).collect())
+    };
+    let (loss, doubled) = s.gradient_of_loss(&controls, &twice, &mut |_, _| true).expect("runs");
+    assert_eq!(loss.to_bits(), (2.0 * usual.loss).to_bits());
+    for (one, two) in slopes.iter().zip(&doubled) {
+        assert_eq!(one.components().map(|g| 2.0 * g), two.components());
+    }
+    let refused = s.gradient_of_loss(&controls, &|_| (0.0, Vec::new()), &mut |_, _| true);
+    let particles = scene.particle_count();
+    assert_eq!(refused.err(), Some(RolloutError::Loss { given: 0, particles }));
+}
