@@ -166,6 +166,8 @@ impl View {
                 .map(place)
                 .to_vec()
             }
+            // The benches that are drawn here have none.
+            _ => return Ok(()),
         };
         polygon(svg, "tool", &outline)
     }

@@ -32,7 +32,7 @@
 //! ```
 //!
 //! More in `examples/`: a whole skill (`rollout`), the gradient beside a difference (`gradient`), a bench built in code
-//! (`scene_in_code`), a loss of one's own (`objective`), every grain on its way (`grains`).
+//! (`scene_in_code`), a custom tool shape (`tool_of_cuboids`), a custom loss (`objective`), every grain on its way (`grains`).
 //!
 //! # The way of the data
 //!
@@ -66,7 +66,8 @@
 //! # To add something
 //!
 //! - **A loss**: no change here; give a function to [`rollout::Simulator::gradient_of_loss`].
-//! - **A tool shape**: a variant of [`scene::ToolShape`] with its fields' ranges in `scene/validate/fields.rs`; its signed distance in
+//! - **A tool shape**: no change here either, if it can be put together from cuboids: [`scene::ToolShape::Cuboids`]. One that is round:
+//!   a variant of [`scene::ToolShape`] with its fields' ranges in `scene/validate/fields.rs`; its signed distance in
 //!   `shape` (written once: the same code gives normal and curvature); its place in the list of `mpm/obstacle.rs`. The compiler names the
 //!   other places: what it holds (`scene/capacity.rs`), where it reaches (`scene/tool_body.rs`), what lies on it (`rollout/outcome.rs`).
 //! - **A material**: `mpm/material.rs` has the return map and its adjoint side by side; `mpm/tests/` holds both to a Taylor slope

@@ -7,8 +7,8 @@
 use crate::mpm::contact::{Law, Motion};
 use crate::mpm::layout::{BLOCK_EDGE, Grid};
 use crate::real::Real;
-use crate::scene::{Container, ContainerShape, Scene, Tool, ToolShape};
-use crate::shape::{Bowl, Capsule, HalfSpace, Ring, Shape, SignedDistance, Slab, with_solid};
+use crate::scene::{Container, ContainerShape, Cuboid, Scene, Tool, ToolShape};
+use crate::shape::{Bowl, Capsule, HalfSpace, Ring, Shape, SignedDistance, Slab, Turned, with_solid};
 use crate::small::{sub, tr_mul_vec};
 
 /// One piece of a body.
@@ -248,11 +248,12 @@ impl Builder {
     /// The tool's pieces in its own frame.
     fn tool<T: Real>(&self, tool: &Tool) -> Vec<Piece<T>> {
         let t = tool.wall_thickness_m;
-        let mut shapes = match tool.shape {
+        let mut shapes = match &tool.shape {
             ToolShape::Bowl { inner_radius_m: r } => {
                 vec![Shape::Bowl(Bowl { radius: T::of(r + 0.5 * t), half: T::of(0.5 * t) })]
             }
-            ToolShape::BoxScoop { inner_size_m: [l, w, h] } => scoop(l, w, h, t),
+            ToolShape::BoxScoop { inner_size_m: [l, w, h] } => scoop(*l, *w, *h, t),
+            ToolShape::Cuboids { cuboid } => cuboid.iter().map(oriented).collect(),
         };
         let (from, along) = tool.handle();
         shapes.push(Shape::Capsule(Capsule {
@@ -277,6 +278,14 @@ fn scoop<T: Real>(l: f64, w: f64, h: f64, t: f64) -> Vec<Shape<T>> {
         wall([-0.5 * t, hw + 0.5 * t, -half_height], [hl + 0.5 * t, 0.5 * t, half_height]),
         wall([-0.5 * t, -hw - 0.5 * t, -half_height], [hl + 0.5 * t, 0.5 * t, half_height]),
     ]
+}
+
+fn oriented<T: Real>(cuboid: &Cuboid) -> Shape<T> {
+    Shape::Turned(Turned {
+        centre: cuboid.centre_m.map(T::of),
+        half: cuboid.size_m.map(|edge| T::of(0.5 * edge)),
+        axes: cuboid.axes().map(|axis| axis.map(T::of)),
+    })
 }
 
 fn at_rest<T: Real>(rotation: [[f64; 3]; 3], position: [f64; 3]) -> Motion<T> {

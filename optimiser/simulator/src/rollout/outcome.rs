@@ -81,10 +81,16 @@ fn inside(c: &Container, p: &[f64; 3]) -> bool {
 fn held(scene: &Scene, tool: &Pose, p: &[f64; 3]) -> bool {
     let y = tool.tool_from_world(&(*p).into());
     let t = scene.tool.wall_thickness_m;
-    match scene.tool.shape {
+    match &scene.tool.shape {
         ToolShape::Bowl { inner_radius_m } => y.norm() <= inner_radius_m + t,
         ToolShape::BoxScoop { inner_size_m: [l, w, h] } => {
             y.x.abs() <= 0.5 * l + t && y.y.abs() <= 0.5 * w + t && y.z.abs() <= h + t
+        }
+        ToolShape::Cuboids { .. } => {
+            let ([low, high], p) = (scene.tool.body_extent_m(), [y.x, y.y, y.z]);
+            // A heap is at most as high as the body.
+            let above = [t, t, t + high[2] - low[2]];
+            (0..3).all(|i| (low[i] - t..=high[i] + above[i]).contains(&p[i]))
         }
     }
 }

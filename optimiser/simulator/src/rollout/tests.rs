@@ -6,7 +6,7 @@ use crate::rollout::{
     DisplacementGradient, Evaluate, Recording, RolloutError, SimulatorSettings, Snapshot, gradcheck,
     simulator,
 };
-use crate::scene::{Aim, Scene};
+use crate::scene::{Aim, Cuboid, Scene, ToolShape};
 use crate::skill::{Control, SkillMap, Theta, displacement};
 
 #[test]
@@ -232,4 +232,38 @@ fn a_loss_of_ones_own_is_differentiated_like_the_scenes() {
     let refused = s.gradient_of_loss(&controls, &|_| (0.0, Vec::new()), &mut |_, _| true);
     let particles = scene.particle_count();
     assert_eq!(refused.err(), Some(RolloutError::Loss { given: 0, particles }));
+}
+
+/// A scoop put together from cuboids is the scoop: the same bits.
+#[test]
+fn a_scoop_of_cuboids_moves_powder_as_the_scoop_does() {
+    let mut scene = Scene::load("bench-small").expect("shipped");
+    scene.time.settle_s = 0.0;
+    let ([l, w, h], t) = ([0.018, 0.016, 0.010], scene.tool.wall_thickness_m);
+    let cuboid = |centre_m: [f64; 3], half_m: [f64; 3]| Cuboid {
+        centre_m,
+        size_m: half_m.map(|edge| 2.0 * edge),
+        rotation_deg: [0.0; 3],
+    };
+    let (hl, hw, half_height) = (0.5 * l, 0.5 * w, 0.5 * (h + t));
+    let cuboids = vec![
+        cuboid([-0.5 * t, 0.0, -h - 0.5 * t], [hl + 0.5 * t, hw + t, 0.5 * t]),
+        cuboid([-hl - 0.5 * t, 0.0, -half_height], [0.5 * t, hw + t, half_height]),
+        cuboid([-0.5 * t, hw + 0.5 * t, -half_height], [hl + 0.5 * t, 0.5 * t, half_height]),
+        cuboid([-0.5 * t, -hw - 0.5 * t, -half_height], [hl + 0.5 * t, 0.5 * t, half_height]),
+    ];
+    scene.tool.shape = ToolShape::BoxScoop { inner_size_m: [l, w, h] };
+    let skill = SkillMap::new(&scene).controls(&gradcheck::CHECKED_THETA).expect("fits");
+    let controls: Vec<_> = skill[..80].iter().map(displacement).collect();
+    let gradient = |shape: ToolShape| {
+        let mut scene = scene.clone();
+        scene.tool.shape = shape;
+        let mut s = simulator::<f32>(&scene, &SimulatorSettings::default()).expect("threads");
+        let (evaluation, slopes) = s.gradient_of(&controls, &mut |_, _| true).expect("runs");
+        (evaluation.loss.to_bits(), slopes)
+    };
+    let scoop = gradient(scene.tool.shape.clone());
+    assert!(scoop == gradient(ToolShape::Cuboids { cuboid: cuboids.clone() }));
+    // One that has no floor carries something else.
+    assert!(scoop.0 != gradient(ToolShape::Cuboids { cuboid: cuboids[1..].to_vec() }).0);
 }

@@ -7,14 +7,16 @@
 //! | h(x, y), highest surface that stays on the tool | `surface_m` |
 //!
 //! `h(x, y) = min over the edge e of (z_e + tan(phi) |(x, y) - (x_e, y_e)|)`: from no edge over which powder could leave does it
-//! rise more steeply than phi. The edge of a bowl is its rim; that of a scoop its rim and the front of its floor.
-//! Level powder is the same with phi = 0.
+//! rise more steeply than phi. The edge of a bowl is its rim; that of a scoop its rim and the front of its floor; that of cuboids
+//! the border of what they cover, seen from above. Level powder is the same with phi = 0.
 
-use super::{Scene, ToolShape};
+use super::{Cuboid, Scene, ToolShape};
 use serde::Serialize;
 
 /// Parts that the cavity's extent is cut into, along each axis.
 const PARTS: usize = 48;
+/// Most parts where thin walls ask for more.
+const MOST_PARTS: usize = 1000;
 /// Points that stand for an edge.
 const EDGE_POINTS: usize = 96;
 /// Step between two pitches that are tried, radians.
@@ -37,11 +39,22 @@ pub struct Capacity {
 struct Ruler {
     from_m: f64,
     step_m: f64,
+    parts: usize,
 }
 
 impl Ruler {
-    fn new([from_m, to_m]: [f64; 2]) -> Self {
-        Self { from_m, step_m: (to_m - from_m) / PARTS as f64 }
+    fn new(extent_m: [f64; 2]) -> Self {
+        Self::in_parts(extent_m, PARTS)
+    }
+
+    fn in_parts([from_m, to_m]: [f64; 2], parts: usize) -> Self {
+        Self { from_m, step_m: (to_m - from_m) / parts as f64, parts }
+    }
+
+    /// In parts of at most so many metres.
+    fn fine(extent_m: [f64; 2], most_m: f64) -> Self {
+        let parts = ((extent_m[1] - extent_m[0]) / most_m).ceil() as usize;
+        Self::in_parts(extent_m, parts.clamp(PARTS, MOST_PARTS))
     }
 
     /// The middle of a part.
@@ -50,7 +63,7 @@ impl Ruler {
     }
 
     fn middles(self) -> impl Iterator<Item = f64> {
-        (0..PARTS).map(move |index| self.at(index))
+        (0..self.parts).map(move |index| self.at(index))
     }
 }
 
@@ -67,21 +80,20 @@ impl Scene {
             .scooping_angle_deg
             .map(|scoop_deg| (self.tool.start_pitch_deg - scoop_deg).to_radians());
         let steps = ((least - most) / PITCH_STEP_RAD).ceil().max(1.0);
+        let (shape, edge) = (&self.tool.shape, self.tool.shape.edge());
         (0..=steps as u32)
-            .map(|step| {
-                self.tool.shape.heaped_m3(most + f64::from(step) / steps * (least - most), repose_rad)
-            })
+            .map(|step| shape.heaped_m3(&edge, most + f64::from(step) / steps * (least - most), repose_rad))
             .fold(0.0, f64::max)
     }
 }
 
 impl ToolShape {
-    /// Volume of the highest heap that stays on the tool at this pitch, cubic metres.
-    fn heaped_m3(&self, pitch_rad: f64, repose_rad: f64) -> f64 {
+    /// Volume of the highest heap that stays on the tool of this edge at this pitch, cubic metres.
+    fn heaped_m3(&self, edge: &[Point], pitch_rad: f64, repose_rad: f64) -> f64 {
         let (sin, cos) = libm::sincos(pitch_rad);
         let upright = |[x, y, z]: Point| [x * cos + z * sin, y, z * cos - x * sin];
         let tilted = |[x, y, z]: Point| [x * cos - z * sin, y, x * sin + z * cos];
-        let edge: Vec<Point> = self.edge().into_iter().map(upright).collect();
+        let edge: Vec<Point> = edge.iter().copied().map(upright).collect();
         let [x, y, z] = self.extent_m(upright).map(Ruler::new);
         let slope = libm::tan(repose_rad);
         let mut sum_m = 0.0;
@@ -106,45 +118,48 @@ impl ToolShape {
 
     /// Extent of the cavity along x, y, z once it is turned, metres.
     fn extent_m(&self, upright: impl Fn(Point) -> Point) -> [[f64; 2]; 3] {
-        match *self {
+        match self {
             // Of the whole ball, which holds it at any pitch.
-            Self::Bowl { inner_radius_m } => [[-inner_radius_m, inner_radius_m]; 3],
-            Self::BoxScoop { inner_size_m: [length, width, height] } => {
-                let corners: Vec<Point> = (0..8)
-                    .map(|corner| {
-                        let side = |bit: usize| if corner >> bit & 1 == 0 { -0.5 } else { 0.5 };
-                        upright([side(0) * length, side(1) * width, (side(2) - 0.5) * height])
-                    })
-                    .collect();
-                [0, 1, 2].map(|axis| {
-                    let along = || corners.iter().map(|corner| corner[axis]);
-                    [along().fold(f64::INFINITY, f64::min), along().fold(f64::NEG_INFINITY, f64::max)]
-                })
-            }
+            Self::Bowl { inner_radius_m } => [[-inner_radius_m, *inner_radius_m]; 3],
+            Self::BoxScoop { inner_size_m: [length, width, height] } => extent((0..8).map(|corner| {
+                let side = |bit: usize| if corner >> bit & 1 == 0 { -0.5 } else { 0.5 };
+                upright([side(0) * length, side(1) * width, (side(2) - 0.5) * height])
+            })),
+            Self::Cuboids { cuboid } => extent(cuboid.iter().flat_map(Cuboid::corners_m).map(upright)),
         }
     }
 
     fn holds(&self, [x, y, z]: Point) -> bool {
-        match *self {
-            Self::Bowl { inner_radius_m } => z <= 0.0 && libm::hypot(libm::hypot(x, y), z) <= inner_radius_m,
+        match self {
+            Self::Bowl { inner_radius_m } => z <= 0.0 && libm::hypot(libm::hypot(x, y), z) <= *inner_radius_m,
             Self::BoxScoop { inner_size_m: [length, width, height] } => {
                 x.abs() <= 0.5 * length && y.abs() <= 0.5 * width && (-height..=0.0).contains(&z)
+            }
+            // Over one of the cuboids and within none.
+            Self::Cuboids { cuboid } => {
+                let mut spans = cuboid.iter().filter_map(|cuboid| cuboid.heights_m(x, y));
+                let is_over = spans.clone().any(|[low, _]| low < z);
+                is_over && spans.all(|[low, high]| z < low || z > high)
             }
         }
     }
 
     /// Whether a point just outside the cavity is there through an opening, not through a wall.
-    fn is_open_at(&self, [x, _, z]: Point) -> bool {
-        match *self {
+    fn is_open_at(&self, [x, y, z]: Point) -> bool {
+        match self {
             Self::Bowl { .. } => z > 0.0,
             Self::BoxScoop { inner_size_m: [length, ..] } => z > 0.0 || x > 0.5 * length,
+            Self::Cuboids { cuboid } => {
+                let mut spans = cuboid.iter().filter_map(|cuboid| cuboid.heights_m(x, y));
+                spans.all(|[low, high]| z < low || z > high)
+            }
         }
     }
 
     /// Points over which powder can leave.
     fn edge(&self) -> Vec<Point> {
         let share = |index: usize| index as f64 / EDGE_POINTS as f64;
-        match *self {
+        match self {
             Self::Bowl { inner_radius_m } => (0..EDGE_POINTS)
                 .map(|index| {
                     let (sin, cos) = libm::sincos(core::f64::consts::TAU * share(index));
@@ -163,13 +178,49 @@ impl ToolShape {
                     ]
                 })
                 .collect(),
+            Self::Cuboids { cuboid } => border(cuboid),
         }
     }
+}
+
+/// Lowest and highest coordinates of some points.
+fn extent(points: impl Iterator<Item = Point>) -> [[f64; 2]; 3] {
+    points.fold([[f64::INFINITY, f64::NEG_INFINITY]; 3], |found, point| {
+        [0, 1, 2].map(|axis| [found[axis][0].min(point[axis]), found[axis][1].max(point[axis])])
+    })
+}
+
+/// The border of what cuboids cover, seen from above, at the height of their upper side.
+fn border(cuboids: &[Cuboid]) -> Vec<Point> {
+    // No wall lies between two of the verticals.
+    let thinnest_m = cuboids.iter().flat_map(|cuboid| cuboid.size_m).fold(f64::INFINITY, f64::min);
+    let [x, y, _] =
+        extent(cuboids.iter().flat_map(Cuboid::corners_m)).map(|along| Ruler::fine(along, 0.5 * thinnest_m));
+    let top_m = |i: usize, j: usize| {
+        let highest = |top: Option<f64>, [_, high]: [f64; 2]| Some(top.map_or(high, |top| top.max(high)));
+        cuboids.iter().filter_map(|cuboid| cuboid.heights_m(x.at(i), y.at(j))).fold(None, highest)
+    };
+    let place = |index: usize| (index / y.parts, index % y.parts);
+    let tops: Vec<Option<f64>> = (0..x.parts * y.parts).map(place).map(|(i, j)| top_m(i, j)).collect();
+    let covered = |i: usize, j: usize| i < x.parts && j < y.parts && tops[i * y.parts + j].is_some();
+    let is_inside = |(i, j): (usize, usize)| {
+        covered(i + 1, j)
+            && covered(i, j + 1)
+            && covered(i.wrapping_sub(1), j)
+            && covered(i, j.wrapping_sub(1))
+    };
+    let on_border = (0..tops.len()).filter(|index| !is_inside(place(*index)));
+    let point = |index: usize| tops[index].map(|top_m| [x.at(place(index).0), y.at(place(index).1), top_m]);
+    on_border.filter_map(point).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn heaped_m3(shape: &ToolShape, pitch_rad: f64, repose_rad: f64) -> f64 {
+        shape.heaped_m3(&shape.edge(), pitch_rad, repose_rad)
+    }
 
     /// The closed forms: a hemisphere and a cone; a wedge on the floor of a scoop whose walls are higher than it.
     #[test]
@@ -178,24 +229,73 @@ mod tests {
         let r = 0.016f64;
         let bowl = ToolShape::Bowl { inner_radius_m: r };
         let textbook = core::f64::consts::PI * r.powi(3) * (2.0 + phi.tan()) / 3.0;
-        assert!((bowl.heaped_m3(0.0, phi) / textbook - 1.0).abs() < 0.02);
+        assert!((heaped_m3(&bowl, 0.0, phi) / textbook - 1.0).abs() < 0.02);
         let level = core::f64::consts::PI * r.powi(3) * 2.0 / 3.0;
-        assert!((bowl.heaped_m3(0.0, 0.0) / level - 1.0).abs() < 0.02);
+        assert!((heaped_m3(&bowl, 0.0, 0.0) / level - 1.0).abs() < 0.02);
 
         let [length, width, height] = [0.02, 0.012, 0.03];
         let scoop = ToolShape::BoxScoop { inner_size_m: [length, width, height] };
         let wedge = 0.5 * length * length * phi.tan() * width;
-        assert!((scoop.heaped_m3(0.0, phi) / wedge - 1.0).abs() < 0.05);
+        assert!((heaped_m3(&scoop, 0.0, phi) / wedge - 1.0).abs() < 0.05);
         // Leaning back by 20 degrees the open front lets 55 degrees stand against the rear wall.
-        let leaning = scoop.heaped_m3((-20f64).to_radians(), phi);
+        let leaning = heaped_m3(&scoop, (-20f64).to_radians(), phi);
         let steep = 0.5 * length * length * 55f64.to_radians().tan() * width;
         assert!((leaning / steep - 1.0).abs() < 0.08, "{leaning} {steep}");
+    }
+
+    /// A scoop of cuboids holds what the same scoop of walls does, and the rims' own width of heap besides.
+    #[test]
+    fn blocks_hold_what_they_enclose() {
+        let phi = 35f64.to_radians();
+        let [length, width, height, wall] = [0.02, 0.012, 0.03, 1e-4];
+        let cuboid = |min: Point, max: Point| Cuboid {
+            centre_m: [0, 1, 2].map(|i| 0.5 * (min[i] + max[i])),
+            size_m: [0, 1, 2].map(|i| max[i] - min[i]),
+            rotation_deg: [0.0; 3],
+        };
+        let (x, y) = (0.5 * length, 0.5 * width);
+        let walls = vec![
+            cuboid([-x - wall, -y - wall, -height - wall], [x, y + wall, -height]),
+            cuboid([-x - wall, -y - wall, -height], [-x, y + wall, 0.0]),
+            cuboid([-x, -y - wall, -height], [x, -y, 0.0]),
+            cuboid([-x, y, -height], [x, y + wall, 0.0]),
+        ];
+        let cuboids = ToolShape::Cuboids { cuboid: walls };
+        let scoop = ToolShape::BoxScoop { inner_size_m: [length, width, height] };
+        for pitch_deg in [0.0, -20.0, 15.0] {
+            let [a, b] = [&cuboids, &scoop].map(|shape| heaped_m3(shape, f64::to_radians(pitch_deg), phi));
+            assert!((a / b - 1.0).abs() < 0.06, "{pitch_deg}: {a} {b}");
+        }
+    }
+
+    /// A gutter of two plates: level powder fills the triangle between them.
+    #[test]
+    fn a_gutter_of_two_plates_holds_its_triangle() {
+        let [length, edge, wall] = [0.04, 0.02, 1e-4];
+        let plate = |side: f64| {
+            let (sin, cos) = libm::sincos(core::f64::consts::FRAC_PI_4);
+            let rotation_deg = [side * 45.0, 0.0, 0.0];
+            Cuboid {
+                centre_m: [0.0, side * 0.5 * edge * cos, 0.5 * edge * sin],
+                size_m: [length, edge, wall],
+                rotation_deg,
+            }
+        };
+        let end = |side: f64| Cuboid {
+            centre_m: [side * 0.5 * length, 0.0, 0.5 * edge * 0.707],
+            size_m: [wall, edge * 1.414, edge * 0.707],
+            rotation_deg: [0.0; 3],
+        };
+        let gutter = ToolShape::Cuboids { cuboid: vec![plate(-1.0), plate(1.0), end(-1.0), end(1.0)] };
+        let triangle = 0.5 * edge * edge * length;
+        let level = heaped_m3(&gutter, 0.0, 0.0);
+        assert!((level / triangle - 1.0).abs() < 0.08, "{level} {triangle}");
     }
 
     #[test]
     fn tilting_a_bowl_loses_powder_until_none_is_left() {
         let bowl = ToolShape::Bowl { inner_radius_m: 0.016 };
-        let carried = |deg: f64| bowl.heaped_m3(deg.to_radians(), 0.6);
+        let carried = |deg: f64| heaped_m3(&bowl, deg.to_radians(), 0.6);
         assert!(carried(0.0) > carried(30.0) && carried(30.0) > carried(60.0));
         assert!((carried(40.0) / carried(-40.0) - 1.0).abs() < 1e-6);
         assert!(carried(130.0) < 0.01 * carried(0.0));

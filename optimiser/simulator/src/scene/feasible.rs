@@ -109,14 +109,17 @@ impl Scene {
 
     /// How far before the tool's origin powder may leave it: its lip, at the pitches a pour can go through, and the origin itself.
     fn lips_ahead_m(&self) -> Vec<f64> {
-        let lip = match self.tool.shape {
-            ToolShape::Bowl { inner_radius_m } => [inner_radius_m, 0.0],
-            ToolShape::BoxScoop { inner_size_m: [length, _, height] } => [0.5 * length, -height],
+        let lip = |forward: Vec3| match &self.tool.shape {
+            ToolShape::Bowl { inner_radius_m } => inner_radius_m * forward[0],
+            ToolShape::BoxScoop { inner_size_m: [length, _, height] } => {
+                0.5 * length * forward[0] - height * forward[2]
+            }
+            ToolShape::Cuboids { .. } => self.tool.body_reach(forward),
         };
         let [carried_deg, poured_deg] = self.carried_to_poured_deg();
         let ahead = |pitch_deg: f64| {
             let (sin, cos) = libm::sincos(pitch_deg.to_radians());
-            lip[0] * cos + lip[1] * sin
+            lip([cos, 0.0, sin])
         };
         spread([carried_deg, poured_deg], ANGLES).map(ahead).chain([0.0]).collect()
     }

@@ -7,6 +7,7 @@
 mod amount;
 mod canonical;
 mod capacity;
+mod cuboid;
 mod derived;
 mod embedded;
 mod error;
@@ -28,6 +29,7 @@ use serde::{Deserialize, Serialize};
 pub use amount::{Amount, DEFAULT_TOLERANCE, Wanted};
 pub use canonical::{DIGEST_VERSION, Digest};
 pub use capacity::Capacity;
+pub use cuboid::Cuboid;
 pub use derived::{
     BLOCK_CELLS, MAX_CELLS, MAX_CFL, MAX_PARTICLES, MAX_SUBSTEPS, MAX_VISCOUS_LOSS, PADDING_BLOCKS,
 };
@@ -203,7 +205,15 @@ pub enum ToolShape {
         /// Inner length (x), width (y) and height (z), metres; each one cell to 1.
         inner_size_m: [f64; 3],
     },
+    /// Any shape that can be put together from cuboids.
+    Cuboids {
+        /// The cuboids, 1 to [`MAX_CUBOIDS`]; they may overlap.
+        cuboid: Vec<Cuboid>,
+    },
 }
+
+/// Most cuboids of one tool.
+pub const MAX_CUBOIDS: usize = 64;
 
 /// Straight round rod (capsule) that starts at the tool's rear rim and runs along -x, raised by `rise_deg`
 /// towards +z.

@@ -4,7 +4,7 @@
 //! axes of the tool at heading h and pitch p: x = cos p h - sin p z, y = z x h, z = sin p h + cos p z.
 
 use super::solid::{Hull, Solid, Vec3, dot};
-use super::{Scene, Tool, ToolShape};
+use super::{Cuboid, Scene, Tool, ToolShape};
 use nalgebra::Vector3;
 use powderline_shared::pose::Pose;
 use std::fmt;
@@ -24,9 +24,10 @@ impl Tool {
     /// Where the handle's axis begins, and from there to its end, tool frame, metres.
     pub(crate) fn handle(&self) -> ([f64; 3], [f64; 3]) {
         let half_wall = 0.5 * self.wall_thickness_m;
-        let rear = match self.shape {
+        let rear = match &self.shape {
             ToolShape::Bowl { inner_radius_m } => inner_radius_m + half_wall,
             ToolShape::BoxScoop { inner_size_m } => 0.5 * inner_size_m[0] + half_wall,
+            ToolShape::Cuboids { .. } => self.body_reach([-1.0, 0.0, 0.0]) - half_wall,
         };
         let start = rear + half_wall.max(self.handle.radius_m);
         let (rise, length) = (self.handle.rise_deg.to_radians(), self.handle.length_m);
@@ -34,10 +35,10 @@ impl Tool {
     }
 
     /// Reach of the body from the tool's origin, tool frame.
-    fn body_reach(&self, direction: Vec3) -> f64 {
+    pub(super) fn body_reach(&self, direction: Vec3) -> f64 {
         let [x, y, z] = direction;
         let wall = self.wall_thickness_m;
-        match self.shape {
+        match &self.shape {
             ToolShape::Bowl { inner_radius_m } => {
                 let across = libm::hypot(x, y);
                 let below_rim = if z > 0.0 { across } else { libm::hypot(across, z) };
@@ -47,18 +48,34 @@ impl Tool {
                 let along = if x > 0.0 { 0.5 * length * x } else { -(0.5 * length + wall) * x };
                 along + (0.5 * width + wall) * y.abs() + (height + wall) * (-z).max(0.0)
             }
+            ToolShape::Cuboids { cuboid } => farthest(cuboid.iter().map(|cuboid| cuboid.reach(direction))),
         }
+    }
+
+    /// Lowest and highest coordinates of the body, tool frame, metres.
+    pub(crate) fn body_extent_m(&self) -> [Vec3; 2] {
+        let mut extent = [[0.0; 3]; 2];
+        for axis in 0..3 {
+            let mut along = [0.0; 3];
+            along[axis] = 1.0;
+            extent[1][axis] = self.body_reach(along);
+            extent[0][axis] = -self.body_reach(along.map(|x| -x));
+        }
+        extent
     }
 
     /// Of a ball around the tool's origin that holds all of it, metres.
     pub(crate) fn radius_m(&self) -> f64 {
         let wall = self.wall_thickness_m;
-        let body = match self.shape {
+        let body = match &self.shape {
             ToolShape::Bowl { inner_radius_m } => inner_radius_m + wall,
             ToolShape::BoxScoop { inner_size_m: [length, width, height] } => {
                 let half = [0.5 * length + wall, 0.5 * width + wall, height + wall];
                 libm::sqrt(dot(half, half))
             }
+            ToolShape::Cuboids { cuboid } => farthest(
+                cuboid.iter().flat_map(Cuboid::corners_m).map(|corner| libm::sqrt(dot(corner, corner))),
+            ),
         };
         let ends = self.handle_axis_m().map(|end| libm::sqrt(dot(end, end)) + self.handle.radius_m);
         body.max(ends[0]).max(ends[1])
@@ -68,6 +85,10 @@ impl Tool {
         let [near, far] = self.handle_axis_m();
         dot(near, direction).max(dot(far, direction)) + self.handle.radius_m
     }
+}
+
+fn farthest(reaches: impl Iterator<Item = f64>) -> f64 {
+    reaches.fold(f64::NEG_INFINITY, f64::max)
 }
 
 /// A part of the tool.

@@ -7,7 +7,7 @@
 use core::ops::{Add, Mul, Neg, Sub};
 
 use crate::real::Real;
-use crate::small::{Vec3, three};
+use crate::small::{Mat3, Vec3, three};
 
 /// What a signed distance may do with its numbers.
 pub(crate) trait Scalar<T: Real>:
@@ -124,6 +124,14 @@ pub(crate) struct Slab<T> {
     pub(crate) half: Vec3<T>,
 }
 
+/// A box that is turned: its axes are the rows of `axes`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Turned<T> {
+    pub(crate) centre: Vec3<T>,
+    pub(crate) half: Vec3<T>,
+    pub(crate) axes: Mat3<T>,
+}
+
 /// Hemispherical shell, open towards +z, centre of the sphere at the origin, rim rounded.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Bowl<T> {
@@ -164,6 +172,7 @@ pub(crate) enum Shape<T> {
     Bowl(Bowl<T>),
     Ring(Ring<T>),
     Capsule(Capsule<T>),
+    Turned(Turned<T>),
 }
 
 /// Runs `$body` with `$solid` bound to the concrete solid inside a [`Shape`], so that a loop over lanes in
@@ -176,6 +185,7 @@ macro_rules! with_solid {
             $crate::shape::Shape::Bowl($solid) => $body,
             $crate::shape::Shape::Ring($solid) => $body,
             $crate::shape::Shape::Capsule($solid) => $body,
+            $crate::shape::Shape::Turned($solid) => $body,
         }
     };
 }
@@ -186,7 +196,9 @@ impl<T: Real> Shape<T> {
     pub(crate) fn half_thickness(&self) -> Option<T> {
         match *self {
             Self::HalfSpace(_) => None,
-            Self::Slab(Slab { half, .. }) => Some(half[0].at_most(half[1]).at_most(half[2])),
+            Self::Slab(Slab { half, .. }) | Self::Turned(Turned { half, .. }) => {
+                Some(half[0].at_most(half[1]).at_most(half[2]))
+            }
             Self::Bowl(Bowl { half, .. }) => Some(half),
             Self::Ring(Ring { half_radial, half_axial, .. }) => Some(half_radial.at_most(half_axial)),
             Self::Capsule(Capsule { radius, .. }) => Some(radius),
@@ -246,6 +258,17 @@ fn slab<T: Real, S: Scalar<T>>(y: [S; 3], centre: [T; 3], half: [T; 3]) -> (S, [
     let normal =
         three!(i => S::choose(outside, out[i] * inverse * sign[i], S::choose(face[i], sign[i], zero)));
     (S::choose(outside, distance, deepest), normal)
+}
+
+impl<T: Real> SignedDistance<T> for Turned<T> {
+    #[inline(always)]
+    fn distance<S: Scalar<T>>(&self, y: [S; 3]) -> (S, [S; 3]) {
+        let axis = |k: usize, i: usize| S::constant(self.axes[k][i]);
+        let r = three!(i => y[i] - S::constant(self.centre[i]));
+        let own = three!(k => axis(k, 0) * r[0] + axis(k, 1) * r[1] + axis(k, 2) * r[2]);
+        let (distance, n) = slab(own, [T::ZERO; 3], self.half);
+        (distance, three!(i => axis(0, i) * n[0] + axis(1, i) * n[1] + axis(2, i) * n[2]))
+    }
 }
 
 impl<T: Real> SignedDistance<T> for Bowl<T> {

@@ -130,7 +130,7 @@ const STRUCTURE: &[Case] = &[
     (
         r#"shape = { kind = "bowl", inner_radius_m = 0.016 }"#,
         r#"shape = { kind = "bowll", inner_radius_m = 0.016 }"#,
-        ": tool.shape.kind at line 48: unknown variant `bowll`, expected `bowl` or `box_scoop`; did you mean `bowl`?",
+        ": tool.shape.kind at line 48: unknown variant `bowll`, expected one of `bowl`, `box_scoop`, `cuboids`; did you mean `bowl`?",
     ),
     (
         r#"shape = { kind = "bowl", inner_radius_m = 0.016 }"#,
@@ -341,6 +341,26 @@ const SINGLE_FIELDS: &[Case] = &[
         "wall_thickness_m = 0.004",
         "wall_thickness_m = 0.0015",
         r#": container "source".wall_thickness_m is 0.0015, but it must be at least half a cell, 0.002 for domain.cell_m = 0.004"#,
+    ),
+    (
+        r#"shape = { kind = "bowl", inner_radius_m = 0.016 }"#,
+        r#"shape = { kind = "cuboids", cuboid = [] }"#,
+        ": tool.shape.cuboid is 0 cuboids, but 1 to 64 cuboids would be right",
+    ),
+    (
+        r#"shape = { kind = "bowl", inner_radius_m = 0.016 }"#,
+        r#"shape = { kind = "cuboids", cuboid = [{ centre_m = [0, 0, 0], size_m = [0.02, 0.02, 0.001] }] }"#,
+        ": tool.shape.cuboid[0].size_m is 0.001, but it must be at least half a cell, 0.002 for domain.cell_m = 0.004",
+    ),
+    (
+        r#"shape = { kind = "bowl", inner_radius_m = 0.016 }"#,
+        r#"shape = { kind = "cuboids", cuboid = [{ centre_m = [0, 0, 2], size_m = [0.02, 0.02, 0.004] }] }"#,
+        ": tool.shape.cuboid[0].centre_m[2] is 2, but it must be from -1 to 1; did you mean metres, that is 0.002?",
+    ),
+    (
+        r#"shape = { kind = "bowl", inner_radius_m = 0.016 }"#,
+        r#"shape = { kind = "cuboids", cuboid = [{ centre_m = [0, 0, 0], size_m = [0.02, 0.02, 0.004], turned_deg = 3 }] }"#,
+        ": tool.shape at line 48: unknown field `turned_deg`, expected one of `centre_m`, `size_m`, `rotation_deg`",
     ),
     (
         "inner_radius_m = 0.016 }\nwall_thickness_m = 0.004",

@@ -5,7 +5,8 @@ use crate::mpm::contact::{Law, Motion, contact, contact_adjoint};
 use crate::mpm::material::{self, Material, is_mild, trial_strain, trial_strain_adjoint};
 use crate::mpm::principal::{self, eigen};
 use crate::real::Real;
-use crate::shape::{Bowl, Capsule, HalfSpace, Ring, Shape, SignedDistance, Slab, with_solid};
+use crate::scene::Cuboid;
+use crate::shape::{Bowl, Capsule, HalfSpace, Ring, Shape, SignedDistance, Slab, Turned, with_solid};
 use crate::small::{Mat3, Sym3, compose, full, inner, plus_diagonal, trace};
 
 /// Cotangents of a symmetric matrix are entries of the full one: off-diagonal entries count twice.
@@ -261,6 +262,12 @@ fn the_strain_form_agrees_with_deformation_gradient_and_svd() {
     }
 }
 
+fn turned() -> Turned<f64> {
+    let cuboid =
+        Cuboid { centre_m: [0.1, 0.2, -0.1], size_m: [0.9, 0.3, 0.7], rotation_deg: [25.0, -40.0, 110.0] };
+    Turned { centre: cuboid.centre_m, half: cuboid.size_m.map(|edge| 0.5 * edge), axes: cuboid.axes() }
+}
+
 fn shapes() -> Vec<Shape<f64>> {
     vec![
         Shape::HalfSpace(HalfSpace),
@@ -268,6 +275,7 @@ fn shapes() -> Vec<Shape<f64>> {
         Shape::Bowl(Bowl { radius: 0.8, half: 0.12 }),
         Shape::Ring(Ring { radius: 0.6, half_radial: 0.1, height: 0.2, half_axial: 0.5 }),
         Shape::Capsule(Capsule { from: [-0.3, 0.1, 0.0], along: [0.7, -0.2, 0.4], radius: 0.15 }),
+        Shape::Turned(turned()),
     ]
 }
 

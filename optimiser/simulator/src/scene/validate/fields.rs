@@ -3,8 +3,8 @@
 use super::checker::{Checked, Checker, Range, container_paths};
 use crate::scene::figures::plain;
 use crate::scene::{
-    Container, ContainerShape, Domain, Limits, Objective, Observation, Optimiser, Powder, Scene, Skill, Time,
-    Tool, ToolShape, Wanted,
+    Container, ContainerShape, Cuboid, Domain, Limits, MAX_CUBOIDS, Objective, Observation, Optimiser,
+    Powder, Scene, Skill, Time, Tool, ToolShape, Wanted,
 };
 use powderline_shared::plan::{PERIOD_US_MAX, PERIOD_US_MIN};
 
@@ -98,6 +98,7 @@ fn tool(checker: &Checker<'_>, tool: &Tool, cell_m: f64) -> Checked {
         ToolShape::BoxScoop { inner_size_m } => {
             checker.vector("tool.shape.inner_size_m", inner_size_m, inner)?;
         }
+        ToolShape::Cuboids { cuboid } => cuboids(checker, cuboid, cell_m)?,
     }
     wall(checker, "tool.wall_thickness_m", tool.wall_thickness_m, cell_m)?;
     checker.number("tool.friction", tool.friction, FRICTION)?;
@@ -106,6 +107,22 @@ fn tool(checker: &Checker<'_>, tool: &Tool, cell_m: f64) -> Checked {
     checker.number("tool.handle.length_m", tool.handle.length_m, Range::closed(0.001, 1.0))?;
     checker.number("tool.handle.radius_m", tool.handle.radius_m, Range::closed(0.25 * cell_m, 0.1))?;
     checker.number("tool.handle.rise_deg", tool.handle.rise_deg, Range::closed(-90.0, 90.0))
+}
+
+fn cuboids(checker: &Checker<'_>, cuboids: &[Cuboid], cell_m: f64) -> Checked {
+    if cuboids.is_empty() || cuboids.len() > MAX_CUBOIDS {
+        let right = format!("1 to {MAX_CUBOIDS} cuboids would be right");
+        return Err(checker.invalid("tool.shape.cuboid", format!("{} cuboids", cuboids.len()), right));
+    }
+    for (index, cuboid) in cuboids.iter().enumerate() {
+        let field = |name: &str| format!("tool.shape.cuboid[{index}].{name}");
+        checker.vector(&field("centre_m"), &cuboid.centre_m, Range::closed(-1.0, 1.0))?;
+        let least = cuboid.size_m.iter().copied().fold(f64::INFINITY, f64::min);
+        checker.vector(&field("size_m"), &cuboid.size_m, Range::above(0.0, 1.0))?;
+        wall(checker, &field("size_m"), least, cell_m)?;
+        checker.vector(&field("rotation_deg"), &cuboid.rotation_deg, TURN_DEG)?;
+    }
+    Ok(())
 }
 
 fn skill(checker: &Checker<'_>, skill: &Skill) -> Checked {
