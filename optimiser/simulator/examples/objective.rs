@@ -1,4 +1,4 @@
-//! A loss of one's own, differentiated by the motion: `cargo run --release -p powderline-simulator --example objective`.
+//! A custom loss, differentiated by the motion: `cargo run --release -p powderline-simulator --example objective`.
 //!
 //! How high the powder is on average, which the scene's own loss does not ask for.
 

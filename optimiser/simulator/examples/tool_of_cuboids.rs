@@ -1,4 +1,4 @@
-//! A tool shape of one's own, put together from cuboids: `cargo run --release -p powderline-simulator --example tool_of_cuboids`.
+//! A custom tool shape, put together from cuboids: `cargo run --release -p powderline-simulator --example tool_of_cuboids`.
 
 use powderline_simulator::rollout::{SimulatorSettings, boxed_simulator};
 use powderline_simulator::scene::{Cuboid, Scene, ToolShape};

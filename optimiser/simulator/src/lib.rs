@@ -1,5 +1,5 @@
-//! Powder in motion, simulated and differentiated: what a spoon that is moved along a path brings from one container into
-//! another, and the exact derivative of that with respect to every displacement of the path.
+//! Differentiable powder simulation: how much powder a spoon moved along a path carries from one container to another, and
+//! the exact derivative of the loss with respect to every displacement of the path.
 //!
 //! The powder is a continuum, moved by the moving least squares material point method (MLS-MPM) with Drucker-Prager
 //! plasticity, in contact with rigid containers and a rigid tool by Coulomb friction. Every stage of a substep has its adjoint beside
@@ -12,7 +12,7 @@
 //! use powderline_simulator::skill::{SkillMap, displacement};
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
-//! // A bench that comes along; `Scene::from_toml` reads one of your own, and says in a sentence what is wrong with it.
+//! // An embedded scene. `Scene::from_toml` reads your own; its error says what is wrong.
 //! let scene = Scene::load("bench-small")?;
 //! let mut simulator = boxed_simulator(&scene, &SimulatorSettings::default())?;
 //!
@@ -20,7 +20,7 @@
 //! let skill = SkillMap::new(&scene).controls(&[0.3, 0.0, 0.0, 0.0, 0.3])?;
 //! let controls: Vec<_> = skill.iter().take(60).map(displacement).collect();
 //!
-//! // What the powder makes of them. The closure hears of the progress and may end it.
+//! // Simulate them. The closure is told the progress; `false` stops the run.
 //! let found = simulator.simulate(&controls, &mut |_done, _total| true)?;
 //! println!("loss {} m, {} particles in the target", found.loss, found.transported);
 //!
@@ -34,7 +34,7 @@
 //! More in `examples/`: a whole skill (`rollout`), the gradient beside a difference (`gradient`), a bench built in code
 //! (`scene_in_code`), a custom tool shape (`tool_of_cuboids`), a custom loss (`objective`), every grain on its way (`grains`).
 //!
-//! # The way of the data
+//! # Data flow
 //!
 //! ```text
 //! scene.toml -> scene::Scene -> skill::SkillMap --- theta -> displacements --+
@@ -63,7 +63,7 @@
 //!
 //! Units are SI, and stand in the names of fields: `cell_m`, `density_kg_m3`. World frame: z up, the floor at z = 0.
 //!
-//! # To add something
+//! # Extending
 //!
 //! - **A loss**: no change here; give a function to [`rollout::Simulator::gradient_of_loss`].
 //! - **A tool shape**: no change here either, if it can be put together from cuboids: [`scene::ToolShape::Cuboids`]. One that is round:

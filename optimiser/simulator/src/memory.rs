@@ -1,6 +1,6 @@
 //! How much memory simulations need, how much they may have, and how much the process holds.
 //!
-//! Of a gradient, states at the beginning of substeps are kept; whatever else the adjoint needs is computed again from them
+//! A gradient keeps checkpoints, states at the beginning of substeps, and recomputes what else the adjoint needs from them
 //! (see `rollout/schedule.rs`). With `c` states and at most `r` passes over any substep, `binomial(c + r, c)`
 //! substeps can be reversed. So the least that a scene needs is estimated before anything is computed, and generously;
 //! whatever a budget has beyond that goes into states, for as long as the operating system's count of the process leaves
@@ -29,7 +29,7 @@ const THREAD_BYTES: u64 = 128 << 10;
 /// sleeps as much as two more.
 const MOTION_STATES: u64 = 5;
 
-/// What a gradient holds beside these and the kept states: the state at the end, two sets of cotangents, and what nobody asks for.
+/// What a gradient holds beside these and the checkpoints: the final state, two sets of cotangents, scratch.
 const ADJOINT_STATES: u64 = 4;
 
 /// States of rollouts side by side at a time: the most differences that are taken at once, and those at work.

@@ -100,7 +100,7 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
         let touching = model.obstacles.at_particles(&model.grid, self.block.coord, self.tool);
         let mut tool_bar = MotionBar::default();
         let mut met = Vec::with_capacity(touching.len());
-        // Were it known to be 0, the compiler would leave out a quarter of each row, and with it the vectors.
+        // If the compiler knew that this is 0, it would drop a quarter of each row and no longer vectorise.
         let no_mass = std::hint::black_box(T::ZERO);
         let mut rows = Rows::new();
         for g in 0..self.input.len() {

@@ -192,7 +192,7 @@ pub(crate) fn contact_lanes<T: Real>(
     }
 }
 
-/// What is written is a value of its own, which cannot be what is read: otherwise the loop would stay scalar.
+/// Returns a new value, which cannot alias the input: otherwise the loop would not vectorise.
 #[inline(always)]
 fn after_contact<T: Real>(
     t: &Touching<'_, T>,

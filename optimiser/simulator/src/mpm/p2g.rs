@@ -131,7 +131,7 @@ impl<T: Real> TrialStrains<T> {
     }
 }
 
-/// [`send`] for strains with much shear, which are few: compiled once, for the least of the instruction sets.
+/// [`send`] for large shear, which is rare: not inlined, so compiled once, for the baseline instruction set.
 #[inline(never)]
 fn send_sheared<T: Real>(
     model: &Model<T>,

@@ -1,5 +1,5 @@
-//! The return map by eigenvectors, for any strain: see [`super::material`], whose own way is quicker and good for what sand
-//! does nearly always.
+//! The return map by eigendecomposition, for any strain. [`super::material`] has a faster one for small shear, which covers
+//! nearly all particles.
 //!
 //! | symbol | identifier | meaning |
 //! |---|---|---|

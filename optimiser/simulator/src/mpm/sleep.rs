@@ -7,7 +7,7 @@
 //! sort brings it a new particle or takes one away.
 //!
 //! Backwards a sleeper's cotangents stay as they are, like its particles: how its weight on its neighbours depends on them is
-//! left out. All that decides is part of the state, so that whoever begins at a state does the same.
+//! left out. What these decisions remember is part of the state, so a rollout that restarts from a state repeats them.
 
 use std::sync::Arc;
 

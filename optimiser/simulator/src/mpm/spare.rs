@@ -1,7 +1,7 @@
 //! The memory of states, which goes from one state to the next.
 //!
-//! A gradient makes and drops thousands of states. What one is done with, the next one takes: fresh pages cost more than what is
-//! done with them, and what one thread frees, the allocator keeps for that thread.
+//! A gradient makes and drops thousands of states, so their buffers are reused: touching fresh pages costs more than the
+//! work done in them, and memory freed by one thread stays in that thread's allocator cache.
 
 use crate::mpm::layout::{BLOCK_NODES, Nodes};
 use crate::mpm::particles::Group;
@@ -69,8 +69,8 @@ impl<T: Real> Spare<T> {
         (bytes(&self.groups) + bytes(&self.nodes)) as u64
     }
 
-    /// States that can be made of what is here and of `left` bytes more. A vector for groups is of no use to who lacks nodes, nor is
-    /// one that is too short.
+    /// States that fit into the buffers here and `left` more bytes. A state needs one buffer of groups and two of nodes, each
+    /// long enough.
     pub(crate) fn states(&self, size: Size, left: u64) -> usize {
         let kinds = [
             (enough(&self.groups, size.groups), 1, state_bytes::<T>(Size { nodes: 0, besides: 0, ..size })),

@@ -19,7 +19,7 @@ use crate::mpm::tiles::Tiles;
 use crate::mpm::timings::{Pass, Stage, StageTimings};
 use crate::real::Real;
 
-/// Blocks that a thread takes at a time, at most: they differ in how many particles they hold, and who has done with his waits.
+/// Most blocks in one parallel task. Blocks differ in their particles, so larger tasks would leave threads idle.
 const MAX_BLOCKS: usize = 4;
 
 /// The state at the beginning of a substep.

@@ -30,7 +30,7 @@ pub enum Stage {
 /// How many stages there are.
 pub(crate) const STAGES: usize = 10;
 
-/// What a gauge shows: nanoseconds and nothing, or operations and how many of them are divisions and roots.
+/// What a gauge shows: wall and processor nanoseconds, or operations and how many of them are divisions and square roots.
 pub(crate) type Reading = [u64; 2];
 
 /// Gives a reading; never less than before.

@@ -130,7 +130,7 @@ fn lock<'a, 'p, T>(work: &'a Mutex<Work<'p, T>>) -> MutexGuard<'a, Work<'p, T>> 
 }
 
 impl<T: Real> Family<'_, T> {
-    /// A worker's life: takes a branch, follows it until it parts or ends, and puts back what it has parted into.
+    /// Worker loop: takes a branch, advances it until its members diverge or end, queues the branches that result.
     fn work(&self, workspace: &mut Workspace<T>, work: &Mutex<Work<'_, T>>, parted: &Condvar) {
         let _alarm = Alarm { work, parted };
         let mut guard = lock(work);

@@ -26,7 +26,7 @@ use thiserror::Error;
 /// What one simulated motion achieved.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Evaluation {
-    /// Sum of the distances of the observed particles from the target point, metres.
+    /// Loss of the scene's objective (see [`crate::scene::Aim`]), metres.
     pub loss: f64,
     /// Target count minus the particles inside the target container at the end.
     pub indicator: i64,
@@ -67,8 +67,8 @@ impl From<Control> for DisplacementGradient {
     }
 }
 
-/// A loss of one's own: from the positions of the particles at the end of a motion (m, in the order of the packing) its value,
-/// and its derivative with respect to each position.
+/// A custom loss: takes the particle positions at the end of a motion (m, in packing order), returns the loss and its
+/// derivative with respect to each position.
 pub type Loss<'a> = &'a (dyn Fn(&[[f64; 3]]) -> (f64, Vec<[f64; 3]>) + Sync);
 
 /// Called now and then with work units done and in total; `false` stops the rollout with [`RolloutError::Stopped`].
@@ -139,7 +139,7 @@ pub enum RolloutError {
         /// How many.
         threads: usize,
     },
-    /// Not even a gradient that recomputes everything several times fits, or not even one motion.
+    /// The memory budget is too small, even with the most recomputation.
     #[error(
         "a memory budget of {} MiB is too little: this scene needs {} MiB for {}{}, with {threads} {}",
         given >> 20,
@@ -155,12 +155,12 @@ pub enum RolloutError {
         least: u64,
         /// What was to be computed.
         work: Work,
-        /// Pictures or the like were to be made of it.
+        /// Whether the budget also had to hold output such as pictures.
         besides: bool,
         /// By how many threads.
         threads: usize,
     },
-    /// A loss of one's own is not differentiated by every particle.
+    /// A custom loss returned a number of derivatives other than the number of particles.
     #[error(
         "the loss has {given} derivatives, but there are {particles} particles: one for each would be right"
     )]
@@ -176,7 +176,7 @@ pub enum RolloutError {
 }
 
 impl RolloutError {
-    /// The same for whom the motion began so many control steps before.
+    /// The same error, its control step counted from `steps` control steps earlier.
     fn later_by(self, steps: usize) -> Self {
         let more = steps as u32;
         match self {
@@ -290,8 +290,8 @@ impl SimulatorSettings {
     }
 }
 
-/// Whether the memory budget lets some work be done, gradients in reasonable time, with so many bytes left for what is made
-/// of it.
+/// Checks that the memory budget suffices for `work` (gradients in reasonable time), with `besides_bytes` left for its
+/// output.
 ///
 /// # Errors
 /// [`RolloutError::Memory`] if not.
@@ -332,7 +332,7 @@ pub fn simulator<T: Real>(scene: &Scene, settings: &SimulatorSettings) -> Result
     Ok(Simulator::new(scene, scene.particle_positions_m(settings.seed), pool, settings.memory_bytes))
 }
 
-/// Loss of the powder as it is packed, that nobody has moved, metres.
+/// Loss of the initial packing, before any motion, metres.
 pub fn packed_loss(scene: &Scene, seed: u64) -> f64 {
     loss::loss(scene, &scene.particle_positions_m(seed)).0
 }

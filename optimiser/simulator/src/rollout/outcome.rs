@@ -6,7 +6,7 @@ use powderline_shared::pose::Pose;
 /// Where a particle is when all is over.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Destination {
-    /// In the source, or a bystander.
+    /// In the source, or in a container that is neither source nor target.
     Left,
     /// In the target.
     Target,

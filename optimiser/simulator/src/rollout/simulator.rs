@@ -22,8 +22,7 @@ use crate::rollout::{
 use crate::scene::Scene;
 use crate::skill::{Control, SkillMap, Theta, displacement};
 
-/// What one more worker beside others holds, in states: the one that it follows, what it needs for a substep, and what it puts
-/// in order.
+/// Memory of each worker when there are several, in states: its current state, its workspace, its sort buffers.
 const WORKER_STATES: u64 = 4;
 
 /// Work of one adjoint substep in units of a forward one, for the progress bar.
@@ -46,7 +45,7 @@ pub struct Simulator<T: Real> {
     settled: Option<State<T>>,
     packing: Vec<[f64; 3]>,
     pool: rayon::ThreadPool,
-    /// Those who follow motions side by side; there from the first time on that they are needed.
+    /// Workers for motions side by side; made when first needed.
     teams: Vec<Team<T>>,
     budget: Budget,
     /// States to keep at most, whatever memory would allow.
@@ -126,7 +125,7 @@ impl<T: Real> Simulator<T> {
         &mut self.workspace.timings
     }
 
-    /// Runs some stages by themselves, for what they recording.
+    /// Runs some stages in isolation, to time them.
     pub(crate) fn alone(&mut self, moment: &RolloutState<T>) -> Result<(), RolloutError> {
         let lost = |r: &Rollout<'_, T>, lost| lost_error(r.scene, 0, lost, Some(&moment.state));
         let job = |r: &mut Rollout<'_, T>| r.workspace.alone(r.model, &moment.state).map_err(|l| lost(r, l));
@@ -187,7 +186,7 @@ impl<T: Real> Simulator<T> {
         self.control_gradient_of(None, from, controls, progress)
     }
 
-    /// The same for a loss of one's own, if it is not the scene's.
+    /// The same for a custom loss, if it is not the scene's.
     fn control_gradient_of(
         &mut self,
         loss: Option<Loss<'_>>,
@@ -200,7 +199,7 @@ impl<T: Real> Simulator<T> {
         self.in_pool_for(loss, |r| r.gradient(&from.state, &path, reserved_bytes), progress)
     }
 
-    /// A loss of one's own after the given controls, and its derivative with respect to each displacement, the others held.
+    /// A custom loss after the given controls, and its derivative with respect to each displacement, the others held.
     ///
     /// # Errors
     /// See [`RolloutError`].
@@ -244,8 +243,8 @@ impl<T: Real> Simulator<T> {
         evaluations
     }
 
-    /// Workers for so many motions: as many as there are threads, and memory for. Always the same number for the same: what
-    /// they hold, the budget was told of.
+    /// Workers for so many motions, bounded by threads and memory. A function of its inputs alone, since the budget has
+    /// already set their memory aside.
     fn worker_count(&self, motions: usize) -> usize {
         let per_worker = self.settled.as_ref().map_or(0, State::bytes) * WORKER_STATES;
         branches::worker_count(
@@ -282,7 +281,7 @@ impl<T: Real> Simulator<T> {
         self.in_pool_for(None, job, progress)
     }
 
-    /// The same with a loss of one's own.
+    /// The same with a custom loss.
     fn in_pool_for<R: Send>(
         &mut self,
         loss: Option<Loss<'_>>,
@@ -656,7 +655,7 @@ impl<T: Real> Rollout<'_, T> {
         Ok((evaluation, bar))
     }
 
-    /// The sum of everything that touched the tool shows whether a number went astray; only then is it looked for.
+    /// Particles are searched once per control step, and whenever the tool's cotangent, a sum over all contacts, is not finite.
     fn check_finite(
         &self,
         step: usize,

@@ -10,8 +10,7 @@ pub(super) fn is_name(name: &str) -> bool {
     (1..=MAX_NAME_CHARS).contains(&name.chars().count()) && !name.chars().any(char::is_control)
 }
 
-/// What messages call the container at `index` of those with these names: by its own, if that can be and tells it from the
-/// others.
+/// How messages name container `index`: by its name where that is printable and unique, else by its index.
 pub(super) fn container_path(names: &[&str], index: usize) -> String {
     let bearers = |name: &str| names.iter().filter(|other| **other == name).count();
     match names.get(index) {

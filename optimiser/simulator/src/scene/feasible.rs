@@ -107,7 +107,7 @@ impl Scene {
         })
     }
 
-    /// How far before the tool's origin powder may leave it: its lip, at the pitches a pour can go through, and the origin itself.
+    /// Distances ahead of the tool's origin at which powder may leave it: of the lip, at pitches a pour goes through, and 0.
     fn lips_ahead_m(&self) -> Vec<f64> {
         let lip = |forward: Vec3| match &self.tool.shape {
             ToolShape::Bowl { inner_radius_m } => inner_radius_m * forward[0],

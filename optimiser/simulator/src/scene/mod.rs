@@ -83,8 +83,8 @@ pub struct Domain {
     /// Width over which contact with tool and containers fades out beyond a surface, in cells; 0.01 to 2,
     /// typically 0.25.
     pub contact_band_cells: f64,
-    /// Speed below which powder that nothing disturbs falls asleep and costs nothing any more, m/s; 0 to 0.01, typically 0.0005;
-    /// 0: it never does.
+    /// Powder that stays slower than this is put to sleep and no longer computed, m/s; 0 to 0.01, typically 0.0002;
+    /// 0: never.
     pub sleep_speed_m_s: f64,
 }
 

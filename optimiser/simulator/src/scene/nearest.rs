@@ -1,4 +1,4 @@
-//! What somebody may have meant who wrote a word that is none.
+//! Suggestions for misspelt words.
 
 /// How alike two words must be, from 0 to 1 by Jaro's measure, as clap has it for options.
 const ALIKE: f64 = 0.7;

@@ -142,7 +142,7 @@ impl Wall {
         clears(&self.hull)
     }
 
-    /// Whether somebody who goes in this horizontal direction comes nearer to it.
+    /// Whether the wall lies within 60 degrees of this horizontal direction.
     pub(super) fn is_ahead(&self, direction: Vec3) -> bool {
         // Within 60 degrees: beside that it is another way that helps.
         dot(self.outwards, direction) > 0.5

@@ -1,7 +1,7 @@
 //! Whether the tool stays clear of the containers all along a motion.
 //!
-//! The simulation does not ask: tool and containers are given motions there, and pass through each other. An arm that is
-//! told to do the same breaks something.
+//! The simulation does not check this: there tool and containers are kinematic and pass through each other. A real arm
+//! would collide.
 
 use super::{SkillMap, Theta};
 use crate::scene::{PlacedTool, Scene, ToolPart};
@@ -28,8 +28,8 @@ pub struct Collision {
 
 /// The first collision of a motion that begins at `start`; none if the tool stays clear.
 ///
-/// Between two looks no point of the tool goes as far as the thinnest thing that could be jumped over is thick, whatever the
-/// control period.
+/// Between two samples no point of the tool moves as far as the thinnest wall or tool part is thick (no tunnelling), whatever
+/// the control period.
 pub fn collision(scene: &Scene, start: &Pose, controls: &[Displacement]) -> Option<Collision> {
     let (solids, stride_m) = (scene.solids(), stride_m(scene));
     let (mut pose, mut unseen_m) = (*start, 0.0);

@@ -41,7 +41,7 @@ pub type Theta = [f64; 5];
 /// One control step: translation in metres, then rotation vector in radians, world frame.
 pub type Control = [f64; 6];
 
-/// Why a skill is not a motion.
+/// Why a skill gives no valid motion.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum SkillError {
     /// A component of theta is outside `[-1, 1]`, or not a number.
@@ -60,10 +60,10 @@ pub enum SkillError {
         /// Horizon, seconds.
         horizon_s: f64,
     },
-    /// A displacement is no setpoint.
+    /// A displacement that no setpoint can represent.
     #[error(transparent)]
     Setpoint(#[from] SetpointError),
-    /// The scene's limits are not limits.
+    /// The scene's limits are invalid.
     #[error(transparent)]
     Limits(#[from] LimitsError),
     /// The motion takes the tool through a container.

@@ -47,7 +47,7 @@ pub fn controls_of(setpoints: &[Setpoint], lsb: Lsb) -> Vec<Displacement> {
     previous.zip(setpoints).map(|(&from, &to)| displacement_between(from, to, lsb)).collect()
 }
 
-/// One control step in the words of both ends.
+/// A [`Control`] as a [`Displacement`], the type that optimiser and arm share.
 pub fn displacement(control: &Control) -> Displacement {
     let [x, y, z, rx, ry, rz] = *control;
     Displacement { translation_m: [x, y, z], rotation_rad: [rx, ry, rz] }
