@@ -11,7 +11,7 @@ use std::fmt::Write as _;
 use nalgebra::Vector3;
 use powderline_shared::plan::Precision;
 use powderline_shared::pose::Pose;
-use powderline_simulator::rollout::{SimulatorSettings, simulator};
+use powderline_simulator::rollout::{Simulator, SimulatorSettings};
 use powderline_simulator::scene::{ContainerShape, Scene, ToolShape};
 use powderline_simulator::skill::{SegmentKind, SkillMap, Theta};
 
@@ -42,14 +42,14 @@ const GAP_M: f64 = 0.006;
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let scene = Scene::load("bench")?;
     let map = SkillMap::new(&scene);
-    let controls = map.quantised(&THETA)?.controls;
+    let controls = map.quantise(&THETA)?.controls;
     let settings = SimulatorSettings {
         seed: scene.powder.seed,
         precision: Precision::F32,
         threads: None,
         memory_bytes: 1 << 30,
     };
-    let mut simulator = simulator::<f32>(&scene, &settings)?;
+    let mut simulator = Simulator::<f32>::new(&scene, &settings)?;
     let mut svg = String::new();
     open(&mut svg)?;
     for (place, (name, kind, share)) in MOMENTS.into_iter().enumerate() {
@@ -59,7 +59,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let steps = (time_s / scene.time.control_period_s()).round() as usize;
         let begun = &controls[..steps.min(controls.len())];
         let tool = begun.iter().fold(*map.start_pose(), |pose, control| pose.displaced(control));
-        let positions = simulator.final_positions(begun, &mut |_, _| true)?;
+        let positions = simulator.final_positions_m(begun, &mut |_, _| true)?;
         let view = View { left_m: place as f64 * (VIEW_X_M[1] - VIEW_X_M[0] + GAP_M) - VIEW_X_M[0] };
         view.draw(&mut svg, &scene, &tool, &positions)?;
         let [x, y] = view.at(VIEW_X_M[0] + 0.004, VIEW_Z_M[1] - 0.012);
@@ -105,7 +105,7 @@ impl View {
             svg,
             r##"<rect x="{left}" y="{ground}" width="{width}" height="{height}" fill="#cbd5e1"/>"##
         )?;
-        for container in &scene.container {
+        for container in &scene.containers {
             let (half, height) = match container.shape {
                 ContainerShape::Box { inner_size_m } => (0.5 * inner_size_m[0], inner_size_m[2]),
                 ContainerShape::Cylinder { inner_radius_m, inner_height_m } => {

@@ -58,6 +58,13 @@ impl Displacement {
     }
 }
 
+impl From<[f64; 6]> for Displacement {
+    /// From the six numbers in the order of [`Axis::ALL`].
+    fn from([x, y, z, rx, ry, rz]: [f64; 6]) -> Self {
+        Self { translation_m: [x, y, z], rotation_rad: [rx, ry, rz] }
+    }
+}
+
 impl Pose {
     /// The pose after a displacement in world axes: (p + dp, exp(dr) R).
     #[must_use]

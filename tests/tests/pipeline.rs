@@ -1,6 +1,6 @@
 //! From a scene to a motion that the simulated arm performs.
 
-use powderline_simulator::scene::{Aim, Amount, Scene, Wanted};
+use powderline_simulator::scene::{Aim, Amount, Quantity, Scene};
 use serde_json::Value;
 
 use crate::programs::{EXECUTE, OPTIMISE, Place, assert_same_bits, metrics, run};
@@ -57,7 +57,7 @@ fn the_wanted_amount_arrives_and_no_more() {
     let place = Place::new();
     let mut scene = Scene::load(&place.tiny()).unwrap();
     // Half of what the spoon holds.
-    scene.objective.amount = Amount::new(Wanted::Particles(16));
+    scene.objective.amount = Amount::new(Quantity::Particles(16));
     let [amount, all] = [Aim::Amount, Aim::All].map(|aim| {
         scene.objective.aim = aim;
         let file = place.write("wanted.toml", scene.to_toml().as_bytes());

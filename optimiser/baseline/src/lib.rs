@@ -1,7 +1,7 @@
 //! What the gradient is compared with: searches that see losses and nothing else.
 //!
 //! [`RandomSearch`] is the least that any search must beat, [`CmaEs`] a strong search without gradients, [`Sac`] the
-//! reinforcement learning that the paper compares with.
+//! reinforcement learning that Wei et al. 2025 (arXiv 2510.01438) compare with.
 
 mod cmaes;
 mod noise;

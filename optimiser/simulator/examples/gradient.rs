@@ -4,19 +4,19 @@
 //! A motion of half a second, in f64. Over a motion of several seconds the adjoint is as exact, but powder forgets where each
 //! grain came from: see `optimise gradcheck`.
 
-use powderline_simulator::rollout::{Evaluate, SimulatorSettings, simulator};
+use powderline_simulator::rollout::{Evaluate, Simulator, SimulatorSettings};
 use powderline_simulator::scene::Scene;
-use powderline_simulator::skill::{SkillMap, displacement};
+use powderline_simulator::skill::SkillMap;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut scene = Scene::load("bench-small")?;
     // Falling asleep is a jump, if a small one, that no difference over a small step survives.
     scene.domain.sleep_speed_m_s = 0.0;
-    let mut simulator = simulator::<f64>(&scene, &SimulatorSettings::default())?;
+    let mut simulator = Simulator::<f64>::new(&scene, &SimulatorSettings::default())?;
     let skill = SkillMap::new(&scene).controls(&[0.3, 0.0, 0.0, 0.0, 0.3])?;
     // The spoon is in the powder then.
-    let controls: Vec<_> = skill[..100].iter().map(displacement).collect();
-    let (at, gradient) = simulator.gradient_of(&controls, &mut |_, _| true)?;
+    let controls: Vec<_> = skill[..100].to_vec();
+    let (at, gradient) = simulator.simulate_with_gradient(&controls, &mut |_, _| true)?;
 
     const STEP: usize = 80;
     const H: f64 = 1e-7;

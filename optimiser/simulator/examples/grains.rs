@@ -1,14 +1,14 @@
 //! Grains on their way, step by step: `cargo run --release -p powderline-simulator --example grains`.
 
-use powderline_simulator::rollout::{Evaluate, Recording, SimulatorSettings, Snapshot, simulator};
+use powderline_simulator::rollout::{Evaluate, Recording, Simulator, SimulatorSettings, Snapshot};
 use powderline_simulator::scene::Scene;
-use powderline_simulator::skill::{SkillMap, displacement};
+use powderline_simulator::skill::SkillMap;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let scene = Scene::load("bench-small")?;
-    let mut simulator = simulator::<f32>(&scene, &SimulatorSettings::default())?;
+    let mut simulator = Simulator::<f32>::new(&scene, &SimulatorSettings::default())?;
     let map = SkillMap::new(&scene);
-    let controls: Vec<_> = map.controls(&[0.5, -0.5, 0.0, 0.0, 0.3])?.iter().map(displacement).collect();
+    let controls: Vec<_> = map.controls(&[0.5, -0.5, 0.0, 0.0, 0.3])?;
     let recording = Recording { anchor: map.start_pose(), controls: &controls, every: 30 };
     let mut observer = |snapshot: &Snapshot<'_>| {
         let highest = snapshot.positions_m.iter().map(|[_, _, z]| *z).fold(f32::NEG_INFINITY, f32::max);

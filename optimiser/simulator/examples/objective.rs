@@ -2,21 +2,22 @@
 //!
 //! How high the powder is on average, which the scene's own loss does not ask for.
 
-use powderline_simulator::rollout::{SimulatorSettings, simulator};
+use powderline_simulator::rollout::{Simulator, SimulatorSettings};
 use powderline_simulator::scene::Scene;
-use powderline_simulator::skill::{SkillMap, displacement};
+use powderline_simulator::skill::SkillMap;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let scene = Scene::load("bench-small")?;
-    let mut simulator = simulator::<f64>(&scene, &SimulatorSettings::default())?;
+    let mut simulator = Simulator::<f64>::new(&scene, &SimulatorSettings::default())?;
     let skill = SkillMap::new(&scene).controls(&[0.3, 0.0, 0.0, 0.0, 0.3])?;
-    let controls: Vec<_> = skill[..150].iter().map(displacement).collect();
+    let controls: Vec<_> = skill[..150].to_vec();
     let mean_height = |positions_m: &[[f64; 3]]| {
         let share = 1.0 / positions_m.len() as f64;
         let height = positions_m.iter().map(|[_, _, z]| z * share).sum();
         (height, vec![[0.0, 0.0, share]; positions_m.len()])
     };
-    let (height_m, gradient) = simulator.gradient_of_loss(&controls, &mean_height, &mut |_, _| true)?;
+    let (height_m, gradient) =
+        simulator.gradient_of_custom_loss(&controls, &mean_height, &mut |_, _| true)?;
     println!("the powder is {:.3} mm high on average", 1e3 * height_m);
     // Later displacements have less time to work.
     for step in [20, 60, 100, 140] {

@@ -1,11 +1,11 @@
 //! One skill of a shipped bench, and what it brings: `cargo run --release -p powderline-simulator --example rollout`.
 
-use powderline_simulator::rollout::{Evaluate, SimulatorSettings, simulator};
+use powderline_simulator::rollout::{Evaluate, Simulator, SimulatorSettings};
 use powderline_simulator::scene::Scene;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let scene = Scene::load("bench-small")?;
-    let mut simulator = simulator::<f32>(&scene, &SimulatorSettings::default())?;
+    let mut simulator = Simulator::<f32>::new(&scene, &SimulatorSettings::default())?;
     // Depth, scooping angle, lift, transport, pouring angle: each from -1 to 1 within the scene's bounds.
     for theta in [[0.0, -0.5, 0.0, 0.0, 0.3], [0.5, -0.5, 0.0, 0.0, 0.3], [1.0, -0.5, 0.0, 0.0, 0.3]] {
         let found = simulator.evaluate(&theta, false, &mut |_, _| true)?;

@@ -1,6 +1,6 @@
 //! A bench that is built in code, not read from a file: `cargo run --release -p powderline-simulator --example scene_in_code`.
 
-use powderline_simulator::rollout::{Evaluate, SimulatorSettings, simulator};
+use powderline_simulator::rollout::{Evaluate, Simulator, SimulatorSettings};
 use powderline_simulator::scene::{Container, ContainerShape, Scene, ToolShape};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -11,7 +11,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     scene.powder.friction_angle_deg = 32.0;
     // Waves are faster in light powder.
     scene.time.substeps = 24;
-    let target = scene.container.iter_mut().find(|one| one.name == scene.objective.target);
+    let target = scene.containers.iter_mut().find(|one| one.name == scene.objective.target);
     let target = target.ok_or("the scene has no target")?;
     *target = Container {
         shape: ContainerShape::Cylinder { inner_radius_m: 0.018, inner_height_m: 0.02 },
@@ -29,7 +29,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         1e3 * capacity.level_kg,
         1e3 * capacity.heaped_kg
     );
-    let mut simulator = simulator::<f32>(&scene, &SimulatorSettings::default())?;
+    let mut simulator = Simulator::<f32>::new(&scene, &SimulatorSettings::default())?;
     let found = simulator.evaluate(&[0.5, -0.5, 0.0, 0.0, 0.3], false, &mut |_, _| true)?;
     println!("{} particles arrive, {} spill", found.transported, found.spilled);
     Ok(())

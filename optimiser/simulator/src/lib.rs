@@ -6,10 +6,13 @@
 //! it, tested by Taylor slopes. The same scene, seed and precision give the same bits on any machine, for any number of threads
 //! and any memory budget.
 //!
+//! "The paper" is here Wei, Yang, Lai and Ji 2025, "Differentiable Skill Optimisation for Powder Manipulation in Laboratory
+//! Automation", [arXiv 2510.01438](https://arxiv.org/abs/2510.01438): the five skill parameters, the loss and the search come from there.
+//!
 //! ```
 //! use powderline_simulator::rollout::{SimulatorSettings, boxed_simulator};
 //! use powderline_simulator::scene::Scene;
-//! use powderline_simulator::skill::{SkillMap, displacement};
+//! use powderline_simulator::skill::SkillMap;
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! // An embedded scene. `Scene::from_toml` reads your own; its error says what is wrong.
@@ -18,14 +21,14 @@
 //!
 //! // Five skill parameters, each from -1 to 1, become a displacement of the tool for each control step.
 //! let skill = SkillMap::new(&scene).controls(&[0.3, 0.0, 0.0, 0.0, 0.3])?;
-//! let controls: Vec<_> = skill.iter().take(60).map(displacement).collect();
+//! let controls: Vec<_> = skill.into_iter().take(60).collect();
 //!
 //! // Simulate them. The closure is told the progress; `false` stops the run.
 //! let found = simulator.simulate(&controls, &mut |_done, _total| true)?;
 //! println!("loss {} m, {} particles in the target", found.loss, found.transported);
 //!
 //! // And the derivative of the loss by each of these displacements.
-//! let (_, gradient) = simulator.gradient_of(&controls, &mut |_, _| true)?;
+//! let (_, gradient) = simulator.simulate_with_gradient(&controls, &mut |_, _| true)?;
 //! assert!(gradient.iter().flat_map(|step| step.components()).any(|slope| slope != 0.0));
 //! # Ok(())
 //! # }
@@ -65,7 +68,7 @@
 //!
 //! # Extending
 //!
-//! - **A loss**: no change here; give a function to [`rollout::Simulator::gradient_of_loss`].
+//! - **A loss**: no change here; give a function to [`rollout::Simulator::gradient_of_custom_loss`].
 //! - **A tool shape**: no change here either, if it can be put together from cuboids: [`scene::ToolShape::Cuboids`]. One that is round:
 //!   a variant of [`scene::ToolShape`] with its fields' ranges in `scene/validate/fields.rs`; its signed distance in
 //!   `shape` (written once: the same code gives normal and curvature); its place in the list of `mpm/obstacle.rs`. The compiler names the
@@ -75,15 +78,19 @@
 //!
 //! # Features, versions
 //!
-//! No features. Semantic versioning; enums that will grow are `#[non_exhaustive]`. `nalgebra` vectors appear in
-//! [`powderline_shared::pose`] on purpose; no other dependency's types are in the interface.
+//! No features. Semantic versioning: errors, results and choices that will grow are `#[non_exhaustive]`. The shapes of a
+//! scene and its aim are not, so that whoever draws or converts them hears of a new one from the compiler; a new one is a
+//! breaking change. Of dependencies, `nalgebra`'s vectors appear in [`powderline_shared::pose`] and `serde`'s traits are
+//! implemented, both on purpose; no other's types are in the interface.
 
 pub mod bench;
 pub mod memory;
 pub mod mpm;
-pub mod real;
+mod real;
 pub mod rollout;
 pub mod scene;
 mod shape;
 pub mod skill;
 mod small;
+
+pub use real::Real;

@@ -16,7 +16,7 @@ use crate::scene::{BLOCK_CELLS, Scene};
 use powderline_shared::plan::Precision;
 
 /// Numbers in a particle's state: position 3, velocity 3, affine velocity 9, elastic strain 6, volume correction 1.
-pub const PARTICLE_SCALARS: u64 = 22;
+pub(crate) const PARTICLE_SCALARS: u64 = 22;
 
 /// The running program without any simulation: its text, its fonts, its figures, what the allocator holds; bytes, generously.
 const PROCESS_BYTES: u64 = 16 << 20;
@@ -36,25 +36,26 @@ const ADJOINT_STATES: u64 = 4;
 pub(crate) const BRANCHES: u64 = 16;
 
 /// Passes over a substep for which the need is estimated.
-pub const PASSES: [u32; 4] = [1, 2, 3, 4];
+pub(crate) const PASSES: [u32; 4] = [1, 2, 3, 4];
 
 /// What is computed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Work {
+#[non_exhaustive]
+pub enum Workload {
     /// One motion at a time.
-    Motion,
+    Single,
     /// Several motions side by side.
-    Motions,
+    Batch,
     /// A gradient, and several motions side by side.
     Gradient,
 }
 
-impl Work {
+impl Workload {
     /// In words.
     pub(crate) fn name(self) -> &'static str {
         match self {
-            Self::Motion => "a motion",
-            Self::Motions => "several motions side by side",
+            Self::Single => "a motion",
+            Self::Batch => "several motions side by side",
             Self::Gradient => "a gradient",
         }
     }
@@ -62,7 +63,8 @@ impl Work {
 
 /// Need when no substep is advanced more often than `passes` times.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Need {
+#[non_exhaustive]
+pub struct MemoryEstimate {
     /// How often a substep is advanced, at most; the adjoint itself computes it once more.
     pub passes: u32,
     /// States kept at a time, the fewest possible.
@@ -126,21 +128,21 @@ fn node_blocks(scene: &Scene) -> usize {
 }
 
 /// Estimates the need of a gradient for each of [`PASSES`], with so many threads.
-pub fn memory_needs(scene: &Scene, precision: Precision, threads: usize) -> [Need; 4] {
+pub fn estimate_memory(scene: &Scene, precision: Precision, threads: usize) -> [MemoryEstimate; 4] {
     let sizes = Sizes::new(scene, precision, threads);
     PASSES.map(|passes| {
-        let kept_states = fewest_states(substeps(scene), passes);
-        Need { passes, kept_states, bytes: sizes.of_gradient(kept_states) }
+        let kept_states = min_checkpoints(substeps(scene), passes);
+        MemoryEstimate { passes, kept_states, bytes: sizes.of_gradient(kept_states) }
     })
 }
 
 /// The least budget for some work, bytes. With less, a gradient would take many times as long.
-pub(crate) fn least_memory(scene: &Scene, precision: Precision, threads: usize, work: Work) -> u64 {
+pub(crate) fn least_memory(scene: &Scene, precision: Precision, threads: usize, work: Workload) -> u64 {
     let sizes = Sizes::new(scene, precision, threads);
     match work {
-        Work::Motion => sizes.with(MOTION_STATES),
-        Work::Motions => sizes.with(MOTION_STATES + BRANCHES),
-        Work::Gradient => sizes.of_gradient(least_states(substeps(scene) as usize) as u64),
+        Workload::Single => sizes.with(MOTION_STATES),
+        Workload::Batch => sizes.with(MOTION_STATES + BRANCHES),
+        Workload::Gradient => sizes.of_gradient(default_min_checkpoints(substeps(scene) as usize) as u64),
     }
 }
 
@@ -149,12 +151,12 @@ fn substeps(scene: &Scene) -> u64 {
 }
 
 /// The fewest states that a gradient over so many substeps keeps, whatever memory there is.
-pub(crate) fn least_states(steps: usize) -> usize {
-    fewest_states(steps as u64, PASSES[PASSES.len() - 1]) as usize
+pub(crate) fn default_min_checkpoints(steps: usize) -> usize {
+    min_checkpoints(steps as u64, PASSES[PASSES.len() - 1]) as usize
 }
 
 /// Smallest `c` with `binomial(c + passes, passes) >= steps`.
-pub(crate) fn fewest_states(steps: u64, passes: u32) -> u64 {
+pub(crate) fn min_checkpoints(steps: u64, passes: u32) -> u64 {
     let reach =
         |states: u64| (1..=passes).fold(1.0, |b, k| b * (states + u64::from(k)) as f64 / f64::from(k));
     let (mut low, mut high) = (1, steps.max(1));
@@ -187,7 +189,7 @@ impl Budget {
     /// Of a process that may hold so many bytes and simulates a scene.
     pub(crate) fn new<T: Real>(bytes: u64, scene: &Scene, threads: usize) -> Self {
         let sizes = Sizes::of::<T>(scene, threads);
-        let least = sizes.of_gradient(least_states(substeps(scene) as usize) as u64);
+        let least = sizes.of_gradient(default_min_checkpoints(substeps(scene) as usize) as u64);
         let standing = sizes.fixed + (MOTION_STATES + ADJOINT_STATES) * sizes.state;
         Self { bytes, least, standing, resident: Resident::new() }
     }
@@ -303,7 +305,7 @@ mod tests {
 
     #[test]
     fn fewer_states_cost_more_passes() {
-        let needs = memory_needs(&Scene::load("bench").unwrap(), Precision::F32, 2);
+        let needs = estimate_memory(&Scene::load("bench").unwrap(), Precision::F32, 2);
         let kept = needs.map(|need| need.kept_states);
         assert_eq!(kept, [9_999, 140, 38, 20]);
         assert!(needs.is_sorted_by(|a, b| a.bytes > b.bytes));
@@ -313,10 +315,10 @@ mod tests {
     fn more_work_and_more_threads_need_more() {
         let scene = Scene::load("bench").unwrap();
         let least = |threads, work| least_memory(&scene, Precision::F32, threads, work);
-        assert!(least(2, Work::Motion) < least(2, Work::Motions));
-        assert!(least(2, Work::Motions) < least(2, Work::Gradient));
-        assert!(least(64, Work::Gradient) > least(2, Work::Gradient) + 62 * 2 * THREAD_BYTES);
-        assert_eq!(least(2, Work::Gradient), memory_needs(&scene, Precision::F32, 2)[3].bytes);
+        assert!(least(2, Workload::Single) < least(2, Workload::Batch));
+        assert!(least(2, Workload::Batch) < least(2, Workload::Gradient));
+        assert!(least(64, Workload::Gradient) > least(2, Workload::Gradient) + 62 * 2 * THREAD_BYTES);
+        assert_eq!(least(2, Workload::Gradient), estimate_memory(&scene, Precision::F32, 2)[3].bytes);
     }
 
     #[test]
@@ -337,8 +339,8 @@ mod tests {
 
     #[test]
     fn fewest_states_reach_just_far_enough() {
-        assert_eq!(fewest_states(1, 1), 1);
-        assert_eq!(fewest_states(560, 3), 13);
-        assert_eq!(fewest_states(561, 3), 14);
+        assert_eq!(min_checkpoints(1, 1), 1);
+        assert_eq!(min_checkpoints(560, 3), 13);
+        assert_eq!(min_checkpoints(561, 3), 14);
     }
 }

@@ -8,19 +8,19 @@ use core::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
 /// Coefficients of a polynomial, lowest first, by interpolation at Chebyshev's nodes.
 #[derive(Clone, Copy, Debug)]
-pub struct Series {
+pub struct Polynomial {
     /// How many.
     pub terms: usize,
     /// The coefficients; zeros after the last.
-    pub coefficients: [f64; Self::MOST],
+    pub coefficients: [f64; Self::MAX_TERMS],
 }
 
-impl Series {
+impl Polynomial {
     /// Most terms of a series.
-    pub const MOST: usize = 26;
+    pub const MAX_TERMS: usize = 26;
 
     const fn new(coefficients: &[f64]) -> Self {
-        let mut all = [0.0; Self::MOST];
+        let mut all = [0.0; Self::MAX_TERMS];
         let mut k = 0;
         while k < coefficients.len() {
             all[k] = coefficients[k];
@@ -30,8 +30,14 @@ impl Series {
     }
 }
 
-/// `f32` or `f64`. Every method is branch-free, so that loops over lanes vectorise.
-pub trait Real:
+/// `f32` or `f64`, which the simulator computes in. Not to be implemented elsewhere.
+pub trait Real: Arithmetic {}
+
+impl Real for f32 {}
+impl Real for f64 {}
+
+/// What a [`Real`] can do. Every method is branch-free, so that loops over lanes vectorise.
+pub trait Arithmetic:
     Copy
     + Default
     + Debug
@@ -55,11 +61,11 @@ pub trait Real:
     /// A square that is as good as 0: its root and the reciprocals of both are still numbers.
     const TINY: Self;
     /// `ln(1 + x)/x` for `|x| <= 0.49` by powers of `x`; relative error 5e-9 (`f32`), 7e-17 (`f64`).
-    const LN_1P_SERIES: Series;
+    const LN_1P_SERIES: Polynomial;
     /// `(exp(x) - 1)/x` for `|x| <= 0.6` by powers of `x`; relative error 2e-8 (`f32`), 5e-18 (`f64`).
-    const EXP_M1_SERIES: Series;
+    const EXP_M1_SERIES: Polynomial;
     /// Nearest value of this type.
-    fn of(x: f64) -> Self;
+    fn from_f64(x: f64) -> Self;
     /// The value as `f64`, exact.
     fn to_f64(self) -> f64;
     /// Square root, correctly rounded.
@@ -105,11 +111,11 @@ pub trait Real:
     }
 }
 
-impl Real for f32 {
+impl Arithmetic for f32 {
     const ZERO: Self = 0.0;
     const ONE: Self = 1.0;
     const TINY: Self = 1e-36;
-    const LN_1P_SERIES: Series = Series::new(&[
+    const LN_1P_SERIES: Polynomial = Polynomial::new(&[
         1.0,
         -0.499_999_908_1,
         0.333_333_247,
@@ -124,7 +130,7 @@ impl Real for f32 {
         -0.173_775_752_8,
         0.161_699_572_4,
     ]);
-    const EXP_M1_SERIES: Series = Series::new(&[
+    const EXP_M1_SERIES: Polynomial = Polynomial::new(&[
         1.0,
         0.500_000_127_5,
         0.166_666_680_8,
@@ -135,7 +141,7 @@ impl Real for f32 {
     ]);
 
     #[inline(always)]
-    fn of(x: f64) -> Self {
+    fn from_f64(x: f64) -> Self {
         x as f32
     }
     #[inline(always)]
@@ -197,11 +203,11 @@ impl Real for f32 {
     }
 }
 
-impl Real for f64 {
+impl Arithmetic for f64 {
     const ZERO: Self = 0.0;
     const ONE: Self = 1.0;
     const TINY: Self = 1e-290;
-    const LN_1P_SERIES: Series = Series::new(&[
+    const LN_1P_SERIES: Polynomial = Polynomial::new(&[
         1.0,
         -0.5,
         0.333_333_333_333_265_54,
@@ -229,7 +235,7 @@ impl Real for f64 {
         0.196_472_179_724_175_22,
         -0.189_755_778_931_704,
     ]);
-    const EXP_M1_SERIES: Series = Series::new(&[
+    const EXP_M1_SERIES: Polynomial = Polynomial::new(&[
         1.0,
         0.499_999_999_999_999_94,
         0.166_666_666_666_666_66,
@@ -246,7 +252,7 @@ impl Real for f64 {
     ]);
 
     #[inline(always)]
-    fn of(x: f64) -> Self {
+    fn from_f64(x: f64) -> Self {
         x
     }
     #[inline(always)]
@@ -330,7 +336,7 @@ impl Real for f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::Real;
+    use super::Arithmetic;
 
     fn samples() -> impl Iterator<Item = f64> {
         let small = (0..4000).map(|i| (f64::from(i) - 2000.0) * 4.9e-4);
@@ -344,24 +350,24 @@ mod tests {
         for x in samples() {
             if x > -1.0 {
                 let want = x.ln_1p();
-                assert!((Real::ln_1p(x) - want).abs() <= 4.5e-16 * want.abs(), "ln_1p({x})");
+                assert!((Arithmetic::ln_1p(x) - want).abs() <= 4.5e-16 * want.abs(), "ln_1p({x})");
                 let narrow = x as f32;
                 let want = f64::from(narrow).ln_1p();
                 assert!(
-                    (f64::from(Real::ln_1p(narrow)) - want).abs() <= 2.4e-7 * want.abs(),
+                    (f64::from(Arithmetic::ln_1p(narrow)) - want).abs() <= 2.4e-7 * want.abs(),
                     "ln_1p({narrow})"
                 );
             }
             let want = x.exp_m1();
             assert!(
-                (Real::exp_m1(x) - want).abs() <= 7e-16 * want.abs(),
+                (Arithmetic::exp_m1(x) - want).abs() <= 7e-16 * want.abs(),
                 "exp_m1({x}) {} {want}",
-                Real::exp_m1(x)
+                Arithmetic::exp_m1(x)
             );
             let narrow = x as f32;
             let want = f64::from(narrow).exp_m1();
             assert!(
-                (f64::from(Real::exp_m1(narrow)) - want).abs() <= 3.6e-7 * want.abs(),
+                (f64::from(Arithmetic::exp_m1(narrow)) - want).abs() <= 3.6e-7 * want.abs(),
                 "exp_m1({narrow})"
             );
         }
@@ -369,7 +375,7 @@ mod tests {
 
     #[test]
     fn series_are_as_near_as_they_say() {
-        let value = |series: &super::Series, x: f64| {
+        let value = |series: &super::Polynomial, x: f64| {
             series.coefficients[..series.terms].iter().rev().fold(0.0, |sum, c| sum * x + c)
         };
         for i in (-1000..=1000).filter(|i| *i != 0) {
@@ -391,8 +397,8 @@ mod tests {
     #[test]
     fn what_is_not_a_strain_gives_nan() {
         for x in [-1.0, -2.0, f64::NEG_INFINITY, f64::NAN] {
-            assert!(Real::ln_1p(x).is_nan() && Real::ln_1p(x as f32).is_nan());
+            assert!(Arithmetic::ln_1p(x).is_nan() && Arithmetic::ln_1p(x as f32).is_nan());
         }
-        assert!(Real::exp_m1(f64::NAN).is_nan() && Real::exp_m1(f32::NAN).is_nan());
+        assert!(Arithmetic::exp_m1(f64::NAN).is_nan() && Arithmetic::exp_m1(f32::NAN).is_nan());
     }
 }

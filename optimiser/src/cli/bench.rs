@@ -4,7 +4,7 @@ use super::{CliError, Context, Progress, format_size, options::PrecisionArg, par
 use crate::report::words::{count, grouped};
 use clap::Args;
 use powderline_shared::plan::Precision;
-use powderline_simulator::bench::{Arithmetic, BenchError, Report, Settings, Timing, run};
+use powderline_simulator::bench::{Arithmetic, BenchError, Report, Settings, TimeStats, run};
 use powderline_simulator::scene::MAX_PARTICLES;
 use std::{fmt::Write, ops::RangeInclusive};
 
@@ -41,7 +41,7 @@ impl From<BenchError> for CliError {
     fn from(error: BenchError) -> Self {
         match error {
             BenchError::Rollout(error) => error.into(),
-            BenchError::Grid { .. } | BenchError::Memory { .. } => Self::Input(error.to_string()),
+            _ => Self::Input(error.to_string()),
         }
     }
 }
@@ -154,8 +154,8 @@ fn write_text(out: &mut String, report: &Report) -> std::fmt::Result {
     write_memory(out, report)
 }
 
-fn row(out: &mut String, name: &str, time: &Timing, arithmetic: &Arithmetic) -> std::fmt::Result {
-    let Timing { median_ns, min_ns, mean_ns, processor_ns } = time;
+fn row(out: &mut String, name: &str, time: &TimeStats, arithmetic: &Arithmetic) -> std::fmt::Result {
+    let TimeStats { median_ns, min_ns, mean_ns, processor_ns, .. } = time;
     write!(out, "  {name:36}{median_ns:>9.1}{min_ns:>9.1}{mean_ns:>9.1}{processor_ns:>11.1}")?;
     match arithmetic.multiple {
         Some(multiple) => {

@@ -12,7 +12,7 @@ use crate::report::{
     words::grouped,
 };
 use powderline_shared::plan::Precision;
-use powderline_simulator::memory::{Need, memory_needs};
+use powderline_simulator::memory::{MemoryEstimate, estimate_memory};
 use powderline_simulator::scene::figures::{about, mass};
 use powderline_simulator::scene::{Capacity, DEFAULT_SCENE, MAX_CFL, Scene};
 use powderline_simulator::skill::{SkillMap, colliding_skill};
@@ -117,7 +117,7 @@ impl CheckReport {
             cfl_number: scene.cfl_number(),
             max_cfl_number: MAX_CFL,
             substeps: scene.time.substeps,
-            dt_sub_s: scene.time.dt_sub_s(),
+            dt_sub_s: scene.time.substep_s(),
             horizon_steps: scene.time.horizon_steps,
             horizon_s: scene.time.horizon_s(),
             settle_s: scene.time.settle_s,
@@ -125,7 +125,7 @@ impl CheckReport {
             memory: [(Precision::F32, "f32"), (Precision::F64, "f64")]
                 .into_iter()
                 .flat_map(|(precision, name)| {
-                    memory_needs(scene, precision, threads).map(|need| MemoryRow::new(name, need))
+                    estimate_memory(scene, precision, threads).map(|need| MemoryRow::new(name, need))
                 })
                 .collect(),
             remarks: remarks(scene),
@@ -143,12 +143,12 @@ fn remarks(scene: &Scene) -> Vec<String> {
             "`optimise run` would pass over some skills of this range: with theta = {theta:?} {collision}"
         )
     });
-    scene.remarks().into_iter().chain(collision).chain(refusal).collect()
+    scene.warnings().into_iter().chain(collision).chain(refusal).collect()
 }
 
 impl MemoryRow {
-    fn new(precision: &'static str, need: Need) -> Self {
-        let Need { passes, kept_states, bytes } = need;
+    fn new(precision: &'static str, need: MemoryEstimate) -> Self {
+        let MemoryEstimate { passes, kept_states, bytes, .. } = need;
         Self { precision, kept_states, bytes, forward_runs: passes + 1 }
     }
 }

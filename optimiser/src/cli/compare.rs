@@ -19,7 +19,7 @@ use clap::Args;
 use powderline_baseline::Search;
 use powderline_shared::plan::Precision;
 use powderline_simulator::{
-    rollout::{Evaluate, SimulatorSettings, Work, check_memory, packed_loss},
+    rollout::{Evaluate, SimulatorSettings, Workload, check_memory, initial_loss},
     scene::{DEFAULT_SCENE, Digest, Scene},
     skill::{SkillMap, Theta},
 };
@@ -297,7 +297,7 @@ impl Experiment {
 
     /// The rows of the summary.
     pub(super) fn rows(&self, comparison: &Comparison) -> Vec<Row> {
-        summarise(comparison, &|seed| packed_loss(&self.scene, seed))
+        summarise(comparison, &|seed| initial_loss(&self.scene, seed))
     }
 
     /// Runs what is left, track after track, and draws what there is after each.
@@ -424,7 +424,7 @@ impl Plan {
     fn check_memory(&self, scene: &Scene, resources: Resources) -> Result<(), CliError> {
         let settings = resources.settings(0, self.precision);
         let has_gradient = self.methods.iter().any(|method| method.is_gradient());
-        let work = if has_gradient { Work::Gradient } else { Work::Motions };
+        let work = if has_gradient { Workload::Gradient } else { Workload::Batch };
         Ok(check_memory(scene, &settings, work, 0)?)
     }
 

@@ -7,8 +7,8 @@ use super::{
 use crate::report::view;
 use powderline_shared::{displacement::Displacement, pose::Pose};
 use powderline_simulator::{
-    rollout::{Evaluation, Recording, RolloutError, Snapshot, Work, check_memory},
-    skill::{SkillMap, displacement},
+    rollout::{Evaluation, Recording, RolloutError, Snapshot, Workload, check_memory},
+    skill::SkillMap,
 };
 use powderline_view::{Bench, Frame, Sink, ViewError};
 
@@ -32,7 +32,7 @@ impl<'a> Film<'a> {
         let map = SkillMap::new(&task.scene);
         let start = *map.start_pose();
         let (anchor, controls, planned) = match &task.motion {
-            Motion::Skill(theta) => (start, map.controls(theta)?.iter().map(displacement).collect(), None),
+            Motion::Skill(theta) => (start, map.controls(theta)?, None),
             Motion::Plan { controls, .. } => (start, controls.clone(), None),
             Motion::Executed { executed, planned, .. } => {
                 (executed.anchor, executed.controls.clone(), Some(planned.as_slice()))
@@ -59,7 +59,7 @@ impl<'a> Film<'a> {
     /// # Errors
     /// If not.
     pub(super) fn check_memory(&self, besides_bytes: u64) -> Result<(), CliError> {
-        Ok(check_memory(&self.task.scene, &self.task.settings, Work::Motion, besides_bytes)?)
+        Ok(check_memory(&self.task.scene, &self.task.settings, Workload::Single, besides_bytes)?)
     }
 
     /// Simulates, and shows every frame to the sink.

@@ -4,11 +4,11 @@ use super::{CliError, Context, Interrupt, Progress, Resources, options::Precisio
 use crate::report::words::precision_name;
 use clap::Args;
 use powderline_shared::plan::{Precision, SKILL_PARAMETERS};
-use powderline_simulator::real::Real;
+use powderline_simulator::Real;
 use powderline_simulator::rollout::gradcheck::{
     CHECKED_THETA, HALF_STEPS, Smoothed, Window, check_window, smoothed,
 };
-use powderline_simulator::rollout::{RolloutError, SimulatorSettings, Work, check_memory, simulator};
+use powderline_simulator::rollout::{RolloutError, Simulator, SimulatorSettings, Workload, check_memory};
 use powderline_simulator::scene::{DEFAULT_SCENE, Scene};
 use powderline_simulator::skill::SkillMap;
 use serde::Serialize;
@@ -87,8 +87,8 @@ fn check_in<T: Real>(
 ) -> Result<Report, CliError> {
     let interrupt = context.interrupt.clone();
     // Falling asleep is a jump, if a small one, that no difference over a small step survives.
-    let scene = &scene.awake();
-    check_memory(scene, settings, Work::Gradient, 0)?;
+    let scene = &scene.without_sleep();
+    check_memory(scene, settings, Workload::Gradient, 0)?;
     let mut progress = Progress::new(context.err, context.live);
     let report = compare::<T>(arguments, scene, settings, &mut progress, &interrupt);
     progress.clear();
@@ -102,7 +102,7 @@ fn compare<T: Real>(
     progress: &mut Progress<'_>,
     interrupt: &Interrupt,
 ) -> Result<Report, CliError> {
-    let mut simulator = simulator::<T>(scene, settings)?;
+    let mut simulator = Simulator::<T>::new(scene, settings)?;
     let map = SkillMap::new(scene);
     let own = scene.time.horizon_steps;
     let mut window = |start: u32, end: u32| -> Result<Window, RolloutError> {

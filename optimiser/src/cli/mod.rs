@@ -42,7 +42,7 @@ pub use size::{Memory, format_size, parse_size};
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use powderline_simulator::{
     rollout::{Evaluate, RolloutError, SimulatorSettings, boxed_simulator},
-    scene::{EMBEDDED_SCENES, Scene, nearest},
+    scene::{EMBEDDED_SCENES, Scene, closest_match},
 };
 use serde::Serialize;
 use std::{
@@ -222,7 +222,7 @@ fn mistyped(word: Option<&OsString>) -> Result<(), CliError> {
     if commands.contains(&word) {
         return Ok(());
     }
-    match nearest(word, scenes.into_iter().chain(commands)) {
+    match closest_match(word, scenes.into_iter().chain(commands)) {
         Some(meant) if !scenes.contains(&meant) => Err(CliError::Input(format!(
             "there is no command, no scene and no file called `{word}`; did you mean the command `{meant}`?"
         ))),

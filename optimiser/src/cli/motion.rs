@@ -81,7 +81,7 @@ impl Task {
         let map = SkillMap::new(&self.scene);
         let start = map.start_pose();
         match &self.motion {
-            Motion::Skill(theta) => collision(&self.scene, start, &map.quantised(theta).ok()?.controls),
+            Motion::Skill(theta) => collision(&self.scene, start, &map.quantise(theta).ok()?.controls),
             Motion::Plan { controls, .. } => collision(&self.scene, start, controls),
             Motion::Executed { executed, .. } => collision(&self.scene, &executed.anchor, &executed.controls),
         }

@@ -2,7 +2,7 @@
 
 use super::{CliError, Context, next};
 use clap::Args;
-use powderline_simulator::scene::{DEFAULT_SCENE, EMBEDDED_SCENES, Scene, embedded_scene, nearest};
+use powderline_simulator::scene::{DEFAULT_SCENE, EMBEDDED_SCENES, Scene, closest_match, embedded_scene};
 use serde::Serialize;
 use std::{
     fs::OpenOptions,
@@ -65,7 +65,8 @@ pub(super) fn execute(arguments: &NewArgs, context: &mut Context<'_>) -> Result<
 
 fn unknown(from: &str) -> CliError {
     let names = EMBEDDED_SCENES.map(|(name, _)| name);
-    let meant = nearest(from, names).map(|meant| format!("; did you mean {meant}?")).unwrap_or_default();
+    let meant =
+        closest_match(from, names).map(|meant| format!("; did you mean {meant}?")).unwrap_or_default();
     CliError::Input(format!(
         "--from is `{from}`, but the scenes to begin from are {}{meant}",
         names.join(", ")

@@ -104,7 +104,7 @@ fn simulator(
 ) -> Result<Box<dyn Evaluate>, CliError> {
     let settings = arguments.resources.settings(state.seed, state.precision);
     if !state.finished {
-        check_memory(scene, &settings, rollout::Work::Gradient, 0)?;
+        check_memory(scene, &settings, rollout::Workload::Gradient, 0)?;
     }
     Ok((context.factory)(scene, &settings)?)
 }
@@ -331,7 +331,7 @@ impl Run {
     ) -> Result<(), CliError> {
         stop_if_requested(interrupt)?;
         let theta = self.chosen()?;
-        let quantised = self.record.map.quantised(&theta)?;
+        let quantised = self.record.map.quantise(&theta)?;
         progress.begin("the plan, as shipped", 0, &[]);
         let mut tick = |done, total| {
             progress.tick(done, total);

@@ -13,7 +13,7 @@ use crate::report::{
 use clap::Args;
 use powderline_shared::plan::PlanHeader;
 use powderline_simulator::{
-    rollout::{Evaluation, Work, check_memory},
+    rollout::{Evaluation, Workload, check_memory},
     scene::{ToolPart, figures::mass},
     skill::{Collision, Theta},
 };
@@ -109,7 +109,7 @@ pub(super) fn execute(arguments: &SimulateArgs, context: &mut Context<'_>) -> Re
 
 impl Task {
     fn simulate(&self, context: &mut Context<'_>) -> Result<Report, CliError> {
-        check_memory(&self.scene, &self.settings, Work::Motion, 0)?;
+        check_memory(&self.scene, &self.settings, Workload::Single, 0)?;
         let mut simulator = (context.factory)(&self.scene, &self.settings)?;
         let interrupt = context.interrupt.clone();
         let mut progress = Progress::new(context.err, context.live);

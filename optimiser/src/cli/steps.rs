@@ -13,7 +13,7 @@ use crate::{
 };
 use powderline_simulator::{
     rollout::{
-        DisplacementGradient, Evaluate, Evaluation, RolloutError, SimulatorSettings, Work, check_memory,
+        DisplacementGradient, Evaluate, Evaluation, RolloutError, SimulatorSettings, Workload, check_memory,
     },
     scene::Scene,
 };
@@ -48,7 +48,7 @@ pub(super) fn completed(
     let lines: String = stepping.track.tries.iter().map(run::json_line).collect();
     stepping.folder.replace(TRIES, lines.as_bytes())?;
     if !stepping.is_done() {
-        check_memory(scene, settings, Work::Gradient, 0)?;
+        check_memory(scene, settings, Workload::Gradient, 0)?;
         let simulator = (context.factory)(scene, settings)?;
         stepping.go_on(simulator, context)?;
     }
@@ -113,7 +113,7 @@ impl Stepping<'_> {
             progress.tick(done, total);
             !interrupt.is_requested()
         };
-        let found = simulator.gradient_of(self.track.search().controls(), &mut tick);
+        let found = simulator.simulate_with_gradient(self.track.search().controls(), &mut tick);
         let seconds = (progress.seconds() * 1e3).round() / 1e3;
         if let Some(error) = self.take(found, seconds)? {
             progress.line(&format!("{error}; back to the best motion, with half the learning rate"));

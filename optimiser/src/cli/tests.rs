@@ -14,7 +14,7 @@ use powderline_shared::{
 };
 use powderline_simulator::{
     rollout::{DisplacementGradient, Evaluation, Observer, Progress, Recording, RolloutError, Snapshot},
-    scene::{Amount, ContainerShape, Wanted},
+    scene::{Amount, ContainerShape, Quantity},
     skill::{Control, SkillMap, Theta},
 };
 use powderline_view::Destination;
@@ -85,7 +85,7 @@ impl Evaluate for Ends {
     ) -> Result<Evaluation, RolloutError> {
         self.tick(progress)?;
         let at = self.map.linearise(theta)?;
-        let (evaluation, bar) = Self::judge(at.controls.iter().copied());
+        let (evaluation, bar) = Self::judge(at.controls.iter().map(Displacement::components));
         let bars = vec![bar; at.controls.len()];
         let mut slope = at.pull_back(&bars);
         slope[0] += libm::sin(1e6 * theta[0]);
@@ -102,7 +102,7 @@ impl Evaluate for Ends {
     }
 
     /// Powder leaves where the pitch comes too close to what is wished.
-    fn gradient_of(
+    fn simulate_with_gradient(
         &mut self,
         controls: &[Displacement],
         progress: Progress<'_>,
@@ -148,7 +148,7 @@ impl Evaluate for Ends {
             tool = take.controls.get(step).map_or(tool, |control| tool.displaced(control));
         }
         let evaluation = self.simulate_from(take.anchor, take.controls, progress)?;
-        Ok((evaluation, vec![Destination::Left, Destination::Tool]))
+        Ok((evaluation, vec![Destination::Remained, Destination::Tool]))
     }
 }
 
@@ -351,8 +351,8 @@ fn low_scene(place: &Place) -> String {
     scene.skill.initial_theta = [[0.0; 2], [0.0; 2], [0.9; 2], [0.0; 2], [0.0; 2]];
     // The stand-in wishes the tool 10 mm above its start, which is inside of a target as high as this one.
     scene.skill.scooping_depth_m = [0.002, 0.0021];
-    scene.container[1].shape = ContainerShape::Box { inner_size_m: [0.064, 0.064, 0.060] };
-    scene.objective.amount = Amount::new(Wanted::Particles(200));
+    scene.containers[1].shape = ContainerShape::Box { inner_size_m: [0.064, 0.064, 0.060] };
+    scene.objective.amount = Amount::new(Quantity::Particles(200));
     fs::write(place.path("low.toml"), scene.to_toml()).unwrap();
     place.text("low.toml")
 }
@@ -407,7 +407,7 @@ fn every_place_says_the_same_of_a_run_also_when_epochs_were_passed_over() {
 fn what_cannot_be_done_is_refused_before_anything_runs() {
     let place = Place::new();
     let mut scene = Scene::load("bench").unwrap();
-    scene.objective.amount = Amount::new(Wanted::MassKg(0.030));
+    scene.objective.amount = Amount::new(Quantity::MassKg(0.030));
     fs::write(place.path("much.toml"), scene.to_toml()).unwrap();
     let mut scene = Scene::load("bench").unwrap();
     scene.skill.transport_displacement_m = [0.02, 0.03];
@@ -513,7 +513,7 @@ fn run_interrupted_again_and_again_has_the_same_bits() {
 fn run_by_the_adjoint_alone_evaluates_every_skill_once() {
     let place = Place::new();
     let mut scene = Scene::load("bench-small").unwrap();
-    scene.optimiser.gradient = powderline_simulator::scene::Gradient::Adjoint;
+    scene.optimiser.gradient = powderline_simulator::scene::GradientEstimator::Adjoint;
     let (path, folder) = (place.text("adjoint.toml"), place.text("run"));
     fs::write(&path, scene.to_toml()).unwrap();
     // Five skills, and Ctrl-C at the end of the plan's simulation.

@@ -2,7 +2,7 @@
 
 use clap::ValueEnum;
 use powderline_baseline::{CmaEs, RandomSearch, Sac, Search};
-use powderline_simulator::scene::{Gradient, Scene, Timing};
+use powderline_simulator::scene::{GradientEstimator, Scene, Timing};
 use serde::{Deserialize, Serialize};
 
 /// A way to search for a skill.
@@ -53,7 +53,7 @@ impl Method {
         match self {
             Self::GradientCurriculum => scene.optimiser.curriculum_epochs = scene.optimiser.epochs / 2,
             Self::GradientRounded => scene.skill.timing = Timing::Rounded,
-            Self::GradientAdjoint => scene.optimiser.gradient = Gradient::Adjoint,
+            Self::GradientAdjoint => scene.optimiser.gradient = GradientEstimator::Adjoint,
             Self::Gradient | Self::GradientSteps | Self::Sac | Self::CmaEs | Self::Random => {}
         }
         scene

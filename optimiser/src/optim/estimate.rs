@@ -2,7 +2,7 @@
 //!
 //! The adjoint is exact but heavy-tailed: a grain balanced on the rim amplifies perturbations a thousandfold, and its
 //! derivative is a correct answer to the wrong question. The slope over a distance at which such grains average out
-//! is what the optimiser wants. [`Gradient::Mixed`] weighs the two by their measured variances, component by
+//! is what the optimiser wants. [`GradientEstimator::Mixed`] weighs the two by their measured variances, component by
 //! component (Suh, Simchowitz, Zhang, Tedrake 2022, "Do differentiable simulators give better policy gradients?"):
 //!
 //! | symbol  | meaning                                                                                      |
@@ -30,7 +30,7 @@
 //! - If alpha is below [`USELESS_WEIGHT`] in all components that take part, no adjoint is computed, g is g0.
 
 use powderline_simulator::{
-    scene::{self, Gradient},
+    scene::{self, GradientEstimator},
     skill::Theta,
 };
 use serde::{Deserialize, Serialize};
@@ -60,7 +60,7 @@ const MEDIAN_OF_NORMAL: f64 = 0.6745;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Estimator {
     /// From what.
-    pub gradient: Gradient,
+    pub gradient: GradientEstimator,
     /// Half-step of the central differences, in units of theta.
     pub half_step: f64,
 }
@@ -155,13 +155,13 @@ impl Estimator {
     /// Whether the adjoint has to be computed.
     pub fn wants_adjoint(&self, state: &EstimatorState, place: &Place) -> bool {
         let useless = |trust: &Trust| trust.useless >= AGREEING && trust.is_fresh(place.epoch);
-        self.gradient == Gradient::Adjoint || !state.components[..place.active].iter().all(useless)
+        self.gradient == GradientEstimator::Adjoint || !state.components[..place.active].iter().all(useless)
     }
 
     /// The points whose losses have to be computed, once it is known what the adjoint is (`None` if it is not
     /// wanted, or not known yet: what it may surprise with is then left out).
     pub fn probes(&self, state: &EstimatorState, place: &Place, adjoint: Option<&Theta>) -> Vec<Probe> {
-        if self.gradient == Gradient::Adjoint {
+        if self.gradient == GradientEstimator::Adjoint {
             return Vec::new();
         }
         (0..place.active)
@@ -352,8 +352,8 @@ mod tests {
         rand_core::{Rng, SeedableRng},
     };
 
-    const MIXED: Estimator = Estimator { gradient: Gradient::Mixed, half_step: 0.1 };
-    const ADJOINT: Estimator = Estimator { gradient: Gradient::Adjoint, half_step: 0.1 };
+    const MIXED: Estimator = Estimator { gradient: GradientEstimator::Mixed, half_step: 0.1 };
+    const ADJOINT: Estimator = Estimator { gradient: GradientEstimator::Adjoint, half_step: 0.1 };
     const MINIMUM: Theta = [0.3, -0.2, 0.5, -0.4, 0.1];
 
     /// A quadratic with shot noise of 1 m, as the simulated bench has it.

@@ -270,11 +270,11 @@ impl Search {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use powderline_simulator::scene::Gradient;
+    use powderline_simulator::scene::GradientEstimator;
 
     const METHOD: Method = Method {
         rule: RmsProp { beta: 0.9, learning_rate: 0.05, epsilon: 1e-8, curriculum_epochs: 4 },
-        estimator: Estimator { gradient: Gradient::Mixed, half_step: 0.1 },
+        estimator: Estimator { gradient: GradientEstimator::Mixed, half_step: 0.1 },
     };
 
     /// A bowl whose gradient is wrong in depth, so that the search has all kinds of epochs.
@@ -401,7 +401,7 @@ mod tests {
 
     #[test]
     fn adjoint_alone_needs_no_probes() {
-        let estimator = Estimator { gradient: Gradient::Adjoint, ..METHOD.estimator };
+        let estimator = Estimator { gradient: GradientEstimator::Adjoint, ..METHOD.estimator };
         let method = Method { estimator, ..METHOD };
         let mut search = Search::new([-0.5; 5], 10);
         assert_eq!(

@@ -21,11 +21,7 @@
 
 use super::{Pace, RmsProp, search::is_loss};
 use powderline_shared::displacement::Displacement;
-use powderline_simulator::{
-    rollout::DisplacementGradient,
-    scene::Scene,
-    skill::{Control, displacement},
-};
+use powderline_simulator::{rollout::DisplacementGradient, scene::Scene, skill::Control};
 use serde::{Deserialize, Serialize};
 
 /// Learning rate, in units of w: of 0.001, 0.003, 0.01, 0.03 and 0.1 that with the lowest loss after ten epochs of
@@ -51,7 +47,7 @@ impl Reach {
 
     fn clamped(&self, control: &Control) -> Displacement {
         let reach = self.components();
-        displacement(&std::array::from_fn(|k| control[k].clamp(-reach[k], reach[k])))
+        Displacement::from(std::array::from_fn(|k| control[k].clamp(-reach[k], reach[k])))
     }
 
     fn holds(&self, control: &Displacement) -> bool {
@@ -119,8 +115,9 @@ pub struct StepSearch {
 
 impl StepSearch {
     /// A search that begins with these controls, those beyond the reach at its end.
-    pub fn new(rule: &StepRule, controls: &[Control]) -> Self {
-        let controls: Vec<_> = controls.iter().map(|control| rule.reach.clamped(control)).collect();
+    pub fn new(rule: &StepRule, controls: &[Displacement]) -> Self {
+        let clamped = |control: &Displacement| rule.reach.clamped(&control.components());
+        let controls: Vec<_> = controls.iter().map(clamped).collect();
         let paces = vec![[Pace::START; 6]; controls.len()];
         Self { place: Place { controls, paces, updates: 0 }, halvings: 0, best: None }
     }
@@ -250,7 +247,7 @@ mod tests {
     }
 
     fn begun() -> StepSearch {
-        StepSearch::new(&RULE, &[[0.001, 0.0, -0.003, 0.01, 0.04, -0.02]; 3])
+        StepSearch::new(&RULE, &[[0.001, 0.0, -0.003, 0.01, 0.04, -0.02].into(); 3])
     }
 
     /// Goes on by so many epochs; the motion of some has no loss.
@@ -268,7 +265,7 @@ mod tests {
 
     #[test]
     fn follows_the_equations() {
-        let search = StepSearch::new(&RULE, &[[0.0; 6]]);
+        let search = StepSearch::new(&RULE, &[[0.0; 6].into()]);
         let first = search.onward(&RULE, 5.0, &[slope(2.0)]).unwrap();
         // The mean of one slope is its square: a tenth of the reach, in metres and in radians, whatever the slope.
         let [x, .., rz] = first.controls()[0].components();
@@ -285,7 +282,7 @@ mod tests {
     #[test]
     fn begins_with_the_bits_of_its_controls_and_keeps_them_where_the_loss_is_flat() {
         let control = [0.001 / 3.0, -0.0, 0.0, 0.01 / 7.0, 0.0, -0.02];
-        let search = StepSearch::new(&RULE, &[control]);
+        let search = StepSearch::new(&RULE, &[control.into()]);
         let next = search.onward(&RULE, 1.0, &[DisplacementGradient::default()]).unwrap();
         for search in [search, next] {
             assert_eq!(search.controls()[0].components().map(f64::to_bits), control.map(f64::to_bits));
@@ -376,7 +373,7 @@ mod tests {
     #[test]
     fn the_tool_stays_in_the_workspace() {
         let rule = StepRule { workspace_m: [[-0.001, -1.0, -1.0], [1.0, 0.002, 1.0]], ..RULE };
-        let mut search = StepSearch::new(&rule, &[[0.0; 6]; 3]);
+        let mut search = StepSearch::new(&rule, &[[0.0; 6].into(); 3]);
         for _ in 0..20 {
             // Down the slope is towards -x and +y.
             let pushed = DisplacementGradient { per_metre: [1.0, -1.0, 0.0], per_radian: [0.0; 3] };
@@ -396,7 +393,7 @@ mod tests {
             start in prop::array::uniform6(-0.1..0.1f64),
             slopes in prop::collection::vec(prop::array::uniform6(-1e6..1e6f64), 1..50),
         ) {
-            let mut search = StepSearch::new(&RULE, &[start]);
+            let mut search = StepSearch::new(&RULE, &[start.into()]);
             for slope in slopes {
                 search = search.onward(&RULE, 1.0, &[DisplacementGradient::from(slope)]).unwrap();
                 prop_assert!(search.is_sound(&RULE, 1));

@@ -327,7 +327,7 @@ mod tests {
     fn grains_larger_than_the_tolerance_are_said() {
         let mut scene = Scene::load("bench").unwrap();
         scene.objective.amount =
-            powderline_simulator::scene::Amount::new(powderline_simulator::scene::Wanted::Particles(10));
+            powderline_simulator::scene::Amount::new(powderline_simulator::scene::Quantity::Particles(10));
         let text = said(&scene, &epochs(&[(20, 0, 0), (12, 0, 0)]), 1);
         assert!(text.contains("one particle is 10 % of the wanted amount"), "{text}");
     }

@@ -67,7 +67,7 @@ impl Judged {
 }
 
 fn obstacle(scene: &Scene, map: &SkillMap, theta: &Theta) -> Option<String> {
-    let quantised = match map.quantised(theta).and_then(|quantised| {
+    let quantised = match map.quantise(theta).and_then(|quantised| {
         map.check_limits(&quantised)?;
         Ok(quantised)
     }) {

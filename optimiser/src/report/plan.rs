@@ -4,7 +4,7 @@ use powderline_shared::plan::{PlanError, PlanHeader, PlanWriter, Precision, Star
 use powderline_simulator::{
     rollout::Evaluation,
     scene::Scene,
-    skill::{LSB, Quantised, SkillMap, Theta},
+    skill::{LSB, QuantisedControls, SkillMap, Theta},
 };
 use std::convert::Infallible;
 
@@ -22,7 +22,7 @@ pub struct PlanParts<'a> {
     /// The skill.
     pub theta: &'a Theta,
     /// The skill's quantised motion.
-    pub quantised: &'a Quantised,
+    pub quantised: &'a QuantisedControls,
     /// What the quantised motion achieves.
     pub evaluation: &'a Evaluation,
 }

@@ -10,7 +10,7 @@ pub fn bench(scene: &Scene, particles: usize, frames: usize, period_s: f64) -> B
         name: scene.name.clone(),
         size_m: scene.domain.size_m,
         cell_m: scene.domain.cell_m,
-        containers: scene.container.iter().map(|container| drawn(scene, container)).collect(),
+        containers: scene.containers.iter().map(|container| drawn(scene, container)).collect(),
         tool: tool(&scene.tool),
         target_m: scene.objective.p_target_m,
         particles,

@@ -175,8 +175,8 @@ impl Sink for Expected {
     }
 
     fn finish(&mut self, destinations: &[Destination]) -> Result<(), ViewError> {
-        use Destination::{Left, Spilled, Target, Tool};
-        for (which, name) in [(Left, "left"), (Target, "target"), (Tool, "tool"), (Spilled, "spilled")] {
+        use Destination::{Remained, Spilled, Target, Tool};
+        for (which, name) in [(Remained, "left"), (Target, "target"), (Tool, "tool"), (Spilled, "spilled")] {
             let count = destinations.iter().filter(|destination| **destination == which).count();
             self.contents["destinations"][name] = count.into();
         }
@@ -289,7 +289,7 @@ impl Motion {
             })
             .collect();
         let destination = |(index, carried): (usize, &Option<_>)| match carried {
-            None => Destination::Left,
+            None => Destination::Remained,
             Some(_) if index % 97 == 0 => Destination::Spilled,
             Some(_) if index % 29 == 0 => Destination::Tool,
             Some(_) => Destination::Target,

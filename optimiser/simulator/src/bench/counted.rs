@@ -11,7 +11,7 @@ use std::fmt;
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
 use crate::mpm::timings::Reading;
-use crate::real::{Real, Series};
+use crate::real::{Arithmetic, Polynomial, Real};
 
 thread_local! {
     static DONE: Cell<Reading> = const { Cell::new([0; 2]) };
@@ -36,11 +36,11 @@ const SLOW: Reading = [1, 1];
 
 /// What the elementary functions of a type cost: operations, and how many of them are divisions and square roots.
 pub trait Elementary: Real {
-    /// Of [`Real::ln_1p`].
+    /// Of [`Arithmetic::ln_1p`].
     const LN_1P: [u64; 2];
-    /// Of [`Real::exp_m1`].
+    /// Of [`Arithmetic::exp_m1`].
     const EXP_M1: [u64; 2];
-    /// Of [`Real::nearest`].
+    /// Of [`Arithmetic::nearest`].
     const NEAREST: [u64; 2] = [2, 0];
 }
 
@@ -106,16 +106,18 @@ impl<T: Real> SubAssign for Counted<T> {
     }
 }
 
-impl<T: Elementary> Real for Counted<T> {
+impl<T: Elementary> Real for Counted<T> {}
+
+impl<T: Elementary> Arithmetic for Counted<T> {
     const ZERO: Self = Self(T::ZERO);
     const ONE: Self = Self(T::ONE);
     const TINY: Self = Self(T::TINY);
-    const LN_1P_SERIES: Series = T::LN_1P_SERIES;
-    const EXP_M1_SERIES: Series = T::EXP_M1_SERIES;
+    const LN_1P_SERIES: Polynomial = T::LN_1P_SERIES;
+    const EXP_M1_SERIES: Polynomial = T::EXP_M1_SERIES;
 
     #[inline(always)]
-    fn of(x: f64) -> Self {
-        Self(T::of(x))
+    fn from_f64(x: f64) -> Self {
+        Self(T::from_f64(x))
     }
     #[inline(always)]
     fn to_f64(self) -> f64 {
@@ -181,7 +183,8 @@ mod tests {
     /// Operators in the text of a function of `real.rs`, constants like `1.0 / 6.0` and comments left out.
     fn operators(type_name: &str, function: &str) -> Reading {
         let text = include_str!("../real.rs");
-        let (_, text) = text.split_once(&format!("impl Real for {type_name} ")).expect("implementation");
+        let (_, text) =
+            text.split_once(&format!("impl Arithmetic for {type_name} ")).expect("implementation");
         let (_, text) = text.split_once(&format!("fn {function}(")).expect("function");
         let (body, _) = text.split_once("\n    }\n").expect("end of the function");
         let lines = body.lines().filter(|line| !line.trim_start().starts_with("//"));
@@ -205,7 +208,7 @@ mod tests {
     #[test]
     fn what_can_be_counted_by_hand_is_counted_so() {
         type C = Counted<f32>;
-        let x = C::of(0.75);
+        let x = C::from_f64(0.75);
         assert_eq!(cost(|| dot([x; 3], [x; 3])), [5, 0]);
         assert_eq!(cost(|| -x.at_least(C::ONE).abs()), [0, 0]);
         assert_eq!(cost(|| (x / x).sqrt()), [2, 2]);
@@ -240,8 +243,8 @@ mod tests {
         for x in [0.3f32, -0.01, 1e-7, 2.5] {
             let y = Counted(x);
             assert_eq!(((y * y + y) / (y - Counted(3.0))).0.to_bits(), ((x * x + x) / (x - 3.0)).to_bits());
-            assert_eq!(y.ln_1p().0.to_bits(), Real::ln_1p(x).to_bits());
-            assert_eq!(y.exp_m1().sqrt().0.to_bits(), Real::exp_m1(x).sqrt().to_bits());
+            assert_eq!(y.ln_1p().0.to_bits(), Arithmetic::ln_1p(x).to_bits());
+            assert_eq!(y.exp_m1().sqrt().0.to_bits(), Arithmetic::exp_m1(x).sqrt().to_bits());
         }
     }
 }

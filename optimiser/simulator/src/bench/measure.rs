@@ -9,7 +9,7 @@ use super::BenchError;
 use super::counted::{Counted, Elementary, operations};
 use super::machine::{self, nanoseconds};
 use super::problem::{Problem, SUBSTEPS};
-use crate::memory::{PARTICLE_SCALARS, available_bytes, fewest_states};
+use crate::memory::{PARTICLE_SCALARS, available_bytes, min_checkpoints};
 use crate::mpm::timings::{Gauge, Pass, PassTimings, Reading, Stage};
 use crate::real::Real;
 use crate::rollout::{Progress, RolloutError, RolloutState, Simulator, thread_pool};
@@ -56,11 +56,11 @@ const ENTRIES: [(Pass, Stage, &str, &str); 14] = [
     (Pass::Adjoint, Stage::GridToParticlesAdjoint, "adjoint", "adjoint of grid to particles"),
     (Pass::Adjoint, Stage::GridUpdateAdjoint, "adjoint", "adjoint of grid update"),
     (Pass::Adjoint, Stage::ParticlesToGridAdjoint, "adjoint", "adjoint of particles to grid"),
-    (Pass::Adjoint, Stage::Unsort, "adjoint", "adjoint of sort"),
+    (Pass::Adjoint, Stage::SortAdjoint, "adjoint", "adjoint of sort"),
     (Pass::Alone, Stage::ReturnMap, "alone", "return map"),
     (Pass::Alone, Stage::ReturnMapAdjoint, "alone", "adjoint of return map"),
     (Pass::Alone, Stage::Sort, "alone", "sort, each time"),
-    (Pass::Alone, Stage::Unsort, "alone", "adjoint of sort, each time"),
+    (Pass::Alone, Stage::SortAdjoint, "alone", "adjoint of sort, each time"),
 ];
 
 /// All stages, as [`Bench::time_of`] takes them.
@@ -72,7 +72,7 @@ pub const STAGES: [Stage; 10] = [
     Stage::GridToParticlesAdjoint,
     Stage::GridUpdateAdjoint,
     Stage::ParticlesToGridAdjoint,
-    Stage::Unsort,
+    Stage::SortAdjoint,
     Stage::ReturnMap,
     Stage::ReturnMapAdjoint,
 ];
@@ -106,8 +106,8 @@ impl<T: Real> Bench<T> {
     fn of(problem: Problem, threads: usize, gauge: Gauge) -> Result<Self, BenchError> {
         let pool = thread_pool(threads)?;
         // Memory is looked after before; what is kept is bounded by number.
-        let mut simulator = Simulator::new(&problem.scene, problem.packing.clone(), pool, u64::MAX);
-        let moment = simulator.beginning(&mut |_, _| true)?;
+        let mut simulator = Simulator::with_packing(&problem.scene, problem.packing.clone(), pool, u64::MAX);
+        let moment = simulator.initial_state(&mut |_, _| true)?;
         Ok(Self { problem, simulator, moment, step: 0, gauge })
     }
 
@@ -125,7 +125,7 @@ impl<T: Real> Bench<T> {
         let controls = self.problem.controls(self.next(steps));
         let (gauge, mut stamps) = (self.gauge, Vec::with_capacity(steps + 1));
         self.simulator.timings().follow(self.gauge);
-        let end = self.simulator.after(&self.moment, &controls, &mut |done, total| {
+        let end = self.simulator.advanced(&self.moment, &controls, &mut |done, total| {
             stamps.push(gauge());
             progress(done, total)
         });
@@ -138,8 +138,8 @@ impl<T: Real> Bench<T> {
     /// The gradient of the loss after so many control steps, from here; stays here.
     fn gradient(&mut self, steps: usize, progress: Progress<'_>) -> Result<Taken, RolloutError> {
         let controls = self.problem.controls(self.next(steps));
-        let kept = fewest_states(self.substeps(steps) as u64, PASSES) as usize;
-        self.simulator.keep_at_most(kept);
+        let kept = min_checkpoints(self.substeps(steps) as u64, PASSES) as usize;
+        self.simulator.set_max_checkpoints(kept);
         self.simulator.timings().follow(self.gauge);
         let began = (self.gauge)();
         let gradient = self.simulator.control_gradient(&self.moment, &controls, progress);
@@ -168,7 +168,7 @@ impl<T: Real> Bench<T> {
             Stage::GridToParticlesAdjoint | Stage::GridUpdateAdjoint | Stage::ParticlesToGridAdjoint => {
                 Pass::Adjoint
             }
-            Stage::Sort | Stage::Unsort | Stage::ReturnMap | Stage::ReturnMapAdjoint => Pass::Alone,
+            Stage::Sort | Stage::SortAdjoint | Stage::ReturnMap | Stage::ReturnMapAdjoint => Pass::Alone,
         };
         let (mut total_ns, mut count) = (0, 0);
         while count < substeps {
@@ -192,7 +192,8 @@ type Block = [f64; 2];
 
 /// Nanoseconds per particle and substep, over the blocks of the run.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
-pub struct Timing {
+#[non_exhaustive]
+pub struct TimeStats {
     /// Median over the blocks.
     pub median_ns: f64,
     /// The fastest block.
@@ -210,7 +211,7 @@ fn median(mut numbers: Vec<f64>) -> f64 {
     0.5 * (at(numbers.len() / 2) + at(numbers.len().saturating_sub(1) / 2))
 }
 
-impl Timing {
+impl TimeStats {
     fn of(blocks: &[Block]) -> Self {
         let wall = || blocks.iter().map(|[wall, _]| *wall);
         Self {
@@ -224,6 +225,7 @@ impl Timing {
 
 /// The arithmetic of a stage or of a rollout.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Arithmetic {
     /// Floating-point operations per particle and substep, as counted in this bed.
     pub operations: f64,
@@ -236,7 +238,7 @@ pub struct Arithmetic {
 }
 
 impl Arithmetic {
-    fn of(counted: [f64; 2], time: &Timing, fma_gflops: f64, threads: usize) -> Self {
+    fn of(counted: [f64; 2], time: &TimeStats, fma_gflops: f64, threads: usize) -> Self {
         let [operations, divisions_and_roots] = counted;
         let processor_floor_ns = operations / fma_gflops;
         Self {
@@ -250,6 +252,7 @@ impl Arithmetic {
 
 /// A stage.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct StageReport {
     /// `forward`, `adjoint` (with what it computes again of the substep), or `alone`.
     pub part: &'static str,
@@ -257,7 +260,7 @@ pub struct StageReport {
     pub name: &'static str,
     /// What it takes.
     #[serde(flatten)]
-    pub time: Timing,
+    pub time: TimeStats,
     /// What it computes.
     #[serde(flatten)]
     pub arithmetic: Arithmetic,
@@ -265,12 +268,13 @@ pub struct StageReport {
 
 /// A whole rollout.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct WholeReport {
     /// `forward`, or `forward and gradient`.
     pub name: &'static str,
     /// What it takes, for each substep of the motion.
     #[serde(flatten)]
-    pub time: Timing,
+    pub time: TimeStats,
     /// What it computes.
     #[serde(flatten)]
     pub arithmetic: Arithmetic,
@@ -284,6 +288,7 @@ pub struct WholeReport {
 
 /// The machine, as it was in this very run.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct Machine {
     /// Width of its vectors, bits.
     pub vector_bits: u32,
@@ -300,6 +305,7 @@ pub struct Machine {
 
 /// Memory.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct Memory {
     /// The most that the process held, bytes.
     pub peak_bytes: Option<u64>,
@@ -315,6 +321,7 @@ pub struct Memory {
 
 /// What came out.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct Report {
     /// Particles.
     pub particles: usize,
@@ -431,8 +438,11 @@ fn need(settings: &Settings, part: usize) -> u64 {
     let state = settings.particles as u64 * (PARTICLE_SCALARS * scalar + 8) * 5 / 4;
     // Tiles and nodes: blocks of 64 cells with some 512 particles have a tile of 512 nodes and three sets of 64.
     let grid = settings.particles as u64 * 4 * scalar * 2 + settings.grid.pow(3) as u64 * 2;
-    let states =
-        if settings.forward_only { 7 } else { 12 + fewest_states((part * SUBSTEPS as usize) as u64, PASSES) };
+    let states = if settings.forward_only {
+        7
+    } else {
+        12 + min_checkpoints((part * SUBSTEPS as usize) as u64, PASSES)
+    };
     (64 << 20) + machine::READ_BYTES as u64 + states * state + grid
 }
 
@@ -471,7 +481,7 @@ fn measure<T: Elementary>(
         forward_peak_bytes,
         ..memory_of(settings.particles, lanes, size_of::<T>(), machine.read_gb_per_s)
     };
-    let arithmetic = |counted: [f64; 2], time: &Timing| {
+    let arithmetic = |counted: [f64; 2], time: &TimeStats| {
         Arithmetic::of(counted, time, machine.fma_gflops, settings.threads)
     };
     Ok(Report {
@@ -561,12 +571,12 @@ fn measure_blocks<T: Real>(
 }
 
 /// Puts counts and times together.
-type Judge<'a> = &'a dyn Fn([f64; 2], &Timing) -> Arithmetic;
+type Judge<'a> = &'a dyn Fn([f64; 2], &TimeStats) -> Arithmetic;
 
 fn stages(blocks: &Blocks, counts: &[[f64; 2]; ENTRIES.len()], judge: Judge<'_>) -> Vec<StageReport> {
     let all = ENTRIES.iter().zip(&blocks.stages).zip(counts).filter(|((_, times), _)| !times.is_empty());
     all.map(|(((_, _, part, name), times), counted)| {
-        let time = Timing::of(times);
+        let time = TimeStats::of(times);
         StageReport { part, name, time, arithmetic: judge(*counted, &time) }
     })
     .collect()
@@ -585,7 +595,7 @@ fn whole(
     };
     let (once, adjoint) = (of(Pass::Forward), of(Pass::Adjoint));
     let report = |name, blocks: &[Block], advances: f64, counted: [f64; 2], kept_states: u64| {
-        let time = Timing::of(blocks);
+        let time = TimeStats::of(blocks);
         WholeReport { name, time, arithmetic: judge(counted, &time), substeps, advances, kept_states }
     };
     let forward = report("forward", &blocks.forward, 1.0, once, 0);
@@ -593,7 +603,7 @@ fn whole(
     let gradient = (in_all > 0).then(|| {
         let advances = advanced as f64 / in_all as f64;
         let counted = [0, 1].map(|i| advances * once[i] + adjoint[i]);
-        let kept = fewest_states(substeps as u64, PASSES);
+        let kept = min_checkpoints(substeps as u64, PASSES);
         report("forward and gradient", &blocks.gradient, advances, counted, kept)
     });
     [forward].into_iter().chain(gradient).collect()
@@ -602,7 +612,7 @@ fn whole(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::real::{Real, Series};
+    use crate::real::{Arithmetic, Polynomial};
 
     #[test]
     #[expect(clippy::float_cmp, reason = "halves of whole numbers")]
@@ -653,7 +663,7 @@ mod tests {
         let at = entry(Pass::Alone, Stage::ReturnMap);
         // A logarithm and an exponential, and a series for either of matrices: four operations a term.
         let functions = (f64::LN_1P[0] - f32::LN_1P[0]) + (f64::EXP_M1[0] - f32::EXP_M1[0]);
-        let terms = |ln: Series, exp: Series| (ln.terms + exp.terms) as u64;
+        let terms = |ln: Polynomial, exp: Polynomial| (ln.terms + exp.terms) as u64;
         let more =
             terms(f64::LN_1P_SERIES, f64::EXP_M1_SERIES) - terms(f32::LN_1P_SERIES, f32::EXP_M1_SERIES);
         let functions = functions + 4 * more;

@@ -117,13 +117,14 @@ use crate::scene::figures::grouped;
 pub use crate::mpm::timings::Stage;
 pub use counted::Elementary;
 pub use measure::{
-    Arithmetic, Bench, Machine, Memory, Report, STAGES, Settings, StageReport, Timing, Watch, WholeReport,
+    Arithmetic, Bench, Machine, Memory, Report, STAGES, Settings, StageReport, TimeStats, Watch, WholeReport,
     run,
 };
 pub use problem::{PARTICLES_PER_CELL, SUBSTEPS};
 
 /// Why nothing was measured.
 #[derive(Clone, Debug, PartialEq, Error)]
+#[non_exhaustive]
 pub enum BenchError {
     /// The bed does not fit into the grid.
     #[error(

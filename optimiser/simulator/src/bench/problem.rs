@@ -6,7 +6,7 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 
 use super::BenchError;
 use crate::mpm::Model;
-use crate::mpm::contact::Motion;
+use crate::mpm::contact::BodyState;
 use crate::mpm::obstacle::distance;
 use crate::rollout::path::resting;
 use crate::scene::{Container, ContainerShape, DEFAULT_SCENE, Scene, ToolShape};
@@ -113,14 +113,14 @@ fn scene(shape: &Shape, grid: usize) -> Scene {
     scene.time.settle_s = 0.0;
     let height = shape.depth + 0.5 * HEADROOM_CELLS as f64;
     let inner_size_m = [2.0 * half_width, 2.0 * half_width, height * cell];
-    let source = &scene.container[0];
-    scene.container = vec![Container {
+    let source = &scene.containers[0];
+    scene.containers = vec![Container {
         position_m: [middle, middle, cell],
         wall_thickness_m: cell,
         shape: ContainerShape::Box { inner_size_m },
         ..source.clone()
     }];
-    scene.objective.target.clone_from(&scene.container[0].name);
+    scene.objective.target.clone_from(&scene.containers[0].name);
     scene.objective.p_target_m = [middle, middle, cell];
     scene.tool.shape = ToolShape::Bowl { inner_radius_m: shape.radius * cell };
     scene.tool.wall_thickness_m = cell;
@@ -133,7 +133,7 @@ fn scene(shape: &Shape, grid: usize) -> Scene {
 /// Positions, m: one particle somewhere in each eighth of a cell that the bowl leaves free, from the floor upwards.
 fn packing(scene: &Scene, shape: &Shape, particles: usize, grid: usize) -> Result<Vec<[f64; 3]>, BenchError> {
     let model = Model::<f64>::new(scene);
-    let bowl: Motion<f64> = resting(SkillMap::new(scene).start_pose());
+    let bowl: BodyState<f64> = resting(SkillMap::new(scene).start_pose());
     let cell = scene.domain.cell_m;
     let edge = 0.5 * cell;
     let [x0, y0, z0] = scene.powder.fill_min_m;

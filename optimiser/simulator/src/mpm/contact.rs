@@ -5,7 +5,7 @@
 //! | `s`, `n` | `s`, `n` | signed distance and outward normal of the body at the point |
 //! | `v_b` | `vb` | velocity of the body at the point |
 //! | `beta` | `beta` | blend: 1 inside, falling to 0 at the band's end |
-//! | `r` | `release` | part of a separating velocity that is left: 1, or 0 at nodes in a wall with two sides |
+//! | `r` | `separation_factor` | part of a separating velocity that is left: 1, or 0 at nodes in a wall with two sides |
 //! | `mu_f` | `friction` | Coulomb coefficient |
 //!
 //! `v_r = v - v_b`, `v_n = v_r.n`, `v_t = v_r - v_n n`. The normal part becomes `a = r max(v_n, push)`,
@@ -24,7 +24,7 @@ use crate::small::{Mat3, Vec3, add, cross, dot, mul_vec, scale, sub, three, tr_m
 
 /// A rigid body at one instant. `rotation` and `position` map its frame to the world.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Motion<T> {
+pub(crate) struct BodyState<T> {
     pub(crate) rotation: Mat3<T>,
     pub(crate) position: Vec3<T>,
     pub(crate) velocity: Vec3<T>,
@@ -33,25 +33,25 @@ pub(crate) struct Motion<T> {
 
 /// The law of contact with one body.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Law<T> {
+pub(crate) struct ContactParams<T> {
     pub(crate) friction: T,
     /// Where the blend has fallen to zero, m beyond the surface.
     pub(crate) band: T,
     /// How far the surface is moved outwards, m.
-    pub(crate) growth: T,
+    pub(crate) inflation: T,
     /// Part of a separating velocity that is left.
-    pub(crate) release: T,
+    pub(crate) separation_factor: T,
     /// Speed of the outward push per metre of depth, 1/s; zero at grid nodes.
-    pub(crate) push_rate: T,
+    pub(crate) pushout_rate: T,
     /// Upper bound of that push, m/s.
-    pub(crate) push_limit: T,
+    pub(crate) max_pushout_speed: T,
 }
 
-impl<T: Real> Law<T> {
+impl<T: Real> ContactParams<T> {
     /// Distance from the body beyond which nothing changes, m.
     #[inline(always)]
     pub(crate) fn reach(&self) -> T {
-        self.growth + self.band
+        self.inflation + self.band
     }
 }
 
@@ -61,14 +61,14 @@ const REST_SPEED: f64 = 1e-4;
 /// Cotangent of a body's motion, summed over all that touches it: of the position, of a left (world-frame)
 /// rotation of the body, of its velocity and of its angular velocity.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(crate) struct MotionBar {
+pub(crate) struct BodyStateBar {
     pub(crate) position: [f64; 3],
     pub(crate) rotation: [f64; 3],
     pub(crate) velocity: [f64; 3],
     pub(crate) angular_velocity: [f64; 3],
 }
 
-impl MotionBar {
+impl BodyStateBar {
     pub(crate) fn add(&mut self, other: &Self) {
         for i in 0..3 {
             self.position[i] += other.position[i];
@@ -83,15 +83,15 @@ impl MotionBar {
 #[inline(always)]
 fn smooth_step<T: Real>(t: T) -> (T, T) {
     let t = t.unit();
-    (t * t * (T::of(3.0) - t - t), T::of(6.0) * t * (T::ONE - t))
+    (t * t * (T::from_f64(3.0) - t - t), T::from_f64(6.0) * t * (T::ONE - t))
 }
 
 /// Velocity after contact.
 #[inline(always)]
 pub(crate) fn contact<T: Real, D: SignedDistance<T>>(
     shape: &D,
-    body: &Motion<T>,
-    law: &Law<T>,
+    body: &BodyState<T>,
+    law: &ContactParams<T>,
     x: Vec3<T>,
     v: Vec3<T>,
 ) -> Vec3<T> {
@@ -99,7 +99,7 @@ pub(crate) fn contact<T: Real, D: SignedDistance<T>>(
     let (s, normal) = shape.distance(tr_mul_vec(&body.rotation, arm));
     let n = mul_vec(&body.rotation, normal);
     let vb = add(body.velocity, cross(body.angular_velocity, arm));
-    let f = resolve(law, s - law.growth, n, sub(v, vb));
+    let f = resolve(law, s - law.inflation, n, sub(v, vb));
     add(v, scale(f.beta, sub(add(vb, f.relative), v)))
 }
 
@@ -120,22 +120,22 @@ struct Resolved<T> {
 }
 
 #[inline(always)]
-fn resolve<T: Real>(law: &Law<T>, s: T, n: Vec3<T>, vr: Vec3<T>) -> Resolved<T> {
+fn resolve<T: Real>(law: &ContactParams<T>, s: T, n: Vec3<T>, vr: Vec3<T>) -> Resolved<T> {
     let inverse_band = T::ONE / law.band;
     let (fall, fall_slope) = smooth_step(s * inverse_band);
-    let raw_push = -(s * law.push_rate);
-    let push = raw_push.at_least(T::ZERO).at_most(law.push_limit);
-    let pushing = raw_push > T::ZERO && raw_push < law.push_limit;
+    let raw_push = -(s * law.pushout_rate);
+    let push = raw_push.at_least(T::ZERO).at_most(law.max_pushout_speed);
+    let pushing = raw_push > T::ZERO && raw_push < law.max_pushout_speed;
     let vn = dot(vr, n);
     let vt = sub(vr, scale(vn, n));
-    let speed = (dot(vt, vt) + T::of(REST_SPEED * REST_SPEED)).sqrt();
-    let a = law.release * vn.at_least(push);
+    let speed = (dot(vt, vt) + T::from_f64(REST_SPEED * REST_SPEED)).sqrt();
+    let a = law.separation_factor * vn.at_least(push);
     let keep = (T::ONE - law.friction * (a - vn).abs() / speed).at_least(T::ZERO);
     Resolved {
         beta: T::ONE - fall,
         beta_slope: -(fall_slope * inverse_band),
         push,
-        push_slope: (-law.push_rate).only_if(pushing),
+        push_slope: (-law.pushout_rate).only_if(pushing),
         vn,
         vt,
         speed,
@@ -158,8 +158,8 @@ pub(crate) struct ContactBar<T> {
 #[inline(always)]
 pub(crate) fn contact_adjoint<T: Real, D: SignedDistance<T>>(
     shape: &D,
-    body: &Motion<T>,
-    law: &Law<T>,
+    body: &BodyState<T>,
+    law: &ContactParams<T>,
     x: Vec3<T>,
     v: Vec3<T>,
     bar: Vec3<T>,
@@ -169,7 +169,7 @@ pub(crate) fn contact_adjoint<T: Real, D: SignedDistance<T>>(
     let (s, normal) = shape.distance(y);
     let n = mul_vec(&body.rotation, normal);
     let vb = add(body.velocity, cross(body.angular_velocity, arm));
-    let f = resolve(law, s - law.growth, n, sub(v, vb));
+    let f = resolve(law, s - law.inflation, n, sub(v, vb));
 
     // v_out = v + beta (v_b + a n + keep v_t - v)
     let result_bar = scale(f.beta, bar);
@@ -188,10 +188,10 @@ pub(crate) fn contact_adjoint<T: Real, D: SignedDistance<T>>(
     a_bar += removed_bar;
     let mut vn_bar = -removed_bar;
 
-    // a = release max(v_n, push)
+    // a = separation_factor max(v_n, push)
     let free = f.vn >= f.push;
-    vn_bar += (law.release * a_bar).only_if(free);
-    let push_bar = (law.release * a_bar).only_if(!free);
+    vn_bar += (law.separation_factor * a_bar).only_if(free);
+    let push_bar = (law.separation_factor * a_bar).only_if(!free);
 
     // v_t = v_r - v_n n, v_n = v_r . n
     let mut vr_bar = vt_bar;

@@ -4,13 +4,13 @@
 //! `x' = x + dt v'`.
 
 use crate::mpm::Model;
-use crate::mpm::contact::{Motion, MotionBar};
+use crate::mpm::contact::{BodyState, BodyStateBar};
 use crate::mpm::gather::{Rows, Sent, gather, gather_gradient};
 use crate::mpm::grid_update::{contact_lanes, contact_lanes_adjoint, find_near, meet};
 use crate::mpm::layout::{Block, Grid, Nodes, empty_tile, load_tile};
 use crate::mpm::p2g::at_base;
 use crate::mpm::particles::{Group, LANES, Lanes, mat_of, set_mat, set_vec, vec_of};
-use crate::mpm::sleep::Seen;
+use crate::mpm::sleep::BlockStatus;
 use crate::mpm::stencil::{TILE_EDGE, Tile, scatter};
 use crate::mpm::stencil_positions::StencilPositions;
 use crate::real::Real;
@@ -19,29 +19,29 @@ use crate::small::{dot, three, tr_mul_vec};
 /// Moves one block's particles.
 pub(crate) struct TileToParticles<'a, T> {
     pub(crate) model: &'a Model<T>,
-    pub(crate) tool: &'a Motion<T>,
+    pub(crate) tool: &'a BodyState<T>,
     pub(crate) block: &'a Block,
     pub(crate) velocity: &'a [Nodes<T>],
     pub(crate) state: &'a mut [Group<T>],
 }
 
 impl<T: Real> pulp::NullaryFnOnce for TileToParticles<'_, T> {
-    type Output = Seen;
+    type Output = BlockStatus;
 
     #[inline(always)]
-    fn call(self) -> Seen {
+    fn call(self) -> BlockStatus {
         let model = self.model;
-        let shift = Grid::tile_shift(self.block.coord).map(T::of);
+        let shift = Grid::tile_shift(self.block.coord).map(T::from_f64);
         let mut tile = empty_tile();
         load_tile(self.block, self.velocity, &mut tile);
         let touching = model.obstacles.at_particles(&model.grid, self.block.coord, self.tool);
-        let mut seen = Seen { inside: true, quiet: true };
+        let mut seen = BlockStatus { inside: true, quiet: true };
         let sleep = [model.sleep_speed, model.sleep_speed * model.inverse_dx].map(|limit| limit * limit);
         for (g, state) in self.state.iter_mut().enumerate() {
             let x = state.x;
             let places = StencilPositions::of(model.inverse_dx, shift, &x);
-            let living = self.block.living(g);
-            let gathered = gather(&tile, &places, &places.weights(), living);
+            let occupied = self.block.occupied(g);
+            let gathered = gather(&tile, &places, &places.weights(), occupied);
             let mut loud = Lanes::ZERO;
             for l in 0..LANES {
                 let (f, v, first) = (places.f(l), vec_of(&gathered.sum, l), mat_of(&gathered.first, l));
@@ -54,21 +54,21 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticles<'_, T> {
             for t in &touching {
                 contact_lanes(t, &t.piece.particle_law, &x, &mut v);
             }
-            let reach = T::of((TILE_EDGE - 2) as f64);
+            let reach = T::from_f64((TILE_EDGE - 2) as f64);
             let mut outside = Lanes::ZERO;
             for axis in 0..3 {
                 let mut next = x[axis];
                 for l in 0..LANES {
                     next[l] = x[axis][l] + model.dt * v[axis][l];
-                    let base = next[l] * model.inverse_dx + shift[axis] - T::of(0.5);
+                    let base = next[l] * model.inverse_dx + shift[axis] - T::from_f64(0.5);
                     // A number that is not finite counts as outside, too.
                     outside[l] = if base >= T::ZERO && base < reach { outside[l] } else { T::ONE };
                 }
                 state.x[axis] = next;
             }
             state.v = v;
-            let none = |lanes: &Lanes<T>| lanes[..living].iter().all(|lane| *lane == T::ZERO);
-            seen = Seen { inside: seen.inside && none(&outside), quiet: seen.quiet && none(&loud) };
+            let none = |lanes: &Lanes<T>| lanes[..occupied].iter().all(|lane| *lane == T::ZERO);
+            seen = BlockStatus { inside: seen.inside && none(&outside), quiet: seen.quiet && none(&loud) };
         }
         seen
     }
@@ -79,7 +79,7 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticles<'_, T> {
 /// are used up.
 pub(crate) struct TileToParticlesAdjoint<'a, T> {
     pub(crate) model: &'a Model<T>,
-    pub(crate) tool: &'a Motion<T>,
+    pub(crate) tool: &'a BodyState<T>,
     pub(crate) block: &'a Block,
     pub(crate) velocity: &'a [Nodes<T>],
     pub(crate) input: &'a [Group<T>],
@@ -88,17 +88,17 @@ pub(crate) struct TileToParticlesAdjoint<'a, T> {
 }
 
 impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
-    type Output = MotionBar;
+    type Output = BodyStateBar;
 
     #[inline(always)]
-    fn call(self) -> MotionBar {
+    fn call(self) -> BodyStateBar {
         let model = self.model;
-        let shift = Grid::tile_shift(self.block.coord).map(T::of);
+        let shift = Grid::tile_shift(self.block.coord).map(T::from_f64);
         let mut tile = empty_tile();
         load_tile(self.block, self.velocity, &mut tile);
         *self.tile_bar = empty_tile();
         let touching = model.obstacles.at_particles(&model.grid, self.block.coord, self.tool);
-        let mut tool_bar = MotionBar::default();
+        let mut tool_bar = BodyStateBar::default();
         let mut met = Vec::with_capacity(touching.len());
         // If the compiler knew that this is 0, it would drop a quarter of each row and no longer vectorise.
         let no_mass = std::hint::black_box(T::ZERO);
@@ -106,7 +106,7 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
         for g in 0..self.input.len() {
             let (input, bar) = (&self.input[g], &mut self.bar[g]);
             let places = StencilPositions::of(model.inverse_dx, shift, &input.x);
-            let (living, weights) = (self.block.living(g), places.weights());
+            let (occupied, weights) = (self.block.occupied(g), places.weights());
             // x' = x + dt v'
             for axis in 0..3 {
                 for l in 0..LANES {
@@ -115,7 +115,7 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
             }
             find_near(&touching, |piece| &piece.particle_law, &input.x, &mut met);
             if !met.is_empty() {
-                meet(&mut met, &input.x, gather(&tile, &places, &weights, living).sum);
+                meet(&mut met, &input.x, gather(&tile, &places, &weights, occupied).sum);
             }
             for m in met.iter().rev() {
                 contact_lanes_adjoint(m, &input.x, &mut bar.v, Some(&mut bar.x), &mut tool_bar);
@@ -127,8 +127,8 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
                 set_vec(&mut sent.base, l, at_base(vec_of(&bar.v, l), &scaled, places.f(l)));
             }
             let stencils = places.stencils(&weights);
-            scatter(self.tile_bar, living, |l| stencils.of(l), |l| sent.affine(l, no_mass));
-            let gathered = gather_gradient(&tile, &places, &weights, &sent, living, &mut rows);
+            scatter(self.tile_bar, occupied, |l| stencils.of(l), |l| sent.affine(l, no_mass));
+            let gathered = gather_gradient(&tile, &places, &weights, &sent, occupied, &mut rows);
             for l in 0..LANES {
                 let through_f = tr_mul_vec(&mat_of(&sent.a_dx, l), vec_of(&gathered.sum, l));
                 let gradient = vec_of(&gathered.gradient, l);

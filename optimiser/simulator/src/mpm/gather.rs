@@ -75,7 +75,7 @@ impl Run {
 
     /// 1 for particles whose stencil begins at the second node of the rows.
     #[inline(always)]
-    fn is_up<T: Real>(&self, l: usize) -> T {
+    fn z_offset<T: Real>(&self, l: usize) -> T {
         T::ONE.only_if(self.offset[l] == 1)
     }
 
@@ -95,10 +95,10 @@ impl Run {
 
 /// Lanes without a particle wait for nothing.
 #[inline(always)]
-fn waiting(start: &[i32; LANES], living: usize, lanes: core::ops::Range<usize>) -> [i32; LANES] {
+fn waiting(start: &[i32; LANES], occupied: usize, lanes: core::ops::Range<usize>) -> [i32; LANES] {
     let mut out = *start;
     for l in 0..LANES {
-        out[l] = if l < living && lanes.contains(&l) { out[l] } else { NOWHERE };
+        out[l] = if l < occupied && lanes.contains(&l) { out[l] } else { NOWHERE };
     }
     out
 }
@@ -137,10 +137,10 @@ pub(crate) fn gather<T: Real>(
     tile: &Tile<T>,
     places: &StencilPositions<T>,
     w: &Weights<T>,
-    living: usize,
+    occupied: usize,
 ) -> Gathered<T> {
     let mut out = Gathered::ZERO;
-    for_parts!(T, moments(tile, places, w, living, &mut out));
+    for_parts!(T, moments(tile, places, w, occupied, &mut out));
     out
 }
 
@@ -149,17 +149,17 @@ fn moments<T: Real, const FROM: usize, const TO: usize>(
     tile: &Tile<T>,
     places: &StencilPositions<T>,
     w: &Weights<T>,
-    living: usize,
+    occupied: usize,
     out: &mut Gathered<T>,
 ) {
-    let mut waiting = waiting(&places.start, living, FROM..TO);
+    let mut waiting = waiting(&places.start, occupied, FROM..TO);
     while let Some(run) = Run::next(&mut waiting) {
         let nodes: &[[T; 4]; REACH] = tile[run.start..].first_chunk().expect("stencils lie in the tile");
         let (mut sum, mut first) = (out.sum, out.first);
         for l in FROM..TO {
             let (wx, wy) = (three!(n => w[0][n][l]), three!(n => w[1][n][l]));
             let wz = run.along_row(l, three!(n => w[2][n][l]));
-            let wz_k = [wz[1], wz[2] + wz[2], T::of(3.0) * wz[3]];
+            let wz_k = [wz[1], wz[2] + wz[2], T::from_f64(3.0) * wz[3]];
             let layer = |i: usize| {
                 let row = |j: usize| {
                     let g = |k: usize, c: usize| nodes[(i * TILE_EDGE + j) * TILE_EDGE + k][c];
@@ -172,7 +172,7 @@ fn moments<T: Real, const FROM: usize, const TO: usize>(
                 (sum, by_j, three!(c => sum_3(wy, [k0[c], k1[c], k2[c]])))
             };
             let ((s0, j0, k0), (s1, j1, k1), (s2, j2, k2)) = (layer(0), layer(1), layer(2));
-            let up = run.is_up::<T>(l);
+            let up = run.z_offset::<T>(l);
             for c in 0..3 {
                 let all = sum_3(wx, [s0[c], s1[c], s2[c]]);
                 sum[c][l] += all;
@@ -194,11 +194,11 @@ pub(crate) fn gather_with_gradient<T: Real>(
     w: &Weights<T>,
     sent: &Sent<T>,
     mass: T,
-    living: usize,
+    occupied: usize,
     rows: &mut Rows<T>,
 ) -> Gathered<T> {
     let (slopes, mut out) = (places.slopes(), Gathered::ZERO);
-    for_parts!(T, of_runs<true>(tile, places, w, &slopes, sent, mass, living, &mut rows.0, &mut out));
+    for_parts!(T, of_runs<true>(tile, places, w, &slopes, sent, mass, occupied, &mut rows.0, &mut out));
     out
 }
 
@@ -209,11 +209,11 @@ pub(crate) fn gather_gradient<T: Real>(
     places: &StencilPositions<T>,
     w: &Weights<T>,
     sent: &Sent<T>,
-    living: usize,
+    occupied: usize,
     rows: &mut Rows<T>,
 ) -> Gathered<T> {
     let (slopes, mut out) = (places.slopes(), Gathered::ZERO);
-    for_parts!(T, of_runs<false>(tile, places, w, &slopes, sent, T::ZERO, living, &mut rows.0, &mut out));
+    for_parts!(T, of_runs<false>(tile, places, w, &slopes, sent, T::ZERO, occupied, &mut rows.0, &mut out));
     out
 }
 
@@ -261,11 +261,11 @@ fn of_runs<T: Real, const FROM: usize, const TO: usize, const ALL: bool>(
     slopes: &Weights<T>,
     sent: &Sent<T>,
     mass: T,
-    living: usize,
+    occupied: usize,
     rows: &mut [Row<T>; 9],
     out: &mut Gathered<T>,
 ) {
-    let mut waiting = waiting(&places.start, living, FROM..TO);
+    let mut waiting = waiting(&places.start, occupied, FROM..TO);
     while let Some(run) = Run::next(&mut waiting) {
         let nodes: &[[T; 4]; REACH] = tile[run.start..].first_chunk().expect("stencils lie in the tile");
         let along = along_rows::<T, FROM, TO>(&run, &w[2], &slopes[2], sent);
@@ -273,7 +273,8 @@ fn of_runs<T: Real, const FROM: usize, const TO: usize, const ALL: bool>(
             let (i, j) = (n / 3, n % 3);
             let nodes: &[[T; 4]; ROW] =
                 nodes[(i * TILE_EDGE + j) * TILE_EDGE..].first_chunk().expect("nine rows");
-            *row = of_row::<T, FROM, TO, ALL>(nodes, &along, sent, mass, [i, j].map(|n| T::of(n as f64)));
+            *row =
+                of_row::<T, FROM, TO, ALL>(nodes, &along, sent, mass, [i, j].map(|n| T::from_f64(n as f64)));
         }
         add_rows::<T, FROM, TO, ALL>(rows, [&w[0], &w[1]], [&slopes[0], &slopes[1]], &along.up, out);
     }
@@ -297,8 +298,8 @@ fn along_rows<T: Real, const FROM: usize, const TO: usize>(
         }
         out.w_k[0][l] = w[1];
         out.w_k[1][l] = w[2] + w[2];
-        out.w_k[2][l] = T::of(3.0) * w[3];
-        let up = run.is_up::<T>(l);
+        out.w_k[2][l] = T::from_f64(3.0) * w[3];
+        let up = run.z_offset::<T>(l);
         for c in 0..3 {
             out.base[c][l] = sent.base[c][l] - up * sent.a_dx[3 * c + 2][l];
         }

@@ -1,9 +1,9 @@
 //! Grid update: momentum to velocity, gravity, contact at the nodes.
 
 use crate::mpm::Model;
-use crate::mpm::contact::{Law, Motion, MotionBar, contact, contact_adjoint};
+use crate::mpm::contact::{BodyState, BodyStateBar, ContactParams, contact, contact_adjoint};
 use crate::mpm::layout::{BLOCK_EDGE, BLOCK_NODES, NodeBlock, Nodes};
-use crate::mpm::obstacle::{Piece, Touching};
+use crate::mpm::obstacle::{Collider, NearbyCollider};
 use crate::mpm::particles::{LANES, Lanes, set_vec, vec_of};
 use crate::mpm::sleep::wakes;
 use crate::mpm::tiles::Tiles;
@@ -23,7 +23,7 @@ pub(crate) fn node_places<T: Real>(dx: T) -> NodeLanes<T> {
     for n in 0..BLOCK_NODES {
         let ijk = [n / (BLOCK_EDGE * BLOCK_EDGE), n / BLOCK_EDGE % BLOCK_EDGE, n % BLOCK_EDGE];
         for axis in 0..3 {
-            x[n / LANES][axis][n % LANES] = dx * T::of(ijk[axis] as f64);
+            x[n / LANES][axis][n % LANES] = dx * T::from_f64(ijk[axis] as f64);
         }
     }
     x
@@ -38,7 +38,7 @@ fn any_mass<T: Real>(nodes: &[[T; 4]]) -> bool {
 /// Sums one node block's tiles and finds its velocities after gravity and contact. Where all sleep, nothing is done.
 pub(crate) struct UpdateNodes<'a, T> {
     pub(crate) model: &'a Model<T>,
-    pub(crate) tool: &'a Motion<T>,
+    pub(crate) tool: &'a BodyState<T>,
     pub(crate) node: &'a NodeBlock,
     pub(crate) tiles: Tiles<'a, T>,
     /// Momentum and mass.
@@ -97,7 +97,7 @@ fn free_velocity<T: Real>(model: &Model<T>, momentum: &Nodes<T>) -> NodeLanes<T>
 
 #[inline(always)]
 fn positions<T: Real>(model: &Model<T>, node: &NodeBlock) -> NodeLanes<T> {
-    let origin = model.grid.block_origin(node.coord).map(T::of);
+    let origin = model.grid.block_origin(node.coord).map(T::from_f64);
     let mut x = model.node_places;
     for chunk in &mut x {
         for axis in 0..3 {
@@ -113,7 +113,7 @@ fn positions<T: Real>(model: &Model<T>, node: &NodeBlock) -> NodeLanes<T> {
 /// tool's motion.
 pub(crate) struct UpdateNodesAdjoint<'a, T> {
     pub(crate) model: &'a Model<T>,
-    pub(crate) tool: &'a Motion<T>,
+    pub(crate) tool: &'a BodyState<T>,
     pub(crate) node: &'a NodeBlock,
     pub(crate) velocity_bar_tiles: Tiles<'a, T>,
     pub(crate) momentum: &'a Nodes<T>,
@@ -121,23 +121,23 @@ pub(crate) struct UpdateNodesAdjoint<'a, T> {
 }
 
 impl<T: Real> pulp::NullaryFnOnce for UpdateNodesAdjoint<'_, T> {
-    type Output = MotionBar;
+    type Output = BodyStateBar;
 
     #[inline(always)]
-    fn call(self) -> MotionBar {
+    fn call(self) -> BodyStateBar {
         if !self.velocity_bar_tiles.any_awake(self.node) {
-            return MotionBar::default();
+            return BodyStateBar::default();
         }
         if !any_mass(self.momentum) {
             *self.momentum_bar = [[T::ZERO; 4]; BLOCK_NODES];
-            return MotionBar::default();
+            return BodyStateBar::default();
         }
         let incoming = self.velocity_bar_tiles.sum(self.node);
         let mut bar = [[Lanes::ZERO; 3]; CHUNKS];
         for (n, b) in incoming.iter().enumerate() {
             set_vec(&mut bar[n / LANES], n % LANES, [b[0], b[1], b[2]]);
         }
-        let mut tool_bar = MotionBar::default();
+        let mut tool_bar = BodyStateBar::default();
         let touching = self.model.obstacles.at_nodes(&self.model.grid, self.node.coord, self.tool);
         if !touching.is_empty() {
             let x = positions(self.model, self.node);
@@ -168,7 +168,7 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodesAdjoint<'_, T> {
 
 /// Whether any of [`LANES`] points is within the reach of a piece. Beyond it contact changes nothing, exactly.
 #[inline(always)]
-fn is_near<T: Real>(t: &Touching<'_, T>, law: &Law<T>, x: &[Lanes<T>; 3]) -> bool {
+fn is_near<T: Real>(t: &NearbyCollider<'_, T>, law: &ContactParams<T>, x: &[Lanes<T>; 3]) -> bool {
     let mut near = Lanes::ZERO;
     with_solid!(t.piece.shape, solid => {
         for l in 0..LANES {
@@ -182,8 +182,8 @@ fn is_near<T: Real>(t: &Touching<'_, T>, law: &Law<T>, x: &[Lanes<T>; 3]) -> boo
 /// Contact of [`LANES`] points with one piece.
 #[inline(always)]
 pub(crate) fn contact_lanes<T: Real>(
-    t: &Touching<'_, T>,
-    law: &Law<T>,
+    t: &NearbyCollider<'_, T>,
+    law: &ContactParams<T>,
     x: &[Lanes<T>; 3],
     v: &mut [Lanes<T>; 3],
 ) {
@@ -195,8 +195,8 @@ pub(crate) fn contact_lanes<T: Real>(
 /// Returns a new value, which cannot alias the input: otherwise the loop would not vectorise.
 #[inline(always)]
 fn after_contact<T: Real>(
-    t: &Touching<'_, T>,
-    law: &Law<T>,
+    t: &NearbyCollider<'_, T>,
+    law: &ContactParams<T>,
     x: &[Lanes<T>; 3],
     v: &[Lanes<T>; 3],
 ) -> [Lanes<T>; 3] {
@@ -210,32 +210,32 @@ fn after_contact<T: Real>(
 }
 
 /// A piece that [`LANES`] points met, and their velocities just before.
-pub(crate) struct Met<'a, T> {
-    touching: Touching<'a, T>,
-    law: &'a Law<T>,
+pub(crate) struct ContactRecord<'a, T> {
+    touching: NearbyCollider<'a, T>,
+    law: &'a ContactParams<T>,
     before: [Lanes<T>; 3],
 }
 
 /// Notes the pieces that are within reach.
 #[inline(always)]
 pub(crate) fn find_near<'a, T: Real>(
-    touching: &[Touching<'a, T>],
-    law: impl Fn(&'a Piece<T>) -> &'a Law<T>,
+    touching: &[NearbyCollider<'a, T>],
+    law: impl Fn(&'a Collider<T>) -> &'a ContactParams<T>,
     x: &[Lanes<T>; 3],
-    met: &mut Vec<Met<'a, T>>,
+    met: &mut Vec<ContactRecord<'a, T>>,
 ) {
     met.clear();
     for t in touching {
         let law = law(t.piece);
         if is_near(t, law, x) {
-            met.push(Met { touching: *t, law, before: [Lanes::ZERO; 3] });
+            met.push(ContactRecord { touching: *t, law, before: [Lanes::ZERO; 3] });
         }
     }
 }
 
 /// Runs through these pieces from velocity `v`.
 #[inline(always)]
-pub(crate) fn meet<T: Real>(met: &mut [Met<'_, T>], x: &[Lanes<T>; 3], mut v: [Lanes<T>; 3]) {
+pub(crate) fn meet<T: Real>(met: &mut [ContactRecord<'_, T>], x: &[Lanes<T>; 3], mut v: [Lanes<T>; 3]) {
     for m in met {
         m.before = v;
         v = after_contact(&m.touching, m.law, x, &m.before);
@@ -246,13 +246,13 @@ pub(crate) fn meet<T: Real>(met: &mut [Met<'_, T>], x: &[Lanes<T>; 3], mut v: [L
 /// positions' and the tool's cotangents are added to.
 #[inline(always)]
 pub(crate) fn contact_lanes_adjoint<T: Real>(
-    met: &Met<'_, T>,
+    met: &ContactRecord<'_, T>,
     x: &[Lanes<T>; 3],
     bar: &mut [Lanes<T>; 3],
     x_bar: Option<&mut [Lanes<T>; 3]>,
-    tool_bar: &mut MotionBar,
+    tool_bar: &mut BodyStateBar,
 ) {
-    let Met { touching: t, law, before: v } = met;
+    let ContactRecord { touching: t, law, before: v } = met;
     // Here the loop stays scalar without copies of all that is read, too.
     let (motion, law, x, v, bar_after) = (*t.motion, **law, *x, *v, *bar);
     let mut bar_before = bar_after;

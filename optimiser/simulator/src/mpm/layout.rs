@@ -18,7 +18,7 @@ pub(crate) const BLOCK_EDGE: usize = BLOCK_CELLS;
 /// Nodes that a block owns.
 pub(crate) const BLOCK_NODES: usize = BLOCK_EDGE * BLOCK_EDGE * BLOCK_EDGE;
 /// "No such block".
-pub(crate) const NONE: u32 = u32::MAX;
+pub(crate) const NO_BLOCK: u32 = u32::MAX;
 /// The 27 neighbours of a block, itself included, in the order of [`neighbour_offsets`].
 type Neighbours = [u32; 27];
 
@@ -100,7 +100,7 @@ impl Block {
     }
 
     /// Particles in the block's group number `g`.
-    pub(crate) fn living(&self, g: usize) -> usize {
+    pub(crate) fn occupied(&self, g: usize) -> usize {
         (self.particles - g * LANES).min(LANES)
     }
 }

@@ -4,9 +4,11 @@
 //! `p2g` (material and scatter), `grid_update` (gravity and contact at nodes), `g2p` (gather, contact at
 //! particles, advection). `substep` runs them over all blocks.
 //!
+//! `x_bar` is the cotangent of `x`: the derivative of the loss with respect to it.
+//!
 //! Kernels are written for one particle and looped over the lanes of a group; the loop is what becomes vector
 //! instructions, with the widest instruction set found at run time. Where a product and a sum are rounded once, the kernels
-//! say so ([`Real::mul_add`]), and nothing else is contracted: the bits are the same on every machine.
+//! say so ([`Arithmetic::mul_add`]), and nothing else is contracted: the bits are the same on every machine.
 
 #![expect(
     clippy::needless_range_loop,
@@ -19,11 +21,11 @@ pub(crate) mod gather;
 pub(crate) mod grid_update;
 pub(crate) mod layout;
 pub(crate) mod material;
+pub(crate) mod matrix_polynomial;
 pub(crate) mod obstacle;
 pub(crate) mod p2g;
 pub(crate) mod particles;
 pub(crate) mod principal;
-pub(crate) mod series;
 pub(crate) mod sleep;
 pub(crate) mod sort;
 pub(crate) mod spare;
@@ -62,7 +64,7 @@ impl<T: Real> Arch<T> {
 #[derive(Clone, Debug)]
 pub(crate) struct Model<T> {
     pub(crate) grid: layout::Grid,
-    pub(crate) obstacles: obstacle::Obstacles<T>,
+    pub(crate) obstacles: obstacle::Colliders<T>,
     pub(crate) material: material::Material<T>,
     pub(crate) dt: T,
     pub(crate) inverse_dx: T,
@@ -96,24 +98,24 @@ impl<T: Real> Model<T> {
         let powder = &scene.powder;
         Self {
             grid,
-            obstacles: obstacle::Obstacles::new(scene, &grid),
+            obstacles: obstacle::Colliders::new(scene, &grid),
             material: material::Material::new(
                 powder.youngs_modulus_pa,
                 powder.poissons_ratio,
                 powder.friction_angle_deg.to_radians(),
                 powder.cohesion_pa,
             ),
-            dt: T::of(dt),
-            inverse_dx: T::of(1.0 / dx),
-            four_per_dx: T::of(4.0 / dx),
-            node_places: grid_update::node_places(T::of(dx)),
-            mass: T::of(mass),
-            mass_dx: T::of(mass * dx),
-            stress_dx: T::of(dt * volume * 4.0 / dx),
-            viscous_loss: T::of(scene.viscous_loss()),
-            sleep_speed: T::of(scene.domain.sleep_speed_m_s),
+            dt: T::from_f64(dt),
+            inverse_dx: T::from_f64(1.0 / dx),
+            four_per_dx: T::from_f64(4.0 / dx),
+            node_places: grid_update::node_places(T::from_f64(dx)),
+            mass: T::from_f64(mass),
+            mass_dx: T::from_f64(mass * dx),
+            stress_dx: T::from_f64(dt * volume * 4.0 / dx),
+            viscous_loss: T::from_f64(scene.viscous_loss()),
+            sleep_speed: T::from_f64(scene.domain.sleep_speed_m_s),
             quiet_substeps: (sleep::QUIET_S / dt).ceil() as u32,
-            gravity_dt: scene.domain.gravity_m_s2.map(|g| T::of(g * dt)),
+            gravity_dt: scene.domain.gravity_m_s2.map(|g| T::from_f64(g * dt)),
             arch: Arch::new(),
         }
     }

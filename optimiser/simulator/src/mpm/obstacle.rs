@@ -4,33 +4,35 @@
 //! A container is several pieces, applied one after the other, rather than one union: the normal of a union
 //! jumps along the bisector of an inner corner, the composition of pieces does not.
 
-use crate::mpm::contact::{Law, Motion};
+use crate::mpm::contact::{BodyState, ContactParams};
 use crate::mpm::layout::{BLOCK_EDGE, Grid};
 use crate::real::Real;
 use crate::scene::{Container, ContainerShape, Cuboid, Scene, Tool, ToolShape};
-use crate::shape::{Bowl, Capsule, HalfSpace, Ring, Shape, SignedDistance, Slab, Turned, with_solid};
+use crate::shape::{
+    AlignedBox, Bowl, Capsule, HalfSpace, OrientedBox, Shape, SignedDistance, Tube, with_solid,
+};
 use crate::small::{sub, tr_mul_vec};
 
 /// One piece of a body.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Piece<T> {
+pub(crate) struct Collider<T> {
     pub(crate) shape: Shape<T>,
-    pub(crate) node_law: Law<T>,
-    pub(crate) particle_law: Law<T>,
+    pub(crate) node_law: ContactParams<T>,
+    pub(crate) particle_law: ContactParams<T>,
 }
 
 /// A piece that never moves.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Fixed<T> {
-    pub(crate) piece: Piece<T>,
-    pub(crate) motion: Motion<T>,
+pub(crate) struct FixedCollider<T> {
+    pub(crate) piece: Collider<T>,
+    pub(crate) motion: BodyState<T>,
 }
 
 /// All obstacles, and which fixed ones are near which block.
 #[derive(Clone, Debug)]
-pub(crate) struct Obstacles<T> {
-    pub(crate) fixed: Vec<Fixed<T>>,
-    pub(crate) tool: Vec<Piece<T>>,
+pub(crate) struct Colliders<T> {
+    pub(crate) fixed: Vec<FixedCollider<T>>,
+    pub(crate) tool: Vec<Collider<T>>,
     /// For each block of the grid the fixed pieces that its nodes can touch.
     near_nodes: Vec<Vec<u16>>,
     /// For each block of the grid the fixed pieces that its particles can touch.
@@ -42,11 +44,11 @@ fn half_diagonal(cells: usize, dx: f64) -> f64 {
     0.5 * 3f64.sqrt() * cells as f64 * dx
 }
 
-impl<T: Real> Obstacles<T> {
+impl<T: Real> Colliders<T> {
     pub(crate) fn new(scene: &Scene, grid: &Grid) -> Self {
         let builder = Builder::new(scene);
         let mut fixed = builder.domain(scene);
-        for container in &scene.container {
+        for container in &scene.containers {
             fixed.extend(builder.container(container));
         }
         let tool = builder.tool(&scene.tool);
@@ -54,8 +56,8 @@ impl<T: Real> Obstacles<T> {
             (0..grid.block_count())
                 .map(|index| {
                     let centre = block_centre(grid, grid.coord(index));
-                    let reach = T::of(half_diagonal(cells, grid.dx));
-                    let touches = |f: &Fixed<T>| {
+                    let reach = T::from_f64(half_diagonal(cells, grid.dx));
+                    let touches = |f: &FixedCollider<T>| {
                         distance(&f.piece, &f.motion, centre) <= reach + f.piece.node_law.reach()
                     };
                     (0u16..).zip(&fixed).filter(|(_, f)| touches(f)).map(|(i, _)| i).collect()
@@ -71,8 +73,8 @@ impl<T: Real> Obstacles<T> {
         &'a self,
         grid: &Grid,
         coord: [i32; 3],
-        tool: &'a Motion<T>,
-    ) -> Vec<Touching<'a, T>> {
+        tool: &'a BodyState<T>,
+    ) -> Vec<NearbyCollider<'a, T>> {
         self.touching(grid, coord, tool, &self.near_nodes, BLOCK_EDGE)
     }
 
@@ -81,8 +83,8 @@ impl<T: Real> Obstacles<T> {
         &'a self,
         grid: &Grid,
         coord: [i32; 3],
-        tool: &'a Motion<T>,
-    ) -> Vec<Touching<'a, T>> {
+        tool: &'a BodyState<T>,
+    ) -> Vec<NearbyCollider<'a, T>> {
         self.touching(grid, coord, tool, &self.near_particles, BLOCK_EDGE + 4)
     }
 
@@ -91,11 +93,11 @@ impl<T: Real> Obstacles<T> {
         &self,
         grid: &Grid,
         coord: [i32; 3],
-        tool: &Motion<T>,
+        tool: &BodyState<T>,
         margin_cells: usize,
     ) -> bool {
         let centre = block_centre(grid, coord);
-        let reach = T::of(half_diagonal(BLOCK_EDGE + 2 * margin_cells, grid.dx));
+        let reach = T::from_f64(half_diagonal(BLOCK_EDGE + 2 * margin_cells, grid.dx));
         self.tool.iter().any(|p| distance(p, tool, centre) <= reach + p.node_law.reach())
     }
 
@@ -103,39 +105,39 @@ impl<T: Real> Obstacles<T> {
         &'a self,
         grid: &Grid,
         coord: [i32; 3],
-        tool: &'a Motion<T>,
+        tool: &'a BodyState<T>,
         near: &[Vec<u16>],
         cells: usize,
-    ) -> Vec<Touching<'a, T>> {
+    ) -> Vec<NearbyCollider<'a, T>> {
         let fixed = near[grid.index(coord)].iter().map(|i| {
             let f = &self.fixed[usize::from(*i)];
-            Touching { piece: &f.piece, motion: &f.motion, moving: false }
+            NearbyCollider { piece: &f.piece, motion: &f.motion, moving: false }
         });
         let centre = block_centre(grid, coord);
-        let reach = T::of(half_diagonal(cells, grid.dx));
+        let reach = T::from_f64(half_diagonal(cells, grid.dx));
         let moving = self
             .tool
             .iter()
             .filter(|p| distance(p, tool, centre) <= reach + p.node_law.reach())
-            .map(|piece| Touching { piece, motion: tool, moving: true });
+            .map(|piece| NearbyCollider { piece, motion: tool, moving: true });
         fixed.chain(moving).collect()
     }
 }
 
 /// A piece near a block, with its motion at this instant.
 #[derive(Clone, Copy)]
-pub(crate) struct Touching<'a, T> {
-    pub(crate) piece: &'a Piece<T>,
-    pub(crate) motion: &'a Motion<T>,
+pub(crate) struct NearbyCollider<'a, T> {
+    pub(crate) piece: &'a Collider<T>,
+    pub(crate) motion: &'a BodyState<T>,
     /// Belongs to the tool.
     pub(crate) moving: bool,
 }
 
 fn block_centre<T: Real>(grid: &Grid, coord: [i32; 3]) -> [T; 3] {
-    grid.block_origin(coord).map(|o| T::of(o + 0.5 * BLOCK_EDGE as f64 * grid.dx))
+    grid.block_origin(coord).map(|o| T::from_f64(o + 0.5 * BLOCK_EDGE as f64 * grid.dx))
 }
 
-pub(crate) fn distance<T: Real>(piece: &Piece<T>, motion: &Motion<T>, x: [T; 3]) -> T {
+pub(crate) fn distance<T: Real>(piece: &Collider<T>, motion: &BodyState<T>, x: [T; 3]) -> T {
     let y = tr_mul_vec(&motion.rotation, sub(x, motion.position));
     with_solid!(piece.shape, solid => solid.distance::<T>(y).0)
 }
@@ -162,29 +164,31 @@ impl Builder {
         }
     }
 
-    fn piece<T: Real>(&self, shape: Shape<T>, friction: f64) -> Piece<T> {
+    fn piece<T: Real>(&self, shape: Shape<T>, friction: f64) -> Collider<T> {
         // Walls thinner than a cell could lie between two nodes and stop none of them.
-        let node_law = Law {
-            friction: T::of(friction),
-            band: T::of(self.band),
-            growth: shape.half_thickness().map_or(T::ZERO, |h| (T::of(0.5 * self.dx) - h).at_least(T::ZERO)),
-            release: if shape.half_thickness().is_some() { T::ZERO } else { T::ONE },
-            push_rate: T::ZERO,
-            push_limit: T::ZERO,
+        let node_law = ContactParams {
+            friction: T::from_f64(friction),
+            band: T::from_f64(self.band),
+            inflation: shape
+                .half_thickness()
+                .map_or(T::ZERO, |h| (T::from_f64(0.5 * self.dx) - h).at_least(T::ZERO)),
+            separation_factor: if shape.half_thickness().is_some() { T::ZERO } else { T::ONE },
+            pushout_rate: T::ZERO,
+            max_pushout_speed: T::ZERO,
         };
-        let particle_law = Law {
-            band: T::of(self.band * PARTICLE_BAND),
-            growth: T::ZERO,
-            release: T::ONE,
-            push_rate: T::of(PUSH_FRACTION / self.dt),
-            push_limit: T::of(PUSH_LIMIT),
+        let particle_law = ContactParams {
+            band: T::from_f64(self.band * PARTICLE_BAND),
+            inflation: T::ZERO,
+            separation_factor: T::ONE,
+            pushout_rate: T::from_f64(PUSH_FRACTION / self.dt),
+            max_pushout_speed: T::from_f64(PUSH_LIMIT),
             ..node_law
         };
-        Piece { shape, node_law, particle_law }
+        Collider { shape, node_law, particle_law }
     }
 
     /// Floor, four sides and lid of the simulated volume.
-    fn domain<T: Real>(&self, scene: &Scene) -> Vec<Fixed<T>> {
+    fn domain<T: Real>(&self, scene: &Scene) -> Vec<FixedCollider<T>> {
         let size = scene.domain.size_m;
         // Inward normal (third column: the half space's z axis) and a point of each wall.
         let walls = [
@@ -199,17 +203,20 @@ impl Builder {
             .into_iter()
             .map(|(normal, point)| {
                 let piece = self.piece(Shape::HalfSpace(HalfSpace), scene.domain.friction);
-                Fixed { piece, motion: at_rest(frame_with_z(normal), point) }
+                FixedCollider { piece, motion: at_rest(frame_with_z(normal), point) }
             })
             .collect()
     }
 
-    fn container<T: Real>(&self, c: &Container) -> Vec<Fixed<T>> {
+    fn container<T: Real>(&self, c: &Container) -> Vec<FixedCollider<T>> {
         let t = c.wall_thickness_m;
         let shapes = match c.shape {
             ContainerShape::Box { inner_size_m: [lx, ly, h] } => {
                 let wall = |centre: [f64; 3], half: [f64; 3]| {
-                    Shape::Slab(Slab { centre: centre.map(T::of), half: half.map(T::of) })
+                    Shape::AlignedBox(AlignedBox {
+                        centre: centre.map(T::from_f64),
+                        half: half.map(T::from_f64),
+                    })
                 };
                 let (hx, hy) = (0.5 * lx, 0.5 * ly);
                 let middle = 0.5 * (h - t);
@@ -224,11 +231,11 @@ impl Builder {
             }
             ContainerShape::Cylinder { inner_radius_m: r, inner_height_m: h } => {
                 let ring = |radius: f64, half_radial: f64, height: f64, half_axial: f64| {
-                    Shape::Ring(Ring {
-                        radius: T::of(radius),
-                        half_radial: T::of(half_radial),
-                        height: T::of(height),
-                        half_axial: T::of(half_axial),
+                    Shape::Tube(Tube {
+                        radius: T::from_f64(radius),
+                        half_radial: T::from_f64(half_radial),
+                        height: T::from_f64(height),
+                        half_axial: T::from_f64(half_axial),
                     })
                 };
                 vec![
@@ -240,26 +247,28 @@ impl Builder {
         let yaw = c.yaw_deg.to_radians();
         let (sin, cos) = (libm::sin(yaw), libm::cos(yaw));
         let rotation = [[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]];
-        let fixed =
-            |shape| Fixed { piece: self.piece(shape, c.friction), motion: at_rest(rotation, c.position_m) };
+        let fixed = |shape| FixedCollider {
+            piece: self.piece(shape, c.friction),
+            motion: at_rest(rotation, c.position_m),
+        };
         shapes.into_iter().map(fixed).collect()
     }
 
     /// The tool's pieces in its own frame.
-    fn tool<T: Real>(&self, tool: &Tool) -> Vec<Piece<T>> {
+    fn tool<T: Real>(&self, tool: &Tool) -> Vec<Collider<T>> {
         let t = tool.wall_thickness_m;
         let mut shapes = match &tool.shape {
             ToolShape::Bowl { inner_radius_m: r } => {
-                vec![Shape::Bowl(Bowl { radius: T::of(r + 0.5 * t), half: T::of(0.5 * t) })]
+                vec![Shape::Bowl(Bowl { radius: T::from_f64(r + 0.5 * t), half: T::from_f64(0.5 * t) })]
             }
             ToolShape::BoxScoop { inner_size_m: [l, w, h] } => scoop(*l, *w, *h, t),
             ToolShape::Cuboids { cuboid } => cuboid.iter().map(oriented).collect(),
         };
         let (from, along) = tool.handle();
         shapes.push(Shape::Capsule(Capsule {
-            from: from.map(T::of),
-            along: along.map(T::of),
-            radius: T::of(tool.handle.radius_m),
+            from: from.map(T::from_f64),
+            along: along.map(T::from_f64),
+            radius: T::from_f64(tool.handle.radius_m),
         }));
         shapes.into_iter().map(|shape| self.piece(shape, tool.friction)).collect()
     }
@@ -268,7 +277,7 @@ impl Builder {
 /// Floor, back and two sides of a box scoop; the opening's middle is the origin, the front (+x) is open.
 fn scoop<T: Real>(l: f64, w: f64, h: f64, t: f64) -> Vec<Shape<T>> {
     let wall = |centre: [f64; 3], half: [f64; 3]| {
-        Shape::Slab(Slab { centre: centre.map(T::of), half: half.map(T::of) })
+        Shape::AlignedBox(AlignedBox { centre: centre.map(T::from_f64), half: half.map(T::from_f64) })
     };
     let (hl, hw) = (0.5 * l, 0.5 * w);
     let half_height = 0.5 * (h + t);
@@ -281,17 +290,17 @@ fn scoop<T: Real>(l: f64, w: f64, h: f64, t: f64) -> Vec<Shape<T>> {
 }
 
 fn oriented<T: Real>(cuboid: &Cuboid) -> Shape<T> {
-    Shape::Turned(Turned {
-        centre: cuboid.centre_m.map(T::of),
-        half: cuboid.size_m.map(|edge| T::of(0.5 * edge)),
-        axes: cuboid.axes().map(|axis| axis.map(T::of)),
+    Shape::OrientedBox(OrientedBox {
+        centre: cuboid.centre_m.map(T::from_f64),
+        half: cuboid.size_m.map(|edge| T::from_f64(0.5 * edge)),
+        axes: cuboid.axes().map(|axis| axis.map(T::from_f64)),
     })
 }
 
-fn at_rest<T: Real>(rotation: [[f64; 3]; 3], position: [f64; 3]) -> Motion<T> {
-    Motion {
-        rotation: rotation.map(|row| row.map(T::of)),
-        position: position.map(T::of),
+fn at_rest<T: Real>(rotation: [[f64; 3]; 3], position: [f64; 3]) -> BodyState<T> {
+    BodyState {
+        rotation: rotation.map(|row| row.map(T::from_f64)),
+        position: position.map(T::from_f64),
         velocity: [T::ZERO; 3],
         angular_velocity: [T::ZERO; 3],
     }

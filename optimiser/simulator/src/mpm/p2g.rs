@@ -54,7 +54,7 @@ impl<T: Real> pulp::NullaryFnOnce for ParticlesToTile<'_, T> {
 
     #[inline(always)]
     fn call(self) {
-        let shift = Grid::tile_shift(self.block.coord).map(T::of);
+        let shift = Grid::tile_shift(self.block.coord).map(T::from_f64);
         *self.tile = empty_tile();
         for g in 0..self.state.len() {
             let input = self.from.map_or(&self.state[g], |from| &from[g]);
@@ -68,8 +68,8 @@ impl<T: Real> pulp::NullaryFnOnce for ParticlesToTile<'_, T> {
                 state.x = x;
             }
             let stencils = places.stencils(&places.weights());
-            let living = self.block.living(g);
-            scatter(self.tile, living, |l| stencils.of(l), |l| sent.affine(l, self.model.mass));
+            let occupied = self.block.occupied(g);
+            scatter(self.tile, occupied, |l| stencils.of(l), |l| sent.affine(l, self.model.mass));
         }
     }
 }
@@ -182,7 +182,7 @@ fn send<T: Real, const MILD: bool>(
 /// The map is symmetric: it is its own adjoint.
 #[inline(always)]
 fn without_viscosity<T: Real>(c: &Mat3<T>, loss: T) -> Mat3<T> {
-    let half_loss = T::of(0.5) * loss;
+    let half_loss = T::from_f64(0.5) * loss;
     three!(i => three!(j => c[i][j] - half_loss * (c[i][j] + c[j][i])))
 }
 
@@ -208,7 +208,7 @@ impl<T: Real> pulp::NullaryFnOnce for ParticlesToTileAdjoint<'_, T> {
     #[inline(always)]
     fn call(self) {
         let model = self.model;
-        let shift = Grid::tile_shift(self.block.coord).map(T::of);
+        let shift = Grid::tile_shift(self.block.coord).map(T::from_f64);
         let mut tile = empty_tile();
         load_tile(self.block, self.nodes_bar, &mut tile);
         let mut rows = Rows::new();
@@ -219,9 +219,9 @@ impl<T: Real> pulp::NullaryFnOnce for ParticlesToTileAdjoint<'_, T> {
             let mut returned = Returned::ZERO;
             stress(model, input, &trial, &places, &mut returned);
             let sent = &returned.sent;
-            let living = self.block.living(g);
+            let occupied = self.block.occupied(g);
             let gathered =
-                gather_with_gradient(&tile, &places, &weights, sent, model.mass, living, &mut rows);
+                gather_with_gradient(&tile, &places, &weights, sent, model.mass, occupied, &mut rows);
             let mut a_dx_bar = [Lanes::ZERO; 9];
             for l in 0..LANES {
                 let (f, a_dx) = (places.f(l), mat_of(&sent.a_dx, l));
@@ -276,7 +276,7 @@ fn send_adjoint<T: Real, const MILD: bool>(
     a_dx_bar: &[Lanes<T>; 9],
     bar: &mut Group<T>,
 ) {
-    let half = T::of(0.5);
+    let half = T::from_f64(0.5);
     for l in 0..LANES {
         let l_of = dt_times(model.dt, &mat_of(&input.c, l));
         let a_bar = mat_of(a_dx_bar, l);

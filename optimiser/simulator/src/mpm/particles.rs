@@ -3,7 +3,7 @@
 use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
 
-use crate::real::Real;
+use crate::real::{Arithmetic, Real};
 use crate::small::{Mat3, Sym3, Vec3};
 
 /// Particles in a group. A loop over the lanes of a group is what the compiler turns into vector instructions.
@@ -36,7 +36,7 @@ impl<T> DerefMut for Lanes<T> {
 }
 
 /// A lane that holds no particle.
-pub(crate) const NOBODY: u32 = u32::MAX;
+pub(crate) const EMPTY_LANE: u32 = u32::MAX;
 
 /// State of [`LANES`] particles, or their cotangents.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -123,7 +123,7 @@ pub(crate) fn set_mat<T: Real>(a: &mut [Lanes<T>; 9], l: usize, m: Mat3<T>) {
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Particles<T> {
     pub(crate) groups: Vec<Group<T>>,
-    /// Identity of each particle (its place in the initial packing), or [`NOBODY`]; changed by sorting alone.
+    /// Identity of each particle (its place in the initial packing), or [`EMPTY_LANE`]; changed by sorting alone.
     pub(crate) ids: Arc<[[u32; LANES]]>,
 }
 
@@ -135,19 +135,19 @@ impl<T: Real> Particles<T> {
             let lane = index % LANES;
             if lane == 0 {
                 groups.push(Group::ZERO);
-                ids.push([NOBODY; LANES]);
+                ids.push([EMPTY_LANE; LANES]);
             }
             let last = groups.len() - 1;
-            set_vec(&mut groups[last].x, lane, p.map(T::of));
+            set_vec(&mut groups[last].x, lane, p.map(T::from_f64));
             ids[last][lane] = u32::try_from(index).expect("scenes are limited to fewer particles");
         }
         Self { groups, ids: ids.into() }
     }
 
     /// `(group, lane, identity)` of every particle, in memory order.
-    pub(crate) fn living(&self) -> impl Iterator<Item = (usize, usize, u32)> {
+    pub(crate) fn occupied(&self) -> impl Iterator<Item = (usize, usize, u32)> {
         self.ids.iter().enumerate().flat_map(|(g, ids)| {
-            ids.iter().enumerate().filter(|(_, id)| **id != NOBODY).map(move |(l, id)| (g, l, *id))
+            ids.iter().enumerate().filter(|(_, id)| **id != EMPTY_LANE).map(move |(l, id)| (g, l, *id))
         })
     }
 
@@ -162,9 +162,9 @@ impl<T: Real> Particles<T> {
     }
 
     fn by_id(&self, rows: impl Fn(&Group<T>) -> &[Lanes<T>; 3]) -> Vec<[f64; 3]> {
-        let mut out = vec![[0.0; 3]; self.living().count()];
-        for (g, l, id) in self.living() {
-            out[id as usize] = vec_of(rows(&self.groups[g]), l).map(Real::to_f64);
+        let mut out = vec![[0.0; 3]; self.occupied().count()];
+        for (g, l, id) in self.occupied() {
+            out[id as usize] = vec_of(rows(&self.groups[g]), l).map(Arithmetic::to_f64);
         }
         out
     }

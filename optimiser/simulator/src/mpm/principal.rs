@@ -76,15 +76,15 @@ struct Principal<T> {
     d: Vec3<T>,
     t: T,
     keep: T,
-    at_tip: bool,
+    at_apex: bool,
     elastic: bool,
 }
 
 #[inline(always)]
 fn principal<T: Real>(m: &Material<T>, trial: Sym3<T>, q: T) -> Principal<T> {
-    let third = T::of(1.0 / 3.0);
+    let third = T::from_f64(1.0 / 3.0);
     let (w, u) = eigen(trial);
-    let half = T::of(0.5);
+    let half = T::from_f64(0.5);
     let eps =
         [half * w[0].ln_1p() + third * q, half * w[1].ln_1p() + third * q, half * w[2].ln_1p() + third * q];
     let t = eps[0] + eps[1] + eps[2];
@@ -92,16 +92,16 @@ fn principal<T: Real>(m: &Material<T>, trial: Sym3<T>, q: T) -> Principal<T> {
     let e = [eps[0] - mean, eps[1] - mean, eps[2] - mean];
     let n = (e[0] * e[0] + e[1] * e[1] + e[2] * e[2]).sqrt();
     // A deviator below this length has no direction worth the name; on the cone it is longer.
-    let inverse = T::ONE / n.at_least(T::of(1e-30));
+    let inverse = T::ONE / n.at_least(T::from_f64(1e-30));
     let d = [e[0] * inverse, e[1] * inverse, e[2] * inverse];
-    let room = m.slope * (m.tip - t);
-    let at_tip = t >= m.tip;
+    let room = m.slope * (m.apex - t);
+    let at_apex = t >= m.apex;
     let elastic = n <= room;
     let keep = if elastic { T::ONE } else { room * inverse };
-    let keep = if at_tip { T::ZERO } else { keep };
-    let mean = if at_tip { third * m.tip } else { mean };
+    let keep = if at_apex { T::ZERO } else { keep };
+    let mean = if at_apex { third * m.apex } else { mean };
     let eps_new = [mean + keep * e[0], mean + keep * e[1], mean + keep * e[2]];
-    Principal { w, u, eps, eps_new, d, t, keep, at_tip, elastic: elastic && !at_tip }
+    Principal { w, u, eps, eps_new, d, t, keep, at_apex, elastic: elastic && !at_apex }
 }
 
 /// Kirchhoff stress (Pa), strain and volume correction after the return to the yield surface.
@@ -112,7 +112,7 @@ pub(crate) fn return_map<T: Real>(m: &Material<T>, trial: Sym3<T>, q: T) -> (Sym
     let two_mu = m.mu + m.mu;
     let tau = three!(i => two_mu * p.eps_new[i] + pressure);
     let grown = three!(i => (p.eps_new[i] + p.eps_new[i]).exp_m1());
-    (compose(&p.u, tau), compose(&p.u, grown), (p.t - m.tip).only_if(p.at_tip))
+    (compose(&p.u, tau), compose(&p.u, grown), (p.t - m.apex).only_if(p.at_apex))
 }
 
 /// Cotangents of [`return_map`]: of the trial strain and of `q`.
@@ -125,8 +125,8 @@ pub(crate) fn return_map_adjoint<T: Real>(
     strain_bar: Sym3<T>,
     q_bar: T,
 ) -> (Sym3<T>, T) {
-    let third = T::of(1.0 / 3.0);
-    let two = T::of(2.0);
+    let third = T::from_f64(1.0 / 3.0);
+    let two = T::from_f64(2.0);
     let p = principal(m, trial, q);
     let ut = transpose(&p.u);
     let tb = mul(&mul(&ut, &full(tau_bar)), &p.u);
@@ -141,7 +141,7 @@ pub(crate) fn return_map_adjoint<T: Real>(
     let eps_bar = three!(i => {
         let cone = mean + p.keep * (new_bar[i] - mean - p.d[i] * along) - m.slope * along;
         let returned = if p.elastic { new_bar[i] } else { cone };
-        if p.at_tip { q_bar } else { returned }
+        if p.at_apex { q_bar } else { returned }
     });
     let s2 = three!(i => T::ONE + p.w[i]);
     let diagonal = three!(i => eps_bar[i] / (two * s2[i]));

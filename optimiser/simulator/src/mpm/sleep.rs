@@ -12,10 +12,10 @@
 use std::sync::Arc;
 
 use crate::mpm::Model;
-use crate::mpm::contact::Motion;
+use crate::mpm::contact::BodyState;
 use crate::mpm::layout::{Block, Layout, Nodes, any_shared, empty_tile};
 use crate::mpm::p2g::ParticlesToTile;
-use crate::mpm::particles::{Group, LANES, NOBODY};
+use crate::mpm::particles::{EMPTY_LANE, Group, LANES};
 use crate::mpm::stencil::Tile;
 use crate::real::Real;
 
@@ -28,16 +28,16 @@ pub(crate) const WAKE_RATIO: f64 = 2.0;
 
 /// What is to be known of a block's rest.
 #[derive(Clone, Debug)]
-pub(crate) struct Rest<T> {
+pub(crate) struct SleepState<T> {
     /// Substeps for which it has been quiet.
     quiet: u32,
     /// If it sleeps.
-    sleeper: Option<Arc<Sleeper<T>>>,
+    sleeper: Option<Arc<SleepingBlock<T>>>,
 }
 
 /// A block that sleeps.
 #[derive(Debug)]
-struct Sleeper<T> {
+struct SleepingBlock<T> {
     /// What its particles send to the grid.
     tile: Tile<T>,
     /// The particles. All states in which it sleeps share them, and need not have them among their own.
@@ -46,19 +46,19 @@ struct Sleeper<T> {
 
 /// What grid to particles has seen of a block that is awake.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Seen {
+pub(crate) struct BlockStatus {
     /// All particles are within the reach of their tile.
     pub(crate) inside: bool,
     /// All particles are slower than the speed below which powder may sleep.
     pub(crate) quiet: bool,
 }
 
-impl Seen {
+impl BlockStatus {
     /// What is seen of a sleeper.
     pub(crate) const ASLEEP: Self = Self { inside: true, quiet: true };
 }
 
-impl<T: Copy> Rest<T> {
+impl<T: Copy> SleepState<T> {
     pub(crate) const AWAKE: Self = Self { quiet: 0, sleeper: None };
 
     pub(crate) fn is_asleep(&self) -> bool {
@@ -72,7 +72,7 @@ impl<T: Copy> Rest<T> {
     }
 
     /// Puts a sleeper's particles where they belong.
-    pub(crate) fn put_to(&self, groups: &mut [Group<T>]) {
+    pub(crate) fn restore_into(&self, groups: &mut [Group<T>]) {
         if let Some(sleeper) = &self.sleeper {
             groups.copy_from_slice(&sleeper.groups);
         }
@@ -80,14 +80,14 @@ impl<T: Copy> Rest<T> {
 }
 
 /// Every block awake.
-pub(crate) fn all_awake<T: Copy>(layout: &Layout) -> Vec<Rest<T>> {
-    layout.blocks.iter().map(|_| Rest::AWAKE).collect()
+pub(crate) fn all_awake<T: Copy>(layout: &Layout) -> Vec<SleepState<T>> {
+    layout.blocks.iter().map(|_| SleepState::AWAKE).collect()
 }
 
 /// Whether a node of this velocity wakes those who send to it; one that is no number does.
 #[inline(always)]
 pub(crate) fn wakes<T: Real>(model: &Model<T>, [x, y, z, _]: &[T; 4]) -> bool {
-    let limit = T::of(WAKE_RATIO) * model.sleep_speed;
+    let limit = T::from_f64(WAKE_RATIO) * model.sleep_speed;
     let still = *x * *x + *y * *y + *z * *z <= limit * limit;
     !still
 }
@@ -96,7 +96,7 @@ pub(crate) fn wakes<T: Real>(model: &Model<T>, [x, y, z, _]: &[T; 4]) -> bool {
 pub(crate) fn is_disturbed<T: Real>(
     model: &Model<T>,
     block: &Block,
-    rest: &Rest<T>,
+    rest: &SleepState<T>,
     velocity: &[Nodes<T>],
     moving: &[bool],
 ) -> bool {
@@ -109,25 +109,25 @@ pub(crate) fn is_disturbed<T: Real>(
 }
 
 /// The rest of a block after a substep.
-pub(crate) fn after<T: Real>(
+pub(crate) fn next_state<T: Real>(
     model: &Model<T>,
-    tool: &Motion<T>,
+    tool: &BodyState<T>,
     block: &Block,
-    before: &Rest<T>,
-    seen: Seen,
+    before: &SleepState<T>,
+    seen: BlockStatus,
     disturbed: bool,
-) -> Rest<T> {
+) -> SleepState<T> {
     let near = || model.obstacles.tool_is_near(&model.grid, block.coord, tool, TOOL_MARGIN_CELLS);
     if before.is_asleep() {
-        return if disturbed || near() { Rest::AWAKE } else { before.clone() };
+        return if disturbed || near() { SleepState::AWAKE } else { before.clone() };
     }
     if !seen.quiet {
-        return Rest::AWAKE;
+        return SleepState::AWAKE;
     }
     let quiet = before.quiet.saturating_add(1);
     // Quiet long enough, but held awake by the tool: it waits.
     let quiet = if quiet >= model.quiet_substeps && near() { model.quiet_substeps - 1 } else { quiet };
-    Rest { quiet, sleeper: None }
+    SleepState { quiet, sleeper: None }
 }
 
 /// Lets those fall asleep that have been quiet long enough.
@@ -135,7 +135,7 @@ pub(crate) fn fall_asleep<T: Real>(
     model: &Model<T>,
     layout: &Layout,
     groups: &[Group<T>],
-    rest: &mut [Rest<T>],
+    rest: &mut [SleepState<T>],
 ) {
     let mut unused = Vec::new();
     for (block, rest) in layout.blocks.iter().zip(rest) {
@@ -144,7 +144,7 @@ pub(crate) fn fall_asleep<T: Real>(
         }
         let groups = &groups[block.first_group..block.first_group + block.groups()];
         unused.resize(groups.len(), Group::ZERO);
-        let mut sleeper = Sleeper { tile: empty_tile(), groups: groups.to_vec() };
+        let mut sleeper = SleepingBlock { tile: empty_tile(), groups: groups.to_vec() };
         let (from, state, tile) = (Some(groups), &mut unused[..], &mut sleeper.tile);
         model.arch.dispatch(ParticlesToTile { model, block, from, state, tile });
         rest.sleeper = Some(Arc::new(sleeper));
@@ -153,13 +153,13 @@ pub(crate) fn fall_asleep<T: Real>(
 
 /// What is left of rest after a sort: that of blocks which have the same particles as before. `order` is where each lane came
 /// from, and `groups` are the particles after it.
-pub(crate) fn sorted<T: Copy>(
-    before: &[Rest<T>],
+pub(crate) fn after_sort<T: Copy>(
+    before: &[SleepState<T>],
     old: &Layout,
     new: &Layout,
     order: &[u32],
     groups: &[Group<T>],
-) -> Vec<Rest<T>> {
+) -> Vec<SleepState<T>> {
     let rest_of = |block: &Block| {
         let range = block.first_group..block.first_group + block.groups();
         let places = &order[range.start * LANES..range.start * LANES + block.particles];
@@ -167,17 +167,17 @@ pub(crate) fn sorted<T: Copy>(
         let b = old.blocks.partition_point(|old| old.first_group <= group_of(places[0])) - 1;
         let old_block = &old.blocks[b];
         let old_groups = old_block.first_group..old_block.first_group + old_block.groups();
-        let mut lanes = places.iter().filter(|place| **place != NOBODY);
+        let mut lanes = places.iter().filter(|place| **place != EMPTY_LANE);
         if old_block.particles != block.particles
             || !lanes.all(|place| old_groups.contains(&group_of(*place)))
         {
-            return Rest::AWAKE;
+            return SleepState::AWAKE;
         }
         let in_order = places.iter().zip(old_groups.start * LANES..).all(|(place, at)| *place as usize == at);
         match &before[b].sleeper {
             Some(sleeper) if !in_order => {
-                let sleeper = Sleeper { tile: sleeper.tile, groups: groups[range].to_vec() };
-                Rest { quiet: before[b].quiet, sleeper: Some(Arc::new(sleeper)) }
+                let sleeper = SleepingBlock { tile: sleeper.tile, groups: groups[range].to_vec() };
+                SleepState { quiet: before[b].quiet, sleeper: Some(Arc::new(sleeper)) }
             }
             _ => before[b].clone(),
         }

@@ -1,27 +1,27 @@
 //! Sorting: particles into the order of the grid's blocks and cells, and the layout of blocks that follows from it.
 
-use crate::mpm::layout::{BLOCK_NODES, Block, Grid, Layout, NONE, NodeBlock, neighbour_offsets};
-use crate::mpm::particles::{Group, LANES, Lanes, NOBODY, Particles, vec_of};
-use crate::mpm::spare::{Spare, fit};
-use crate::real::Real;
+use crate::mpm::layout::{BLOCK_NODES, Block, Grid, Layout, NO_BLOCK, NodeBlock, neighbour_offsets};
+use crate::mpm::particles::{EMPTY_LANE, Group, LANES, Lanes, Particles, vec_of};
+use crate::mpm::spare::{BufferPool, fit};
+use crate::real::{Arithmetic, Real};
 
 /// A particle that is no longer anywhere on the grid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Lost {
+pub(crate) struct EscapedParticle {
     pub(crate) particle: u32,
 }
 
 /// Particles in the order of blocks and cells, the layout, and where each lane came from (place in the old
-/// memory order, [`NOBODY`] for padding). Stable: particles of one cell keep their order.
+/// memory order, [`EMPTY_LANE`] for padding). Stable: particles of one cell keep their order.
 pub(crate) fn sort<T: Real>(
     grid: &Grid,
     old: &Particles<T>,
-    spare: &mut Spare<T>,
-) -> Result<(Particles<T>, Layout, Vec<u32>), Lost> {
+    spare: &mut BufferPool<T>,
+) -> Result<(Particles<T>, Layout, Vec<u32>), EscapedParticle> {
     let mut keys = Vec::with_capacity(old.groups.len() * LANES);
-    for (g, lane, particle) in old.living() {
-        let x = vec_of(&old.groups[g].x, lane).map(Real::to_f64);
-        let key = grid.key(x).ok_or(Lost { particle })?;
+    for (g, lane, particle) in old.occupied() {
+        let x = vec_of(&old.groups[g].x, lane).map(Arithmetic::to_f64);
+        let key = grid.key(x).ok_or(EscapedParticle { particle })?;
         keys.push(u64::from(key) << 32 | (g * LANES + lane) as u64);
     }
     keys.sort_unstable();
@@ -29,9 +29,9 @@ pub(crate) fn sort<T: Real>(
     let block_of = |key: &u64| (*key >> 32) as usize / BLOCK_NODES;
     let by_block = || keys.chunk_by(|a, b| block_of(a) == block_of(b));
     let count = by_block().map(|keys| keys.len().div_ceil(LANES)).sum();
-    let mut groups = spare.take_groups(count);
-    let mut ids = vec![[NOBODY; LANES]; count];
-    let mut order = vec![NOBODY; count * LANES];
+    let mut groups = spare.acquire_groups(count);
+    let mut ids = vec![[EMPTY_LANE; LANES]; count];
+    let mut order = vec![EMPTY_LANE; count * LANES];
     let mut blocks: Vec<Block> = Vec::with_capacity(by_block().count());
     let mut first_group = 0;
     for keys in by_block() {
@@ -39,7 +39,7 @@ pub(crate) fn sort<T: Real>(
             coord: grid.coord(block_of(&keys[0])),
             first_group,
             particles: keys.len(),
-            nodes: [NONE; 27],
+            nodes: [NO_BLOCK; 27],
         };
         let resting = resting_group(grid, block.coord);
         groups[first_group..first_group + block.groups()].fill(resting);
@@ -61,7 +61,7 @@ fn resting_group<T: Real>(grid: &Grid, coord: [i32; 3]) -> Group<T> {
     let mut group = Group::ZERO;
     let origin = grid.block_origin(coord);
     for axis in 0..3 {
-        group.x[axis] = Lanes([T::of(origin[axis] + 2.0 * grid.dx); LANES]);
+        group.x[axis] = Lanes([T::from_f64(origin[axis] + 2.0 * grid.dx); LANES]);
     }
     group
 }
@@ -75,7 +75,7 @@ fn connect(grid: &Grid, blocks: &mut [Block]) -> Vec<NodeBlock> {
     touched.sort_unstable();
     touched.dedup();
     let mut nodes: Vec<NodeBlock> =
-        touched.iter().map(|i| NodeBlock { coord: grid.coord(*i), tiles: [NONE; 27] }).collect();
+        touched.iter().map(|i| NodeBlock { coord: grid.coord(*i), tiles: [NO_BLOCK; 27] }).collect();
     for (b, block) in blocks.iter_mut().enumerate() {
         for (n, o) in neighbour_offsets().enumerate() {
             let index = grid.index([0, 1, 2].map(|a| block.coord[a] + o[a]));
@@ -89,7 +89,7 @@ fn connect(grid: &Grid, blocks: &mut [Block]) -> Vec<NodeBlock> {
 }
 
 /// Cotangents of the particles after a sort, put back into the order before it: into `out`, whatever was there.
-pub(crate) fn unsort<T: Real>(
+pub(crate) fn sort_adjoint<T: Real>(
     sorted: &[Group<T>],
     order: &[u32],
     old_groups: usize,
@@ -98,7 +98,7 @@ pub(crate) fn unsort<T: Real>(
     fit(out, old_groups, Group::ZERO);
     out.fill(Group::ZERO);
     for (to, from) in order.iter().enumerate() {
-        if *from != NOBODY {
+        if *from != EMPTY_LANE {
             let from = *from as usize;
             out[from / LANES].copy_lane(from % LANES, &sorted[to / LANES], to % LANES);
         }

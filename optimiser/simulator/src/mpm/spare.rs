@@ -9,7 +9,7 @@ use crate::real::Real;
 
 /// Vectors that nobody needs at the moment.
 #[derive(Debug)]
-pub(crate) struct Spare<T> {
+pub(crate) struct BufferPool<T> {
     groups: Vec<Vec<Group<T>>>,
     nodes: Vec<Vec<Nodes<T>>>,
 }
@@ -24,22 +24,22 @@ pub(crate) struct Size {
     pub(crate) besides: u64,
 }
 
-impl<T: Real> Spare<T> {
+impl<T: Real> BufferPool<T> {
     /// None.
-    pub(crate) fn none() -> Self {
+    pub(crate) fn empty() -> Self {
         Self { groups: Vec::new(), nodes: Vec::new() }
     }
 
     /// Memory for so many groups; what is in them is not to be looked at.
-    pub(crate) fn take_groups(&mut self, count: usize) -> Vec<Group<T>> {
+    pub(crate) fn acquire_groups(&mut self, count: usize) -> Vec<Group<T>> {
         take(&mut self.groups, count, Group::ZERO)
     }
 
     /// The same, for what is no longer needed.
     pub(crate) fn fit_groups(&mut self, groups: &mut Vec<Group<T>>, count: usize) {
         if groups.capacity() < count {
-            let larger = self.take_groups(count);
-            self.give_groups(std::mem::replace(groups, larger));
+            let larger = self.acquire_groups(count);
+            self.return_groups(std::mem::replace(groups, larger));
         }
         fit(groups, count, Group::ZERO);
     }
@@ -51,16 +51,16 @@ impl<T: Real> Spare<T> {
         }
         if nodes.capacity() < count {
             let larger = take(&mut self.nodes, count, zero());
-            self.give_nodes(std::mem::replace(nodes, larger));
+            self.return_nodes(std::mem::replace(nodes, larger));
         }
         fit(nodes, count, zero());
     }
 
-    pub(crate) fn give_groups(&mut self, groups: Vec<Group<T>>) {
+    pub(crate) fn return_groups(&mut self, groups: Vec<Group<T>>) {
         give(&mut self.groups, groups);
     }
 
-    pub(crate) fn give_nodes(&mut self, nodes: Vec<Nodes<T>>) {
+    pub(crate) fn return_nodes(&mut self, nodes: Vec<Nodes<T>>) {
         give(&mut self.nodes, nodes);
     }
 
@@ -168,24 +168,24 @@ mod tests {
 
     #[test]
     fn memory_changes_hands_until_it_is_outgrown() {
-        let mut spare: Spare<f32> = Spare::none();
-        let first = spare.take_groups(100);
+        let mut spare: BufferPool<f32> = BufferPool::empty();
+        let first = spare.acquire_groups(100);
         let place = first.as_ptr();
-        spare.give_groups(first);
-        let mut second = spare.take_groups(90);
+        spare.return_groups(first);
+        let mut second = spare.acquire_groups(90);
         assert_eq!((second.len(), second.as_ptr(), spare.bytes()), (90, place, 0));
         spare.fit_groups(&mut second, 100);
         assert_eq!((second.len(), second.as_ptr()), (100, place));
         // Too short: it is spare, and gone when the next one asks for more than it has.
         spare.fit_groups(&mut second, 1_000);
         assert_eq!((second.len(), enough(&spare.groups, 100), enough(&spare.groups, 200)), (1_000, 1, 0));
-        spare.take_groups(200);
+        spare.acquire_groups(200);
         assert_eq!(spare.bytes(), 0);
     }
 
     #[test]
     fn states_are_counted_by_what_they_lack() {
-        let mut spare: Spare<f32> = Spare::none();
+        let mut spare: BufferPool<f32> = BufferPool::empty();
         let size = Size { groups: 64, nodes: 32, besides: 100 };
         let one = state_bytes::<f32>(size);
         assert_eq!(
@@ -193,13 +193,13 @@ mod tests {
             (0, 1, 5)
         );
         // Groups for a second state, but no nodes.
-        let groups = spare.take_groups(64);
-        spare.give_groups(groups);
+        let groups = spare.acquire_groups(64);
+        spare.return_groups(groups);
         assert_eq!(spare.states(size, 100), 0);
         let mut nodes = Vec::new();
         for _ in 0..2 {
             spare.fit_nodes(&mut nodes, 32);
-            spare.give_nodes(std::mem::take(&mut nodes));
+            spare.return_nodes(std::mem::take(&mut nodes));
             spare.nodes.push(Vec::with_capacity(32));
         }
         assert_eq!(spare.states(size, 100), 1);

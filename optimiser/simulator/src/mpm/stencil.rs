@@ -38,16 +38,16 @@ pub(crate) struct Affine<T> {
 /// Weights at `f` in [1/2, 3/2).
 #[inline(always)]
 pub(crate) fn weights<T: Real>(f: T) -> [T; 3] {
-    let half = T::of(0.5);
-    let (a, b, c) = (T::of(1.5) - f, f - T::ONE, f - half);
-    [half * a * a, T::of(0.75) - b * b, half * c * c]
+    let half = T::from_f64(0.5);
+    let (a, b, c) = (T::from_f64(1.5) - f, f - T::ONE, f - half);
+    [half * a * a, T::from_f64(0.75) - b * b, half * c * c]
 }
 
 /// Derivatives of the weights with respect to `X`.
 #[inline(always)]
 pub(crate) fn weight_slopes<T: Real>(f: T) -> [T; 3] {
     let b = f - T::ONE;
-    [f - T::of(1.5), -(b + b), f - T::of(0.5)]
+    [f - T::from_f64(1.5), -(b + b), f - T::from_f64(0.5)]
 }
 
 /// Numbers of a row of nodes that the loops here handle at once: four of each of its three nodes, and of a fourth one whose
@@ -128,20 +128,20 @@ impl<T: Real> Rows<T> {
     }
 }
 
-/// `node += w P` for the 27 nodes of each of `living` particles. What particles with the same nodes send one after another is added
+/// `node += w P` for the 27 nodes of each of `occupied` particles. What particles with the same nodes send one after another is added
 /// up before it goes to the tile: sorted particles are so almost always.
 #[inline(always)]
 pub(crate) fn scatter<T: Real>(
     tile: &mut Tile<T>,
-    living: usize,
+    occupied: usize,
     stencil: impl Fn(usize) -> Stencil<T>,
     affine: impl Fn(usize) -> Affine<T>,
 ) {
     let mut l = 0;
-    while l < living {
+    while l < occupied {
         let start = stencil(l).start;
         let mut rows = Rows([[T::ZERO; ROW]; 9]);
-        while l < living && stencil(l).start == start {
+        while l < occupied && stencil(l).start == start {
             rows.add(&stencil(l), &affine(l));
             l += 1;
         }

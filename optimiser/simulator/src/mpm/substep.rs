@@ -5,15 +5,15 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use crate::mpm::Model;
-use crate::mpm::contact::{Motion, MotionBar};
+use crate::mpm::contact::{BodyState, BodyStateBar};
 use crate::mpm::g2p::{TileToParticles, TileToParticlesAdjoint};
 use crate::mpm::grid_update::{UpdateNodes, UpdateNodesAdjoint};
 use crate::mpm::layout::{Block, Layout, NodeBlock, Nodes, empty_tile};
 use crate::mpm::p2g::{ParticlesToTile, ParticlesToTileAdjoint, ReturnMap, ReturnMapAdjoint};
 use crate::mpm::particles::{Group, LANES, Particles};
-use crate::mpm::sleep::{self, Rest, Seen};
-use crate::mpm::sort::{Lost, sort, unsort};
-use crate::mpm::spare::{Size, Spare, fit, state_bytes};
+use crate::mpm::sleep::{self, BlockStatus, SleepState};
+use crate::mpm::sort::{EscapedParticle, sort, sort_adjoint};
+use crate::mpm::spare::{BufferPool, Size, fit, state_bytes};
 use crate::mpm::stencil::Tile;
 use crate::mpm::tiles::Tiles;
 use crate::mpm::timings::{Pass, Stage, StageTimings};
@@ -34,7 +34,7 @@ pub(crate) struct State<T> {
     /// Substeps since the last sort.
     age: u32,
     /// Of each block.
-    rest: Vec<Rest<T>>,
+    rest: Vec<SleepState<T>>,
 }
 
 /// Substeps after which particles are sorted even if they could go on: fewer of a group are then in the same cell, and those
@@ -43,22 +43,22 @@ const SORT_EVERY: u32 = 100;
 
 impl<T: Real> State<T> {
     /// Sorted state of the given particles.
-    pub(crate) fn new(model: &Model<T>, particles: &Particles<T>) -> Result<Self, Lost> {
-        let (particles, layout, _) = sort(&model.grid, particles, &mut Spare::none())?;
+    pub(crate) fn new(model: &Model<T>, particles: &Particles<T>) -> Result<Self, EscapedParticle> {
+        let (particles, layout, _) = sort(&model.grid, particles, &mut BufferPool::empty())?;
         let rest = sleep::all_awake(&layout);
         Ok(Self { particles, layout: Arc::new(layout), sorted_from: None, stale: false, age: 0, rest })
     }
 
     /// Nothing, to be written to.
-    pub(crate) fn none() -> Self {
+    pub(crate) fn empty() -> Self {
         let layout = Arc::new(Layout { blocks: Vec::new(), nodes: Vec::new() });
         let particles = Particles { groups: Vec::new(), ids: Arc::new([]) };
         Self { particles, layout, sorted_from: None, stale: false, age: 0, rest: Vec::new() }
     }
 
     /// The same again.
-    pub(crate) fn copied(&self, spare: &mut Spare<T>) -> Self {
-        let mut groups = spare.take_groups(self.particles.groups.len());
+    pub(crate) fn copied(&self, spare: &mut BufferPool<T>) -> Self {
+        let mut groups = spare.acquire_groups(self.particles.groups.len());
         groups.copy_from_slice(&self.particles.groups);
         Self {
             particles: Particles { groups, ids: Arc::clone(&self.particles.ids) },
@@ -70,26 +70,26 @@ impl<T: Real> State<T> {
     }
 
     /// Is no longer needed.
-    pub(crate) fn give_to(self, spare: &mut Spare<T>) {
-        spare.give_groups(self.particles.groups);
+    pub(crate) fn recycle_into(self, spare: &mut BufferPool<T>) {
+        spare.return_groups(self.particles.groups);
     }
 
     /// Sorts if a particle has come to the end of its block's reach.
-    fn sort_if_due(&mut self, model: &Model<T>, spare: &mut Spare<T>) -> Result<(), Lost> {
+    fn sort_if_due(&mut self, model: &Model<T>, spare: &mut BufferPool<T>) -> Result<(), EscapedParticle> {
         self.sorted_from = None;
         if self.stale {
             self.fill();
             let groups = self.particles.groups.len();
             let (particles, layout, order) = sort(&model.grid, &self.particles, spare)?;
             let sorted = Self {
-                rest: sleep::sorted(&self.rest, &self.layout, &layout, &order, &particles.groups),
+                rest: sleep::after_sort(&self.rest, &self.layout, &layout, &order, &particles.groups),
                 particles,
                 layout: Arc::new(layout),
                 sorted_from: Some((order.into(), groups)),
                 stale: false,
                 age: 0,
             };
-            std::mem::replace(self, sorted).give_to(spare);
+            std::mem::replace(self, sorted).recycle_into(spare);
         }
         Ok(())
     }
@@ -97,18 +97,18 @@ impl<T: Real> State<T> {
     /// Puts the sleepers' particles among the state's own: a state that was written elsewhere than it began lacks them.
     pub(crate) fn fill(&mut self) {
         for (rest, groups) in self.rest.iter().zip(split(&self.layout, &mut self.particles.groups)) {
-            rest.put_to(groups);
+            rest.restore_into(groups);
         }
     }
 
     /// Which blocks sleep.
     #[cfg(test)]
     pub(crate) fn sleepers(&self) -> impl Iterator<Item = bool> {
-        self.rest.iter().map(Rest::is_asleep)
+        self.rest.iter().map(SleepState::is_asleep)
     }
 
     #[cfg(test)]
-    pub(crate) fn rest(&self) -> &[Rest<T>] {
+    pub(crate) fn rest(&self) -> &[SleepState<T>] {
         &self.rest
     }
 
@@ -123,7 +123,7 @@ impl<T: Real> State<T> {
         let Layout { blocks, nodes } = &*self.layout;
         let groups = self.particles.groups.len();
         let besides = 2 * groups * LANES * size_of::<u32>()
-            + blocks.len() * (size_of::<Block>() + size_of::<Rest<T>>())
+            + blocks.len() * (size_of::<Block>() + size_of::<SleepState<T>>())
             + nodes.len() * size_of::<NodeBlock>();
         Size { groups, nodes: nodes.len(), besides: besides as u64 }
     }
@@ -145,19 +145,19 @@ pub(crate) struct OnGrid<T> {
 
 impl<T: Real> OnGrid<T> {
     /// Nothing, to be written to.
-    pub(crate) fn none() -> Self {
+    pub(crate) fn empty() -> Self {
         Self { momentum: Vec::new(), velocity: Vec::new() }
     }
 
-    fn fit(&mut self, nodes: usize, spare: &mut Spare<T>) {
+    fn fit(&mut self, nodes: usize, spare: &mut BufferPool<T>) {
         spare.fit_nodes(&mut self.momentum, nodes);
         spare.fit_nodes(&mut self.velocity, nodes);
     }
 
     /// Is no longer needed.
-    pub(crate) fn give_to(self, spare: &mut Spare<T>) {
-        spare.give_nodes(self.momentum);
-        spare.give_nodes(self.velocity);
+    pub(crate) fn recycle_into(self, spare: &mut BufferPool<T>) {
+        spare.return_nodes(self.momentum);
+        spare.return_nodes(self.velocity);
     }
 }
 
@@ -175,7 +175,7 @@ pub(crate) struct Workspace<T> {
     other_bar: Vec<Group<T>>,
     /// For what nobody asks for.
     unused: Vec<Group<T>>,
-    pub(crate) spare: Spare<T>,
+    pub(crate) spare: BufferPool<T>,
     pub(crate) timings: StageTimings,
 }
 
@@ -194,13 +194,13 @@ impl<T: Real> Workspace<T> {
     pub(crate) fn new() -> Self {
         Self {
             tiles: Vec::new(),
-            on_grid: OnGrid::none(),
+            on_grid: OnGrid::empty(),
             moving: Vec::new(),
             momentum_bar: Vec::new(),
             bar: Vec::new(),
             other_bar: Vec::new(),
             unused: Vec::new(),
-            spare: Spare::none(),
+            spare: BufferPool::empty(),
             timings: StageTimings::default(),
         }
     }
@@ -224,9 +224,9 @@ impl<T: Real> Workspace<T> {
     pub(crate) fn substep(
         &mut self,
         model: &Model<T>,
-        tool: &Motion<T>,
+        tool: &BodyState<T>,
         state: &mut State<T>,
-    ) -> Result<(), Lost> {
+    ) -> Result<(), EscapedParticle> {
         self.timings.begin(Pass::Forward);
         self.particles_to_grid(model, tool, &state.layout, &state.rest, None, &mut state.particles.groups);
         state.age += 1;
@@ -237,10 +237,10 @@ impl<T: Real> Workspace<T> {
     pub(crate) fn substep_to(
         &mut self,
         model: &Model<T>,
-        tool: &Motion<T>,
+        tool: &BodyState<T>,
         from: &State<T>,
         to: &mut State<T>,
-    ) -> Result<(), Lost> {
+    ) -> Result<(), EscapedParticle> {
         self.timings.begin(Pass::Forward);
         let input = &from.particles.groups;
         self.spare.fit_groups(&mut to.particles.groups, input.len());
@@ -257,12 +257,12 @@ impl<T: Real> Workspace<T> {
     fn grid_to_particles(
         &mut self,
         model: &Model<T>,
-        tool: &Motion<T>,
+        tool: &BodyState<T>,
         state: &mut State<T>,
-    ) -> Result<(), Lost> {
+    ) -> Result<(), EscapedParticle> {
         let (layout, velocity) = (&*state.layout, &self.on_grid.velocity);
         let (before, moving) = (&state.rest, &self.moving);
-        let (seen, rest): (Vec<Seen>, Vec<Rest<T>>) = split(layout, &mut state.particles.groups)
+        let (seen, rest): (Vec<BlockStatus>, Vec<SleepState<T>>) = split(layout, &mut state.particles.groups)
             .into_par_iter()
             .zip(&layout.blocks)
             .zip(before)
@@ -270,14 +270,14 @@ impl<T: Real> Workspace<T> {
             .map(|((state, block), before)| {
                 if !before.is_asleep() {
                     let seen = model.arch.dispatch(TileToParticles { model, tool, block, velocity, state });
-                    return (seen, sleep::after(model, tool, block, before, seen, false));
+                    return (seen, sleep::next_state(model, tool, block, before, seen, false));
                 }
                 let disturbed = sleep::is_disturbed(model, block, before, velocity, moving);
-                let rest = sleep::after(model, tool, block, before, Seen::ASLEEP, disturbed);
+                let rest = sleep::next_state(model, tool, block, before, BlockStatus::ASLEEP, disturbed);
                 if !rest.is_asleep() {
-                    before.put_to(state);
+                    before.restore_into(state);
                 }
-                (Seen::ASLEEP, rest)
+                (BlockStatus::ASLEEP, rest)
             })
             .unzip();
         self.timings.mark(Stage::GridToParticles);
@@ -293,9 +293,9 @@ impl<T: Real> Workspace<T> {
     fn particles_to_grid(
         &mut self,
         model: &Model<T>,
-        tool: &Motion<T>,
+        tool: &BodyState<T>,
         layout: &Layout,
-        rest: &[Rest<T>],
+        rest: &[SleepState<T>],
         from: Option<&[Group<T>]>,
         state: &mut [Group<T>],
     ) {
@@ -326,11 +326,11 @@ impl<T: Real> Workspace<T> {
     pub(crate) fn substep_adjoint(
         &mut self,
         model: &Model<T>,
-        tool: &Motion<T>,
+        tool: &BodyState<T>,
         state: &State<T>,
         known: Option<&OnGrid<T>>,
         bar: &mut [Group<T>],
-    ) -> MotionBar {
+    ) -> BodyStateBar {
         self.timings.begin(Pass::Adjoint);
         let layout = &*state.layout;
         let input = &state.particles.groups;
@@ -343,7 +343,7 @@ impl<T: Real> Workspace<T> {
             self.unused = unused;
         }
         let OnGrid { momentum, velocity } = known.unwrap_or(&self.on_grid);
-        let at_particles: Vec<MotionBar> = split(layout, bar)
+        let at_particles: Vec<BodyStateBar> = split(layout, bar)
             .into_par_iter()
             .zip(&mut self.tiles)
             .zip(&layout.blocks)
@@ -365,7 +365,7 @@ impl<T: Real> Workspace<T> {
             .collect();
         self.timings.mark(Stage::GridToParticlesAdjoint);
         let tiles = Tiles { fresh: &self.tiles, rest: &state.rest, sleepers_send: false };
-        let at_nodes: Vec<MotionBar> = layout
+        let at_nodes: Vec<BodyStateBar> = layout
             .nodes
             .par_iter()
             .zip(momentum)
@@ -394,14 +394,14 @@ impl<T: Real> Workspace<T> {
                     model.arch.dispatch(ParticlesToTileAdjoint { model, block, input, nodes_bar, bar });
                 }
             });
-        let mut total = MotionBar::default();
+        let mut total = BodyStateBar::default();
         at_particles.iter().chain(&at_nodes).for_each(|b| total.add(b));
         self.timings.mark(Stage::ParticlesToGridAdjoint);
         total
     }
 
     /// Sort, material and their adjoints by themselves, for the measuring tool. Leaves nothing behind.
-    pub(crate) fn alone(&mut self, model: &Model<T>, state: &State<T>) -> Result<(), Lost> {
+    pub(crate) fn alone(&mut self, model: &Model<T>, state: &State<T>) -> Result<(), EscapedParticle> {
         let (layout, input) = (&state.layout, &state.particles.groups);
         let mut output = std::mem::take(&mut self.unused);
         self.spare.fit_groups(&mut output, input.len());
@@ -420,20 +420,20 @@ impl<T: Real> Workspace<T> {
         let sorted = sort(&model.grid, &state.particles, &mut self.spare);
         self.timings.mark(Stage::Sort);
         let (particles, _, order) = sorted?;
-        self.spare.give_groups(particles.groups);
+        self.spare.return_groups(particles.groups);
         bar.resize(order.len() / LANES, Group::ZERO);
         self.timings.skip();
-        unsort(&bar, &order, input.len(), &mut self.other_bar);
+        sort_adjoint(&bar, &order, input.len(), &mut self.other_bar);
         std::hint::black_box(&self.other_bar);
-        self.timings.mark(Stage::Unsort);
+        self.timings.mark(Stage::SortAdjoint);
         self.unused = output;
         Ok(())
     }
 
     /// Undoes the sort at the end of the previous substep in the cotangents, if there was one.
-    pub(crate) fn unsort(&mut self, state: &State<T>, bar: &mut Vec<Group<T>>) {
+    pub(crate) fn sort_adjoint(&mut self, state: &State<T>, bar: &mut Vec<Group<T>>) {
         if let Some((order, groups)) = &state.sorted_from {
-            unsort(bar, order, *groups, &mut self.other_bar);
+            sort_adjoint(bar, order, *groups, &mut self.other_bar);
             std::mem::swap(bar, &mut self.other_bar);
         }
     }

@@ -1,7 +1,7 @@
 //! The tiles of all blocks, those of sleepers among them, and their sums at the nodes.
 
 use crate::mpm::layout::{BLOCK_EDGE, BLOCK_NODES, NodeBlock, Nodes, neighbour_offsets, overlap};
-use crate::mpm::sleep::Rest;
+use crate::mpm::sleep::SleepState;
 use crate::mpm::stencil::{TILE_EDGE, Tile};
 use crate::real::Real;
 
@@ -9,7 +9,7 @@ use crate::real::Real;
 #[derive(Clone, Copy)]
 pub(crate) struct Tiles<'a, T> {
     pub(crate) fresh: &'a [Tile<T>],
-    pub(crate) rest: &'a [Rest<T>],
+    pub(crate) rest: &'a [SleepState<T>],
     /// Whether sleepers send anything; in the adjoint they do not.
     pub(crate) sleepers_send: bool,
 }

@@ -4,6 +4,7 @@
 
 /// A stage of a substep, forward or adjoint.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Stage {
     /// Finding out which particles share which part of the grid; most substeps need none.
     Sort,
@@ -20,7 +21,7 @@ pub enum Stage {
     /// Adjoint of [`Self::ParticlesToGrid`].
     ParticlesToGridAdjoint,
     /// Adjoint of [`Self::Sort`].
-    Unsort,
+    SortAdjoint,
     /// Trial strain and return map by themselves.
     ReturnMap,
     /// Adjoint of [`Self::ReturnMap`].

@@ -1,40 +1,40 @@
 //! Many motions from one start, side by side.
 //!
 //! Skills that differ in one parameter begin alike: until the first control in which they differ they are one
-//! rollout, which is computed once. What has parted is shared out among workers, each with threads of its own; that
+//! rollout, which is computed once. What has changed is shared out among workers, each with threads of its own; that
 //! uses processors better than all of them on one rollout, and changes no bit.
 
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
 use crate::mpm::Model;
-use crate::mpm::sort::Lost;
-use crate::mpm::spare::Spare;
+use crate::mpm::sort::EscapedParticle;
+use crate::mpm::spare::BufferPool;
 use crate::mpm::substep::{State, Workspace};
 use crate::real::Real;
-use crate::rollout::path::Path;
+use crate::rollout::path::Trajectory;
 use crate::rollout::{Evaluation, Progress, RolloutError, thread_pool};
 
 /// A worker: threads of its own, and what their substeps need.
-pub(crate) struct Team<T> {
+pub(crate) struct Worker<T> {
     pub(crate) pool: rayon::ThreadPool,
     pub(crate) workspace: Workspace<T>,
 }
 
-impl<T: Real> Team<T> {
+impl<T: Real> Worker<T> {
     pub(crate) fn new(threads: usize) -> Result<Self, RolloutError> {
         Ok(Self { pool: thread_pool(threads)?, workspace: Workspace::new() })
     }
 }
 
 /// What all motions have in common.
-pub(crate) struct Family<'a, T> {
+pub(crate) struct Batch<'a, T> {
     pub(crate) model: &'a Model<T>,
     /// As many controls each.
-    pub(crate) paths: &'a [Path],
+    pub(crate) paths: &'a [Trajectory],
     /// Turns what went wrong in a substep into an error.
-    pub(crate) lost: &'a (dyn Fn(usize, Lost, &State<T>) -> RolloutError + Sync),
+    pub(crate) lost: &'a (dyn Fn(usize, EscapedParticle, &State<T>) -> RolloutError + Sync),
     /// What a path has achieved, by the state at its end.
-    pub(crate) judge: &'a (dyn Fn(&Path, &State<T>) -> Evaluation + Sync),
+    pub(crate) judge: &'a (dyn Fn(&Trajectory, &State<T>) -> Evaluation + Sync),
 }
 
 /// Motions that have been the same so far.
@@ -47,10 +47,10 @@ struct Branch<T> {
 }
 
 /// Branches that wait for a worker, and how far everything is.
-struct Work<'p, T> {
+struct Queue<'p, T> {
     waiting: Vec<Branch<T>>,
     /// Memory of states.
-    spare: &'p mut Spare<T>,
+    spare: &'p mut BufferPool<T>,
     /// Branches in the hands of workers.
     running: usize,
     ends: Vec<Option<Result<Evaluation, RolloutError>>>,
@@ -63,16 +63,16 @@ struct Work<'p, T> {
 }
 
 /// Ends everything if its worker panics, so that nobody waits for what that worker had in hands.
-struct Alarm<'a, 'p, T> {
-    work: &'a Mutex<Work<'p, T>>,
-    parted: &'a Condvar,
+struct StopOnPanic<'a, 'p, T> {
+    work: &'a Mutex<Queue<'p, T>>,
+    changed: &'a Condvar,
 }
 
-impl<T> Drop for Alarm<'_, '_, T> {
+impl<T> Drop for StopOnPanic<'_, '_, T> {
     fn drop(&mut self) {
         if std::thread::panicking() {
             lock(self.work).stopped = true;
-            self.parted.notify_all();
+            self.changed.notify_all();
         }
     }
 }
@@ -82,32 +82,32 @@ pub(crate) fn worker_count(threads: usize, motions: usize, free_bytes: u64, per_
     threads.min(motions).min((free_bytes / per_worker.max(1)) as usize).max(1)
 }
 
-/// What all paths achieve, in order. `crew` are the workers' threads and what they need, at least one.
+/// What all paths achieve, in order. `workers` are the workers' threads and what they need, at least one.
 pub(crate) fn run<T: Real>(
-    family: &Family<'_, T>,
+    batch: &Batch<'_, T>,
     start: State<T>,
-    crew: Vec<(&rayon::ThreadPool, &mut Workspace<T>)>,
-    spare: &mut Spare<T>,
+    workers: Vec<(&rayon::ThreadPool, &mut Workspace<T>)>,
+    spare: &mut BufferPool<T>,
     progress: Progress<'_>,
 ) -> Result<Vec<Evaluation>, RolloutError> {
-    let members: Vec<usize> = (0..family.paths.len()).collect();
-    let total = family.steps(0, &members);
-    let work = Mutex::new(Work {
+    let members: Vec<usize> = (0..batch.paths.len()).collect();
+    let total = batch.steps(0, &members);
+    let work = Mutex::new(Queue {
         waiting: vec![Branch { state: start, step: 0, members }],
         spare,
         running: 0,
-        ends: family.paths.iter().map(|_| None).collect(),
+        ends: batch.paths.iter().map(|_| None).collect(),
         progress,
         done: 0,
         total,
         stopped: false,
         refused: false,
     });
-    let parted = Condvar::new();
+    let changed = Condvar::new();
     std::thread::scope(|scope| {
-        for (started, (pool, workspace)) in crew.into_iter().enumerate() {
-            let (work, parted) = (&work, &parted);
-            let worker = move || pool.install(|| family.work(workspace, work, parted));
+        for (started, (pool, workspace)) in workers.into_iter().enumerate() {
+            let (work, changed) = (&work, &changed);
+            let worker = move || pool.install(|| batch.work(workspace, work, changed));
             let thread = std::thread::Builder::new().spawn_scoped(scope, worker);
             // One worker is enough to get everything done.
             if thread.is_err() && started == 0 {
@@ -125,22 +125,22 @@ pub(crate) fn run<T: Real>(
     work.ends.into_iter().map(|end| end.expect("every branch was followed to its end")).collect()
 }
 
-fn lock<'a, 'p, T>(work: &'a Mutex<Work<'p, T>>) -> MutexGuard<'a, Work<'p, T>> {
+fn lock<'a, 'p, T>(work: &'a Mutex<Queue<'p, T>>) -> MutexGuard<'a, Queue<'p, T>> {
     work.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-impl<T: Real> Family<'_, T> {
+impl<T: Real> Batch<'_, T> {
     /// Worker loop: takes a branch, advances it until its members diverge or end, queues the branches that result.
-    fn work(&self, workspace: &mut Workspace<T>, work: &Mutex<Work<'_, T>>, parted: &Condvar) {
-        let _alarm = Alarm { work, parted };
+    fn work(&self, workspace: &mut Workspace<T>, work: &Mutex<Queue<'_, T>>, changed: &Condvar) {
+        let _alarm = StopOnPanic { work, changed };
         let mut guard = lock(work);
         loop {
             if guard.stopped || (guard.waiting.is_empty() && guard.running == 0) {
-                parted.notify_all();
+                changed.notify_all();
                 return;
             }
             let Some(branch) = guard.waiting.pop() else {
-                guard = parted.wait(guard).unwrap_or_else(PoisonError::into_inner);
+                guard = changed.wait(guard).unwrap_or_else(PoisonError::into_inner);
                 continue;
             };
             guard.running += 1;
@@ -155,16 +155,16 @@ impl<T: Real> Family<'_, T> {
                     for (member, evaluation) in branch.members.into_iter().zip(evaluations) {
                         guard.ends[member] = Some(Ok(evaluation));
                     }
-                    branch.state.give_to(guard.spare);
+                    branch.state.recycle_into(guard.spare);
                 }
                 Ok((None, branch)) => {
-                    let parted = self.part(branch, guard.spare);
-                    guard.waiting.extend(parted);
+                    let changed = self.part(branch, guard.spare);
+                    guard.waiting.extend(changed);
                 }
                 Err(RolloutError::Stopped) => guard.stopped = true,
                 Err(error) => members.iter().for_each(|m| guard.ends[*m] = Some(Err(error.clone()))),
             }
-            parted.notify_all();
+            changed.notify_all();
         }
     }
 
@@ -175,7 +175,7 @@ impl<T: Real> Family<'_, T> {
     }
 
     fn length(&self) -> usize {
-        self.paths.first().map_or(0, Path::steps)
+        self.paths.first().map_or(0, Trajectory::steps)
     }
 
     /// Advances a branch to where its members part, or to the end.
@@ -183,10 +183,10 @@ impl<T: Real> Family<'_, T> {
         &self,
         mut branch: Branch<T>,
         workspace: &mut Workspace<T>,
-        work: &Mutex<Work<'_, T>>,
+        work: &Mutex<Queue<'_, T>>,
     ) -> Result<Branch<T>, RolloutError> {
         let path = &self.paths[branch.members[0]];
-        let end = self.parting(branch.step, &branch.members);
+        let end = self.divergence_step(branch.step, &branch.members);
         for step in branch.step..end {
             for substep in path.substeps_of(step) {
                 workspace
@@ -195,7 +195,7 @@ impl<T: Real> Family<'_, T> {
             }
             let mut guard = lock(work);
             guard.done += 1;
-            let Work { progress, done, total, stopped, .. } = &mut *guard;
+            let Queue { progress, done, total, stopped, .. } = &mut *guard;
             if *stopped || !progress(*done, *total) {
                 return Err(RolloutError::Stopped);
             }
@@ -205,7 +205,7 @@ impl<T: Real> Family<'_, T> {
     }
 
     /// The first step, not before `from`, whose controls are not the same bits in all members.
-    fn parting(&self, from: usize, members: &[usize]) -> usize {
+    fn divergence_step(&self, from: usize, members: &[usize]) -> usize {
         let first = &self.paths[members[0]];
         let same = |step: &usize| {
             members.iter().all(|m| self.paths[*m].control_bits(*step) == first.control_bits(*step))
@@ -228,19 +228,19 @@ impl<T: Real> Family<'_, T> {
     }
 
     /// The last one goes on in the memory of the branch that they part from.
-    fn part(&self, branch: Branch<T>, spare: &mut Spare<T>) -> Vec<Branch<T>> {
+    fn part(&self, branch: Branch<T>, spare: &mut BufferPool<T>) -> Vec<Branch<T>> {
         let Branch { state, step, members } = branch;
         let mut groups = self.groups(step, &members);
         let last = groups.pop();
         let others = groups.into_iter().map(|members| Branch { state: state.copied(spare), step, members });
-        let mut parted: Vec<_> = others.collect();
-        parted.extend(last.map(|members| Branch { state, step, members }));
-        parted
+        let mut changed: Vec<_> = others.collect();
+        changed.extend(last.map(|members| Branch { state, step, members }));
+        changed
     }
 
     /// Control steps to be simulated from a step on.
     fn steps(&self, from: usize, members: &[usize]) -> u64 {
-        let end = self.parting(from, members);
+        let end = self.divergence_step(from, members);
         let rest = if end == self.length() { Vec::new() } else { self.groups(end, members) };
         (end - from) as u64 + rest.iter().map(|group| self.steps(end, group)).sum::<u64>()
     }

@@ -13,8 +13,7 @@ use serde::Serialize;
 
 use crate::real::Real;
 use crate::rollout::{Evaluate, Evaluation, Progress, RolloutError, Simulator};
-use crate::skill::{Control, SkillMap, Theta, displacement};
-use powderline_shared::displacement::Displacement;
+use crate::skill::{SkillMap, Theta};
 
 /// The skill at which gradients are checked: a middling scoop that reaches the target.
 pub const CHECKED_THETA: Theta = [0.3, 0.0, 0.0, 0.0, 0.3];
@@ -27,6 +26,7 @@ const SMOOTH_HALF_STEP: f64 = 0.1;
 
 /// One component of the gradient.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct Component {
     /// Derivative by the adjoint, m.
     pub adjoint: f64,
@@ -40,6 +40,7 @@ pub struct Component {
 
 /// All five components over a stretch of the motion.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct Window {
     /// First control step.
     pub start: u32,
@@ -55,6 +56,7 @@ pub struct Window {
 
 /// The gradient against the slope over a step that an optimiser might take.
 #[derive(Clone, Debug, Serialize)]
+#[non_exhaustive]
 pub struct Smoothed {
     /// Half-step in theta.
     pub half_step: f64,
@@ -64,10 +66,6 @@ pub struct Smoothed {
     pub differences: Theta,
     /// Cosine of the angle between both.
     pub cosine: f64,
-}
-
-fn displacements(controls: &[Control]) -> Vec<Displacement> {
-    controls.iter().map(displacement).collect()
 }
 
 /// Checks the control steps from `start` to `end`.
@@ -83,9 +81,9 @@ pub fn check_window<T: Real>(
 ) -> Result<Window, RolloutError> {
     let stretch = start as usize..end as usize;
     let linear = map.linearise(&CHECKED_THETA)?;
-    let beginning = simulator.beginning(progress)?;
-    let from = simulator.after(&beginning, &displacements(&linear.controls[..stretch.start]), progress)?;
-    let controls = displacements(&linear.controls[stretch.clone()]);
+    let beginning = simulator.initial_state(progress)?;
+    let from = simulator.advanced(&beginning, &linear.controls[..stretch.start], progress)?;
+    let controls = linear.controls[stretch.clone()].to_vec();
     let (at, bars) = simulator.control_gradient(&from, &controls, progress)?;
     let mut all_bars = vec![[0.0; 6]; stretch.start];
     all_bars.extend(bars);
@@ -99,7 +97,7 @@ pub fn check_window<T: Real>(
         let moved = |step: f64| -> Result<_, RolloutError> {
             let mut theta = CHECKED_THETA;
             theta[k] += step;
-            Ok(displacements(&map.controls(&theta)?[stretch.clone()]))
+            Ok(map.controls(&theta)?[stretch.clone()].to_vec())
         };
         let both_ways = half_steps.iter().flat_map(|h| [moved(*h), moved(-h)]);
         let ends = simulator.evaluate_motions(&from, both_ways.collect::<Result<_, _>>()?, progress)?;

@@ -113,7 +113,7 @@ fn visible_from_above(positions: &[[f64; 3]], pixel_m: f64) -> Vec<usize> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{Amount, Wanted};
+    use crate::scene::{Amount, Quantity};
 
     /// Ten particles on a line through the target point: at 0, 1, .. 9 cm from it.
     fn line(scene: &Scene) -> Vec<[f64; 3]> {
@@ -124,7 +124,7 @@ mod tests {
     fn scene(aim: Aim, particles: u32) -> Scene {
         let mut scene = Scene::load("bench").expect("shipped");
         scene.objective.aim = aim;
-        scene.objective.amount = Amount::new(Wanted::Particles(particles));
+        scene.objective.amount = Amount::new(Quantity::Particles(particles));
         scene
     }
 

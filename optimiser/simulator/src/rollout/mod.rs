@@ -14,12 +14,11 @@ pub use outcome::Destination;
 pub(crate) use simulator::RolloutState;
 pub use simulator::Simulator;
 
-pub use crate::memory::Work;
+pub use crate::memory::Workload;
 use crate::memory::least_memory;
-use crate::real::Real;
 use crate::scene::Scene;
 use crate::skill::{Control, SkillError, Theta};
-use powderline_shared::{displacement::Displacement, plan::Precision, pose::Pose};
+pub use powderline_shared::{displacement::Displacement, plan::Precision, pose::Pose};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -69,7 +68,7 @@ impl From<Control> for DisplacementGradient {
 
 /// A custom loss: takes the particle positions at the end of a motion (m, in packing order), returns the loss and its
 /// derivative with respect to each position.
-pub type Loss<'a> = &'a (dyn Fn(&[[f64; 3]]) -> (f64, Vec<[f64; 3]>) + Sync);
+pub type LossFn<'a> = &'a (dyn Fn(&[[f64; 3]]) -> (f64, Vec<[f64; 3]>) + Sync);
 
 /// Called now and then with work units done and in total; `false` stops the rollout with [`RolloutError::Stopped`].
 pub type Progress<'a> = &'a mut (dyn FnMut(u64, u64) -> bool + Send);
@@ -103,6 +102,7 @@ pub struct Recording<'a> {
 
 /// Why a rollout has no result.
 #[derive(Clone, Debug, PartialEq, Error)]
+#[non_exhaustive]
 pub enum RolloutError {
     /// The progress callback asked for it.
     #[error("stopped on request")]
@@ -154,7 +154,7 @@ pub enum RolloutError {
         /// The least that will do, bytes.
         least: u64,
         /// What was to be computed.
-        work: Work,
+        work: Workload,
         /// Whether the budget also had to hold output such as pictures.
         besides: bool,
         /// By how many threads.
@@ -164,7 +164,7 @@ pub enum RolloutError {
     #[error(
         "the loss has {given} derivatives, but there are {particles} particles: one for each would be right"
     )]
-    Loss {
+    LossGradientLength {
         /// Derivatives.
         given: usize,
         /// Particles.
@@ -234,7 +234,7 @@ pub trait Evaluate {
     ///
     /// # Errors
     /// See [`RolloutError`].
-    fn gradient_of(
+    fn simulate_with_gradient(
         &mut self,
         controls: &[Displacement],
         progress: Progress<'_>,
@@ -298,7 +298,7 @@ impl SimulatorSettings {
 pub fn check_memory(
     scene: &Scene,
     settings: &SimulatorSettings,
-    work: Work,
+    work: Workload,
     besides_bytes: u64,
 ) -> Result<(), RolloutError> {
     let (given, threads) = (settings.memory_bytes, settings.thread_count());
@@ -309,31 +309,22 @@ pub fn check_memory(
     Err(RolloutError::Memory { given, least, work, besides: besides_bytes > 0, threads })
 }
 
-/// The simulator of a validated scene: the one place where the commands get it from.
+/// The simulator of a validated scene, in the precision of the settings.
 ///
 /// # Errors
-/// See [`simulator`].
+/// See [`Simulator::new`].
 pub fn boxed_simulator(
     scene: &Scene,
     settings: &SimulatorSettings,
 ) -> Result<Box<dyn Evaluate>, RolloutError> {
     Ok(match settings.precision {
-        Precision::F32 => Box::new(simulator::<f32>(scene, settings)?),
-        Precision::F64 => Box::new(simulator::<f64>(scene, settings)?),
+        Precision::F32 => Box::new(Simulator::<f32>::new(scene, settings)?),
+        Precision::F64 => Box::new(Simulator::<f64>::new(scene, settings)?),
     })
 }
 
-/// The same in a precision known when compiling; `settings.precision` is not looked at.
-///
-/// # Errors
-/// [`RolloutError::Threads`] if the threads cannot be started.
-pub fn simulator<T: Real>(scene: &Scene, settings: &SimulatorSettings) -> Result<Simulator<T>, RolloutError> {
-    let pool = thread_pool(settings.thread_count())?;
-    Ok(Simulator::new(scene, scene.particle_positions_m(settings.seed), pool, settings.memory_bytes))
-}
-
 /// Loss of the initial packing, before any motion, metres.
-pub fn packed_loss(scene: &Scene, seed: u64) -> f64 {
+pub fn initial_loss(scene: &Scene, seed: u64) -> f64 {
     loss::loss(scene, &scene.particle_positions_m(seed)).0
 }
 

@@ -7,7 +7,7 @@ use powderline_shared::pose::Pose;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Destination {
     /// In the source, or in a container that is neither source nor target.
-    Left,
+    Remained,
     /// In the target.
     Target,
     /// On the tool.
@@ -34,7 +34,7 @@ pub(crate) fn census(scene: &Scene, positions: &[[f64; 3]], tool: &Pose) -> Cens
             Destination::Target => census.transported += 1,
             Destination::Spilled => census.spilled += 1,
             Destination::Tool => census.on_tool += 1,
-            Destination::Left => {}
+            Destination::Remained => {}
         }
     }
     census
@@ -42,15 +42,15 @@ pub(crate) fn census(scene: &Scene, positions: &[[f64; 3]], tool: &Pose) -> Cens
 
 /// Where each particle is when the motion is over.
 pub(crate) fn destinations(scene: &Scene, positions: &[[f64; 3]], tool: &Pose) -> Vec<Destination> {
-    let target = scene.container.iter().find(|c| c.name == scene.objective.target);
+    let target = scene.containers.iter().find(|c| c.name == scene.objective.target);
     let of = |p: &[f64; 3]| {
         let held = held(scene, tool, p);
         if target.is_some_and(|t| inside(t, p)) {
             Destination::Target
         } else if held {
             Destination::Tool
-        } else if scene.container.iter().any(|c| above(c, p, 1.0)) {
-            Destination::Left
+        } else if scene.containers.iter().any(|c| above(c, p, 1.0)) {
+            Destination::Remained
         } else {
             Destination::Spilled
         }

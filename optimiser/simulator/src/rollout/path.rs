@@ -8,12 +8,12 @@ use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use powderline_shared::displacement::Displacement;
 use powderline_shared::pose::{Pose, exp_so3};
 
-use crate::mpm::contact::{Motion, MotionBar};
+use crate::mpm::contact::{BodyState, BodyStateBar};
 use crate::real::Real;
 use crate::skill::Control;
 
 /// A control sequence from an anchor pose.
-pub(crate) struct Path {
+pub(crate) struct Trajectory {
     /// Pose at the beginning of each control step.
     poses: Vec<Pose>,
     controls: Vec<Displacement>,
@@ -21,7 +21,7 @@ pub(crate) struct Path {
     period_s: f64,
 }
 
-impl Path {
+impl Trajectory {
     pub(crate) fn new(anchor: Pose, controls: Vec<Displacement>, substeps: u32, period_s: f64) -> Self {
         let mut pose = anchor;
         let poses = controls
@@ -67,7 +67,7 @@ impl Path {
     }
 
     /// Motion at the end of the given substep (counted from the start of the path).
-    pub(crate) fn motion<T: Real>(&self, substep: usize) -> Motion<T> {
+    pub(crate) fn motion<T: Real>(&self, substep: usize) -> BodyState<T> {
         let (step, part) = self.place(substep);
         let u = &self.controls[step];
         let turn = exp_so3(&(u.rotation() * part));
@@ -82,8 +82,8 @@ impl Path {
     }
 
     /// Begins the way back.
-    pub(crate) fn pull_back(&self) -> PullBack<'_> {
-        PullBack {
+    pub(crate) fn pull_back(&self) -> TrajectoryAdjoint<'_> {
+        TrajectoryAdjoint {
             path: self,
             bars: Vec::with_capacity(self.substeps as usize),
             position_bar: Vector3::zeros(),
@@ -94,19 +94,19 @@ impl Path {
 }
 
 /// Cotangents of the controls from those of the motion in every substep, which come from the last to the first.
-pub(crate) struct PullBack<'a> {
-    path: &'a Path,
+pub(crate) struct TrajectoryAdjoint<'a> {
+    path: &'a Trajectory,
     /// Those of one control step, so that a long motion with many substeps needs no memory for them.
-    bars: Vec<MotionBar>,
+    bars: Vec<BodyStateBar>,
     /// Cotangent of the pose at the end of the step at hand: position, and rotation from the left.
     position_bar: Vector3<f64>,
     rotation_bar: Vector3<f64>,
     out: Vec<Control>,
 }
 
-impl PullBack<'_> {
+impl TrajectoryAdjoint<'_> {
     /// Takes the cotangent of the motion in the substep before the one taken last.
-    pub(crate) fn take(&mut self, substep: usize, bar: MotionBar) {
+    pub(crate) fn take(&mut self, substep: usize, bar: BodyStateBar) {
         self.bars.push(bar);
         let (step, _) = self.path.place(substep);
         if substep.is_multiple_of(self.path.substeps as usize) {
@@ -115,7 +115,7 @@ impl PullBack<'_> {
     }
 
     fn finish(&mut self, step: usize) {
-        let Path { controls, substeps, period_s, .. } = self.path;
+        let Trajectory { controls, substeps, period_s, .. } = self.path;
         let dr = controls[step].rotation();
         let mut dp_bar: Vector3<f64> = self.position_bar;
         let mut dr_bar = left_jacobian(&dr).tr_mul(&self.rotation_bar);
@@ -140,7 +140,7 @@ impl PullBack<'_> {
 }
 
 /// The tool standing still.
-pub(crate) fn resting<T: Real>(pose: &Pose) -> Motion<T> {
+pub(crate) fn resting<T: Real>(pose: &Pose) -> BodyState<T> {
     motion(&pose.position_m, &pose.orientation, &Vector3::zeros(), &Vector3::zeros())
 }
 
@@ -149,11 +149,11 @@ fn motion<T: Real>(
     r: &UnitQuaternion<f64>,
     v: &Vector3<f64>,
     w: &Vector3<f64>,
-) -> Motion<T> {
+) -> BodyState<T> {
     let m: Matrix3<f64> = r.to_rotation_matrix().into_inner();
-    let vector = |a: &Vector3<f64>| [T::of(a.x), T::of(a.y), T::of(a.z)];
-    Motion {
-        rotation: [0, 1, 2].map(|i| [0, 1, 2].map(|j| T::of(m[(i, j)]))),
+    let vector = |a: &Vector3<f64>| [T::from_f64(a.x), T::from_f64(a.y), T::from_f64(a.z)];
+    BodyState {
+        rotation: [0, 1, 2].map(|i| [0, 1, 2].map(|j| T::from_f64(m[(i, j)]))),
         position: vector(p),
         velocity: vector(v),
         angular_velocity: vector(w),
@@ -176,7 +176,6 @@ fn left_jacobian(r: &Vector3<f64>) -> Matrix3<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::skill::displacement;
 
     /// A made-up linear functional of all motions; its gradient must be what `pull_back` says.
     #[test]
@@ -189,10 +188,11 @@ mod tests {
         let controls: Vec<Control> =
             (0..4).map(|i| [0, 1, 2, 3, 4, 5].map(|c| 0.2 * wave(6 * i + c + 1, 1.7))).collect();
         let functional = |controls: &[Control]| {
-            let path = Path::new(anchor, controls.iter().map(displacement).collect(), 3, 0.01);
+            let path =
+                Trajectory::new(anchor, controls.iter().copied().map(Displacement::from).collect(), 3, 0.01);
             let mut sum = 0.0;
             for s in 0..path.len() {
-                let m: Motion<f64> = path.motion(s);
+                let m: BodyState<f64> = path.motion(s);
                 for i in 0..3 {
                     sum += wave(s + i, 0.9) * m.position[i] + 1e-3 * wave(s + i, 2.1) * m.velocity[i];
                     sum += 1e-3 * wave(s + i, 3.3) * m.angular_velocity[i];
@@ -203,11 +203,12 @@ mod tests {
             }
             sum
         };
-        let path = Path::new(anchor, controls.iter().map(displacement).collect(), 3, 0.01);
-        let bars: Vec<MotionBar> = (0..path.len())
+        let path =
+            Trajectory::new(anchor, controls.iter().copied().map(Displacement::from).collect(), 3, 0.01);
+        let bars: Vec<BodyStateBar> = (0..path.len())
             .map(|s| {
-                let m: Motion<f64> = path.motion(s);
-                let mut bar = MotionBar::default();
+                let m: BodyState<f64> = path.motion(s);
+                let mut bar = BodyStateBar::default();
                 for i in 0..3 {
                     bar.position[i] = wave(s + i, 0.9);
                     bar.velocity[i] = 1e-3 * wave(s + i, 2.1);

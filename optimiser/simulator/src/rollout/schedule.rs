@@ -12,11 +12,11 @@ pub(crate) enum Action {
     /// Advance the working state by this many steps.
     Advance(usize),
     /// Push a copy of the working state.
-    Keep,
+    Store,
     /// Adjoint of this step; the working state is the one at its beginning.
-    Reverse(usize),
+    Adjoint(usize),
     /// Pop the stack.
-    Drop,
+    Discard,
 }
 
 /// Actions that reverse `steps` steps with `slots` kept states, the initial one included; at least one slot is
@@ -47,7 +47,7 @@ enum Next {
     Restore,
     /// Advance, or reverse if this is the last step, from here.
     GoOn(usize),
-    Keep(usize),
+    Store(usize),
 }
 
 impl Iterator for Schedule {
@@ -59,7 +59,7 @@ impl Iterator for Schedule {
                 let top = *self.kept.last().filter(|_| self.end > 0)?;
                 if top >= self.end {
                     self.kept.pop();
-                    return Some(Action::Drop);
+                    return Some(Action::Discard);
                 }
                 self.next = Next::GoOn(top);
                 Some(Action::Restore)
@@ -69,18 +69,18 @@ impl Iterator for Schedule {
                 let last = self.end - 1;
                 let step = if free == 0 { last - at } else { split(self.end - at, free) };
                 let at = at + step;
-                self.next = if free > 0 && at < last { Next::Keep(at) } else { Next::GoOn(at) };
+                self.next = if free > 0 && at < last { Next::Store(at) } else { Next::GoOn(at) };
                 Some(Action::Advance(step))
             }
             Next::GoOn(_) => {
                 self.end -= 1;
                 self.next = Next::Restore;
-                Some(Action::Reverse(self.end))
+                Some(Action::Adjoint(self.end))
             }
-            Next::Keep(at) => {
+            Next::Store(at) => {
                 self.kept.push(at);
                 self.next = Next::GoOn(at);
-                Some(Action::Keep)
+                Some(Action::Store)
             }
         }
     }
@@ -121,12 +121,12 @@ mod tests {
             match action {
                 Action::Restore => working = stack[stack.len() - 1],
                 Action::Advance(n) => working += n,
-                Action::Keep => stack.push(working),
-                Action::Reverse(k) => {
+                Action::Store => stack.push(working),
+                Action::Adjoint(k) => {
                     assert_eq!((working, k + 1), (k, next));
                     next = k;
                 }
-                Action::Drop => {
+                Action::Discard => {
                     stack.pop();
                 }
             }
@@ -165,9 +165,9 @@ mod tests {
             match action {
                 Action::Restore => at = kept[kept.len() - 1],
                 Action::Advance(count) => (at, advanced) = (at + count, advanced + count as u64),
-                Action::Keep => kept.push(at),
-                Action::Drop => at = kept.pop().unwrap(),
-                Action::Reverse(_) => {}
+                Action::Store => kept.push(at),
+                Action::Discard => at = kept.pop().unwrap(),
+                Action::Adjoint(_) => {}
             }
             largest = largest.max(size(at));
             schedule.limit((slots as f64 / largest) as usize);

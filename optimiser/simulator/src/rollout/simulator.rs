@@ -3,24 +3,24 @@
 use powderline_shared::displacement::Displacement;
 use powderline_shared::pose::Pose;
 
-use crate::memory::{BRANCHES, Budget, least_states};
+use crate::memory::{BRANCHES, Budget, default_min_checkpoints};
 use crate::mpm::Model;
-use crate::mpm::contact::MotionBar;
+use crate::mpm::contact::BodyStateBar;
 use crate::mpm::particles::{Group, LANES, Particles, set_vec};
-use crate::mpm::sort::Lost;
-use crate::mpm::spare::{Spare, fit, state_bytes};
+use crate::mpm::sort::EscapedParticle;
+use crate::mpm::spare::{BufferPool, fit, state_bytes};
 use crate::mpm::substep::{OnGrid, State, Workspace};
 use crate::mpm::timings::{Stage, StageTimings};
 use crate::real::Real;
-use crate::rollout::branches::{self, Family, Team};
-use crate::rollout::path::{Path, resting};
+use crate::rollout::branches::{self, Batch, Worker};
+use crate::rollout::path::{Trajectory, resting};
 use crate::rollout::schedule::{Action, advances, schedule};
 use crate::rollout::{
-    Destination, DisplacementGradient, Evaluate, Evaluation, Loss, Observer, Progress, Recording,
-    RolloutError, Snapshot, loss, outcome,
+    Destination, DisplacementGradient, Evaluate, Evaluation, LossFn, Observer, Progress, Recording,
+    RolloutError, SimulatorSettings, Snapshot, loss, outcome, thread_pool,
 };
 use crate::scene::Scene;
-use crate::skill::{Control, SkillMap, Theta, displacement};
+use crate::skill::{Control, SkillMap, Theta};
 
 /// Memory of each worker when there are several, in states: its current state, its workspace, its sort buffers.
 const WORKER_STATES: u64 = 4;
@@ -46,14 +46,14 @@ pub struct Simulator<T: Real> {
     packing: Vec<[f64; 3]>,
     pool: rayon::ThreadPool,
     /// Workers for motions side by side; made when first needed.
-    teams: Vec<Team<T>>,
+    workers: Vec<Worker<T>>,
     budget: Budget,
     /// States to keep at most, whatever memory would allow.
-    most_kept: usize,
+    max_checkpoints: usize,
 }
 
 /// A state on the way of a gradient.
-struct Kept<T> {
+struct Checkpoint<T> {
     /// The substep that begins there.
     step: usize,
     state: State<T>,
@@ -91,8 +91,17 @@ impl<T: Real> RolloutState<T> {
 }
 
 impl<T: Real> Simulator<T> {
+    /// The simulator of a validated scene in this precision; `settings.precision` is not looked at.
+    ///
+    /// # Errors
+    /// [`RolloutError::Threads`] if the threads cannot be started.
+    pub fn new(scene: &Scene, settings: &SimulatorSettings) -> Result<Self, RolloutError> {
+        let pool = thread_pool(settings.thread_count())?;
+        Ok(Self::with_packing(scene, scene.particle_positions_m(settings.seed), pool, settings.memory_bytes))
+    }
+
     /// `memory_bytes` bounds what the whole process uses while a gradient is computed.
-    pub(crate) fn new(
+    pub(crate) fn with_packing(
         scene: &Scene,
         packing: Vec<[f64; 3]>,
         pool: rayon::ThreadPool,
@@ -109,15 +118,15 @@ impl<T: Real> Simulator<T> {
             settled: None,
             packing,
             pool,
-            teams: Vec::new(),
+            workers: Vec::new(),
             budget,
-            most_kept: usize::MAX,
+            max_checkpoints: usize::MAX,
         }
     }
 
     /// Keeps no more states than this at a time while a gradient is computed, even if memory would allow more.
-    pub(crate) fn keep_at_most(&mut self, states: usize) {
-        self.most_kept = states;
+    pub(crate) fn set_max_checkpoints(&mut self, states: usize) {
+        self.max_checkpoints = states;
     }
 
     /// What each stage of the substeps to come takes.
@@ -126,36 +135,36 @@ impl<T: Real> Simulator<T> {
     }
 
     /// Runs some stages in isolation, to time them.
-    pub(crate) fn alone(&mut self, moment: &RolloutState<T>) -> Result<(), RolloutError> {
-        let lost = |r: &Rollout<'_, T>, lost| lost_error(r.scene, 0, lost, Some(&moment.state));
-        let job = |r: &mut Rollout<'_, T>| r.workspace.alone(r.model, &moment.state).map_err(|l| lost(r, l));
+    pub(crate) fn alone(&mut self, state: &RolloutState<T>) -> Result<(), RolloutError> {
+        let lost = |r: &Rollout<'_, T>, lost| lost_error(r.scene, 0, lost, Some(&state.state));
+        let job = |r: &mut Rollout<'_, T>| r.workspace.alone(r.model, &state.state).map_err(|l| lost(r, l));
         self.in_pool(job, &mut |_, _| true)
     }
 
-    fn path(&self, anchor: Pose, controls: Vec<Displacement>) -> Path {
-        Path::new(anchor, controls, self.scene.time.substeps, self.scene.time.control_period_s())
+    fn path(&self, anchor: Pose, controls: Vec<Displacement>) -> Trajectory {
+        Trajectory::new(anchor, controls, self.scene.time.substeps, self.scene.time.control_period_s())
     }
 
     /// The settled powder under the tool's start pose.
-    pub(crate) fn beginning(&mut self, progress: Progress<'_>) -> Result<RolloutState<T>, RolloutError> {
+    pub(crate) fn initial_state(&mut self, progress: Progress<'_>) -> Result<RolloutState<T>, RolloutError> {
         let tool = self.anchor;
         Ok(RolloutState { state: self.in_pool(|r| r.settled(), progress)?, tool })
     }
 
     /// The settled powder under a tool that waits at `tool`.
-    fn beginning_under(
+    fn initial_state_under(
         &mut self,
         tool: &Pose,
         progress: Progress<'_>,
     ) -> Result<RolloutState<T>, RolloutError> {
         if *tool == self.anchor {
-            return self.beginning(progress);
+            return self.initial_state(progress);
         }
         Ok(RolloutState { state: self.in_pool(|r| r.settle_under(tool), progress)?, tool: *tool })
     }
 
-    /// The moment after the given controls.
-    pub(crate) fn after(
+    /// The state after the given controls.
+    pub(crate) fn advanced(
         &mut self,
         from: &RolloutState<T>,
         controls: &[Displacement],
@@ -166,14 +175,14 @@ impl<T: Real> Simulator<T> {
         Ok(RolloutState { state, tool: path.end().unwrap_or(from.tool) })
     }
 
-    /// Takes the memory of a moment that is past.
-    fn forget(&mut self, moment: RolloutState<T>) {
-        moment.state.give_to(&mut self.workspace.spare);
+    /// Takes the memory of a state that is no longer needed.
+    fn recycle(&mut self, state: RolloutState<T>) {
+        state.state.recycle_into(&mut self.workspace.spare);
     }
 
-    /// What has been achieved at a moment.
-    pub(crate) fn judge(&self, moment: &RolloutState<T>) -> Evaluation {
-        evaluation(&self.scene, &moment.state.particles.positions_by_id(), &moment.tool).0
+    /// What has been achieved in a state.
+    pub(crate) fn judge(&self, state: &RolloutState<T>) -> Evaluation {
+        evaluation(&self.scene, &state.state.particles.positions_by_id(), &state.tool).0
     }
 
     /// Evaluation after the given controls, and the loss's cotangents of the controls.
@@ -189,7 +198,7 @@ impl<T: Real> Simulator<T> {
     /// The same for a custom loss, if it is not the scene's.
     fn control_gradient_of(
         &mut self,
-        loss: Option<Loss<'_>>,
+        loss: Option<LossFn<'_>>,
         from: &RolloutState<T>,
         controls: &[Displacement],
         progress: Progress<'_>,
@@ -203,13 +212,13 @@ impl<T: Real> Simulator<T> {
     ///
     /// # Errors
     /// See [`RolloutError`].
-    pub fn gradient_of_loss(
+    pub fn gradient_of_custom_loss(
         &mut self,
         controls: &[Displacement],
-        loss: Loss<'_>,
+        loss: LossFn<'_>,
         progress: Progress<'_>,
     ) -> Result<(f64, Vec<DisplacementGradient>), RolloutError> {
-        let start = self.beginning(progress)?;
+        let start = self.initial_state(progress)?;
         let (evaluation, bars) = self.control_gradient_of(Some(loss), &start, controls, progress)?;
         Ok((evaluation.loss, bars.into_iter().map(DisplacementGradient::from).collect()))
     }
@@ -224,21 +233,22 @@ impl<T: Real> Simulator<T> {
         if motions.is_empty() {
             return Ok(Vec::new());
         }
-        let paths: Vec<Path> = motions.into_iter().map(|controls| self.path(from.tool, controls)).collect();
-        let workers = self.worker_count(paths.len());
-        self.hire(workers)?;
-        let Self { scene, model, pool, workspace, teams, .. } = self;
+        let paths: Vec<Trajectory> =
+            motions.into_iter().map(|controls| self.path(from.tool, controls)).collect();
+        let count = self.worker_count(paths.len());
+        self.ensure_workers(count)?;
+        let Self { scene, model, pool, workspace, workers, .. } = self;
         let start = from.state.copied(&mut workspace.spare);
         let lost = |substep, lost, state: &State<T>| lost_error(scene, substep, lost, Some(state));
-        let judge = |path: &Path, state: &State<T>| {
+        let judge = |path: &Trajectory, state: &State<T>| {
             let tool = path.end().unwrap_or(from.tool);
             evaluation(scene, &state.particles.positions_by_id(), &tool).0
         };
-        let family = Family { model, paths: &paths, lost: &lost, judge: &judge };
-        let mut spare = std::mem::replace(&mut workspace.spare, Spare::none());
-        let all = teams.iter_mut().map(|team| (&team.pool, &mut team.workspace));
-        let crew = if workers == 1 { vec![(&*pool, &mut *workspace)] } else { all.collect() };
-        let evaluations = branches::run(&family, start, crew, &mut spare, progress);
+        let batch = Batch { model, paths: &paths, lost: &lost, judge: &judge };
+        let mut spare = std::mem::replace(&mut workspace.spare, BufferPool::empty());
+        let all = workers.iter_mut().map(|worker| (&worker.pool, &mut worker.workspace));
+        let workers = if count == 1 { vec![(&*pool, &mut *workspace)] } else { all.collect() };
+        let evaluations = branches::run(&batch, start, workers, &mut spare, progress);
         workspace.spare = spare;
         evaluations
     }
@@ -256,11 +266,11 @@ impl<T: Real> Simulator<T> {
     }
 
     /// Gets so many workers. They and their threads stay: what one thread frees, the allocator keeps for that thread.
-    fn hire(&mut self, workers: usize) -> Result<(), RolloutError> {
-        if workers > 1 && self.teams.len() != workers {
+    fn ensure_workers(&mut self, workers: usize) -> Result<(), RolloutError> {
+        if workers > 1 && self.workers.len() != workers {
             let threads = self.pool.current_num_threads() / workers;
-            self.teams.clear();
-            self.teams = (0..workers).map(|_| Team::new(threads)).collect::<Result<_, _>>()?;
+            self.workers.clear();
+            self.workers = (0..workers).map(|_| Worker::new(threads)).collect::<Result<_, _>>()?;
         }
         Ok(())
     }
@@ -269,7 +279,7 @@ impl<T: Real> Simulator<T> {
     fn bytes_of_workers_to_come(&self) -> u64 {
         let per_worker = self.settled.as_ref().map_or(0, State::bytes) * WORKER_STATES;
         let workers = self.worker_count(BRANCHES as usize);
-        if workers == 1 { 0 } else { workers.saturating_sub(self.teams.len()) as u64 * per_worker }
+        if workers == 1 { 0 } else { workers.saturating_sub(self.workers.len()) as u64 * per_worker }
     }
 
     /// Runs in the simulator's own threads.
@@ -284,7 +294,7 @@ impl<T: Real> Simulator<T> {
     /// The same with a custom loss.
     fn in_pool_for<R: Send>(
         &mut self,
-        loss: Option<Loss<'_>>,
+        loss: Option<LossFn<'_>>,
         job: impl FnOnce(&mut Rollout<'_, T>) -> R + Send,
         progress: Progress<'_>,
     ) -> R {
@@ -296,7 +306,7 @@ impl<T: Real> Simulator<T> {
             settled: &mut self.settled,
             budget: &self.budget,
             packing: &self.packing,
-            most_kept: self.most_kept,
+            max_checkpoints: self.max_checkpoints,
             loss,
             progress,
         };
@@ -307,13 +317,13 @@ impl<T: Real> Simulator<T> {
     ///
     /// # Errors
     /// See [`RolloutError`].
-    pub fn final_positions(
+    pub fn final_positions_m(
         &mut self,
         controls: &[Displacement],
         progress: Progress<'_>,
     ) -> Result<Vec<[f64; 3]>, RolloutError> {
-        let start = self.beginning(progress)?;
-        Ok(self.after(&start, controls, progress)?.state.particles.positions_by_id())
+        let start = self.initial_state(progress)?;
+        Ok(self.advanced(&start, controls, progress)?.state.particles.positions_by_id())
     }
 }
 
@@ -325,14 +335,14 @@ impl<T: Real> Evaluate for Simulator<T> {
         progress: Progress<'_>,
     ) -> Result<Evaluation, RolloutError> {
         if !want_gradient {
-            let controls: Vec<_> = self.skill.controls(theta)?.iter().map(displacement).collect();
+            let controls: Vec<_> = self.skill.controls(theta)?;
             return self.simulate(&controls, progress);
         }
         let linear = self.skill.linearise(theta)?;
-        let controls: Vec<_> = linear.controls.iter().map(displacement).collect();
-        let start = self.beginning(progress)?;
+        let controls: Vec<_> = linear.controls.clone();
+        let start = self.initial_state(progress)?;
         let (mut evaluation, bars) = self.control_gradient(&start, &controls, progress)?;
-        self.forget(start);
+        self.recycle(start);
         evaluation.gradient = Some(linear.pull_back(&bars));
         Ok(evaluation)
     }
@@ -342,13 +352,11 @@ impl<T: Real> Evaluate for Simulator<T> {
         thetas: &[Theta],
         progress: Progress<'_>,
     ) -> Result<Vec<Evaluation>, RolloutError> {
-        let controls = |theta: &Theta| -> Result<Vec<_>, RolloutError> {
-            Ok(self.skill.controls(theta)?.iter().map(displacement).collect())
-        };
+        let controls = |theta: &Theta| -> Result<Vec<_>, RolloutError> { Ok(self.skill.controls(theta)?) };
         let motions = thetas.iter().map(controls).collect::<Result<_, _>>()?;
-        let start = self.beginning(progress)?;
+        let start = self.initial_state(progress)?;
         let evaluations = self.evaluate_motions(&start, motions, progress);
-        self.forget(start);
+        self.recycle(start);
         evaluations
     }
 
@@ -361,14 +369,14 @@ impl<T: Real> Evaluate for Simulator<T> {
         self.simulate_from(&anchor, controls, progress)
     }
 
-    fn gradient_of(
+    fn simulate_with_gradient(
         &mut self,
         controls: &[Displacement],
         progress: Progress<'_>,
     ) -> Result<(Evaluation, Vec<DisplacementGradient>), RolloutError> {
-        let start = self.beginning(progress)?;
+        let start = self.initial_state(progress)?;
         let gradient = self.control_gradient(&start, controls, progress);
-        self.forget(start);
+        self.recycle(start);
         gradient.map(|(evaluation, bars)| {
             (evaluation, bars.into_iter().map(DisplacementGradient::from).collect())
         })
@@ -380,12 +388,12 @@ impl<T: Real> Evaluate for Simulator<T> {
         controls: &[Displacement],
         progress: Progress<'_>,
     ) -> Result<Evaluation, RolloutError> {
-        let start = self.beginning_under(anchor, progress)?;
-        let end = self.after(&start, controls, progress);
-        self.forget(start);
+        let start = self.initial_state_under(anchor, progress)?;
+        let end = self.advanced(&start, controls, progress);
+        self.recycle(start);
         let end = end?;
         let evaluation = self.judge(&end);
-        self.forget(end);
+        self.recycle(end);
         Ok(evaluation)
     }
 
@@ -395,24 +403,24 @@ impl<T: Real> Evaluate for Simulator<T> {
         observer: Observer<'_>,
         progress: Progress<'_>,
     ) -> Result<(Evaluation, Vec<Destination>), RolloutError> {
-        let mut moment = self.beginning_under(recording.anchor, progress)?;
+        let mut state = self.initial_state_under(recording.anchor, progress)?;
         let (total, mut step) = (recording.controls.len(), 0);
         let mut shown = recording.controls.chunks(recording.every.max(1)).peekable();
         loop {
-            if !moment.show(step, observer) {
+            if !state.show(step, observer) {
                 return Err(RolloutError::Stopped);
             }
             // What is left after the last snapshot belongs to the motion all the same.
             let whole = shown.next_if(|controls| controls.len() == recording.every.max(1));
             let Some(controls) = whole else { break };
-            let next = self.after(&moment, controls, &mut |_, _| true);
-            self.forget(std::mem::replace(&mut moment, next.map_err(|error| error.later_by(step))?));
+            let next = self.advanced(&state, controls, &mut |_, _| true);
+            self.recycle(std::mem::replace(&mut state, next.map_err(|error| error.later_by(step))?));
             step += controls.len();
             if !progress(step as u64, total as u64) {
                 return Err(RolloutError::Stopped);
             }
         }
-        let end = self.after(&moment, &recording.controls[step..], &mut |_, _| true);
+        let end = self.advanced(&state, &recording.controls[step..], &mut |_, _| true);
         let end = end.map_err(|error| error.later_by(step))?;
         let positions = end.state.particles.positions_by_id();
         Ok((self.judge(&end), outcome::destinations(&self.scene, &positions, &end.tool)))
@@ -434,12 +442,17 @@ fn evaluation(scene: &Scene, positions: &[[f64; 3]], tool: &Pose) -> (Evaluation
 }
 
 /// What became of a particle that the grid cannot hold.
-fn lost_error<T: Real>(scene: &Scene, substep: usize, lost: Lost, state: Option<&State<T>>) -> RolloutError {
+fn lost_error<T: Real>(
+    scene: &Scene,
+    substep: usize,
+    lost: EscapedParticle,
+    state: Option<&State<T>>,
+) -> RolloutError {
     let n = scene.time.substeps as usize;
     let (step, substep) = ((substep / n) as u32, (substep % n) as u32);
     let finite = state.is_none_or(|s| {
         s.particles
-            .living()
+            .occupied()
             .find(|(_, _, id)| *id == lost.particle)
             .is_none_or(|(g, l, _)| s.particles.groups[g].rows().all(|row| row[l].is_finite()))
     });
@@ -459,9 +472,9 @@ struct Rollout<'a, T: Real> {
     settled: &'a mut Option<State<T>>,
     budget: &'a Budget,
     packing: &'a [[f64; 3]],
-    most_kept: usize,
+    max_checkpoints: usize,
     /// Instead of the scene's.
-    loss: Option<Loss<'a>>,
+    loss: Option<LossFn<'a>>,
     progress: Progress<'a>,
 }
 
@@ -502,7 +515,7 @@ impl<T: Real> Rollout<'_, T> {
         &mut self,
         state: &mut State<T>,
         substep: usize,
-        tool: &crate::mpm::contact::Motion<T>,
+        tool: &crate::mpm::contact::BodyState<T>,
     ) -> Result<(), RolloutError> {
         match self.workspace.substep(self.model, tool, state) {
             Ok(()) => Ok(()),
@@ -514,14 +527,14 @@ impl<T: Real> Rollout<'_, T> {
         &mut self,
         from: &State<T>,
         substep: usize,
-        tool: &crate::mpm::contact::Motion<T>,
+        tool: &crate::mpm::contact::BodyState<T>,
         to: &mut State<T>,
     ) -> Result<(), RolloutError> {
         let advanced = self.workspace.substep_to(self.model, tool, from, to);
         advanced.map_err(|lost| lost_error(self.scene, substep, lost, Some(to)))
     }
 
-    fn forward(&mut self, start: &State<T>, path: &Path) -> Result<State<T>, RolloutError> {
+    fn forward(&mut self, start: &State<T>, path: &Trajectory) -> Result<State<T>, RolloutError> {
         let mut state = start.copied(&mut self.workspace.spare);
         let total = path.len() as u64;
         for substep in 0..path.len() {
@@ -538,13 +551,13 @@ impl<T: Real> Rollout<'_, T> {
     fn gradient(
         &mut self,
         start: &State<T>,
-        path: &Path,
+        path: &Trajectory,
         reserved_bytes: u64,
     ) -> Result<(Evaluation, Vec<Control>), RolloutError> {
         self.workspace.prepare(start);
         // The state at work is the last one kept, until it is advanced: then it is `working`.
         let copy = start.copied(&mut self.workspace.spare);
-        let mut kept = vec![Kept { step: 0, state: copy, on_grid: None }];
+        let mut kept = vec![Checkpoint { step: 0, state: copy, on_grid: None }];
         let mut working = start.copied(&mut self.workspace.spare);
         let slots = self.slots(&kept, path, reserved_bytes);
         let total = advances(schedule(path.len(), slots)) + ADJOINT_WORK * path.len() as u64;
@@ -569,17 +582,17 @@ impl<T: Real> Rollout<'_, T> {
                         self.report(done.min(total), total)?;
                     }
                 }
-                Action::Keep => {
+                Action::Store => {
                     if last.step + 1 == at {
-                        last.on_grid = Some(std::mem::replace(&mut self.workspace.on_grid, OnGrid::none()));
+                        last.on_grid = Some(std::mem::replace(&mut self.workspace.on_grid, OnGrid::empty()));
                     }
-                    let state = std::mem::replace(&mut working, State::none());
-                    kept.push(Kept { step: at, state, on_grid: None });
+                    let state = std::mem::replace(&mut working, State::empty());
+                    kept.push(Checkpoint { step: at, state, on_grid: None });
                     is_kept = true;
                     schedule.limit(self.slots(&kept, path, reserved_bytes));
                 }
-                Action::Drop => kept.pop().into_iter().for_each(|kept| self.drop(kept)),
-                Action::Reverse(step) => {
+                Action::Discard => kept.pop().into_iter().for_each(|kept| self.recycle_checkpoint(kept)),
+                Action::Adjoint(step) => {
                     let (state, grid) =
                         if is_kept { (&last.state, last.on_grid.as_ref()) } else { (&working, None) };
                     let (evaluation, mut bar) = match end.take() {
@@ -591,9 +604,9 @@ impl<T: Real> Rollout<'_, T> {
                     self.check_finite(step, &tool_bar, state, &bar)?;
                     back.take(step, tool_bar);
                     self.workspace.timings.skip();
-                    self.workspace.unsort(state, &mut bar);
+                    self.workspace.sort_adjoint(state, &mut bar);
                     end = Some((evaluation, bar));
-                    self.workspace.timings.mark(Stage::Unsort);
+                    self.workspace.timings.mark(Stage::SortAdjoint);
                     done += ADJOINT_WORK;
                     self.report(done.min(total), total)?;
                 }
@@ -605,30 +618,36 @@ impl<T: Real> Rollout<'_, T> {
             None => self.end_of(path, &kept[0].state)?,
         };
         self.workspace.bar = bar;
-        working.give_to(&mut self.workspace.spare);
-        kept.into_iter().for_each(|kept| self.drop(kept));
+        working.recycle_into(&mut self.workspace.spare);
+        kept.into_iter().for_each(|kept| self.recycle_checkpoint(kept));
         Ok((evaluation, back.finished()))
     }
 
     /// States that may be kept at a time, those that are kept among them: as many as memory allows if the next ones are as large as
     /// the last one, and enough for an end in reasonable time.
-    fn slots(&self, kept: &[Kept<T>], path: &Path, reserved_bytes: u64) -> usize {
+    fn slots(&self, kept: &[Checkpoint<T>], path: &Trajectory, reserved_bytes: u64) -> usize {
         let spare = &self.workspace.spare;
         let size = kept[kept.len() - 1].state.size();
         let in_states = spare.bytes() + kept.len() as u64 * state_bytes::<T>(size);
         let left = self.budget.left(in_states).saturating_sub(reserved_bytes);
         let more = spare.states(size, left);
         // One of them is for the state at work, which may grow.
-        (kept.len() + more.saturating_sub(1)).max(least_states(path.len())).min(self.most_kept)
+        (kept.len() + more.saturating_sub(1))
+            .max(default_min_checkpoints(path.len()))
+            .min(self.max_checkpoints)
     }
 
-    fn drop(&mut self, kept: Kept<T>) {
-        kept.state.give_to(&mut self.workspace.spare);
-        kept.on_grid.into_iter().for_each(|grid| grid.give_to(&mut self.workspace.spare));
+    fn recycle_checkpoint(&mut self, kept: Checkpoint<T>) {
+        kept.state.recycle_into(&mut self.workspace.spare);
+        kept.on_grid.into_iter().for_each(|grid| grid.recycle_into(&mut self.workspace.spare));
     }
 
     /// Last step, loss, and the loss's cotangent in the order of the last step's particles.
-    fn end_of(&mut self, path: &Path, state: &State<T>) -> Result<(Evaluation, Vec<Group<T>>), RolloutError> {
+    fn end_of(
+        &mut self,
+        path: &Trajectory,
+        state: &State<T>,
+    ) -> Result<(Evaluation, Vec<Group<T>>), RolloutError> {
         let mut state = state.copied(&mut self.workspace.spare);
         state.fill();
         if let Some(last) = path.len().checked_sub(1) {
@@ -641,17 +660,17 @@ impl<T: Real> Rollout<'_, T> {
             (evaluation.loss, gradient) = loss(&positions);
             let (given, particles) = (gradient.len(), positions.len());
             if given != particles {
-                return Err(RolloutError::Loss { given, particles });
+                return Err(RolloutError::LossGradientLength { given, particles });
             }
         }
         let mut bar = std::mem::take(&mut self.workspace.bar);
         fit(&mut bar, state.particles.groups.len(), Group::ZERO);
         bar.fill(Group::ZERO);
-        for (g, l, id) in state.particles.living() {
-            set_vec(&mut bar[g].x, l, gradient[id as usize].map(T::of));
+        for (g, l, id) in state.particles.occupied() {
+            set_vec(&mut bar[g].x, l, gradient[id as usize].map(T::from_f64));
         }
-        self.workspace.unsort(&state, &mut bar);
-        state.give_to(&mut self.workspace.spare);
+        self.workspace.sort_adjoint(&state, &mut bar);
+        state.recycle_into(&mut self.workspace.spare);
         Ok((evaluation, bar))
     }
 
@@ -659,7 +678,7 @@ impl<T: Real> Rollout<'_, T> {
     fn check_finite(
         &self,
         step: usize,
-        tool: &MotionBar,
+        tool: &BodyStateBar,
         state: &State<T>,
         bar: &[Group<T>],
     ) -> Result<(), RolloutError> {
@@ -668,7 +687,7 @@ impl<T: Real> Rollout<'_, T> {
         if tool_finite && !step.is_multiple_of(n) {
             return Ok(());
         }
-        for (g, l, particle) in state.particles.living() {
+        for (g, l, particle) in state.particles.occupied() {
             if !bar[g].rows().all(|row| row[l].is_finite()) {
                 let (step, substep) = ((step / n) as u32, (step % n) as u32);
                 return Err(RolloutError::NonFinite { stage: "the adjoint", step, substep, particle });

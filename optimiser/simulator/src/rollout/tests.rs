@@ -1,13 +1,13 @@
 //! Whole rollouts: their bits, and their derivative.
 
-use powderline_shared::plan::Precision;
+use powderline_shared::{displacement::Displacement, plan::Precision};
 
 use crate::rollout::{
-    DisplacementGradient, Evaluate, Recording, RolloutError, SimulatorSettings, Snapshot, gradcheck,
-    simulator,
+    DisplacementGradient, Evaluate, Recording, RolloutError, Simulator, SimulatorSettings, Snapshot,
+    gradcheck,
 };
 use crate::scene::{Aim, Cuboid, Scene, ToolShape};
-use crate::skill::{Control, SkillMap, Theta, displacement};
+use crate::skill::{SkillMap, Theta};
 
 #[test]
 fn threads_and_memory_change_no_bit_of_loss_and_gradient() {
@@ -16,13 +16,12 @@ fn threads_and_memory_change_no_bit_of_loss_and_gradient() {
     scene.domain.sleep_speed_m_s = 0.01;
     scene.time.settle_s = 0.4;
     let map = SkillMap::new(&scene);
-    let controls: Vec<_> =
-        map.controls(&gradcheck::CHECKED_THETA).expect("fits")[..24].iter().map(displacement).collect();
+    let controls: Vec<_> = map.controls(&gradcheck::CHECKED_THETA).expect("fits")[..24].to_vec();
     let gradient = |threads: usize, memory_bytes: u64| {
         let settings =
             SimulatorSettings { seed: 1, precision: Precision::F32, threads: Some(threads), memory_bytes };
-        let mut s = simulator::<f32>(&scene, &settings).expect("threads");
-        let start = s.beginning(&mut |_, _| true).expect("settles");
+        let mut s = Simulator::<f32>::new(&scene, &settings).expect("threads");
+        let start = s.initial_state(&mut |_, _| true).expect("settles");
         let (evaluation, bars) = s.control_gradient(&start, &controls, &mut |_, _| true).expect("runs");
         assert!(start.sleepers() > 0);
         let bits: Vec<[u64; 6]> = bars.iter().map(|b| b.map(f64::to_bits)).collect();
@@ -40,13 +39,12 @@ fn a_gradient_ends_with_the_powder_of_a_simulation_sleepers_and_all() {
     scene.domain.sleep_speed_m_s = 0.01;
     scene.time.settle_s = 0.4;
     let map = SkillMap::new(&scene);
-    let controls: Vec<_> =
-        map.controls(&gradcheck::CHECKED_THETA).expect("fits")[..4].iter().map(displacement).collect();
+    let controls: Vec<_> = map.controls(&gradcheck::CHECKED_THETA).expect("fits")[..4].to_vec();
     let settings =
         SimulatorSettings { seed: 1, precision: Precision::F32, threads: Some(2), memory_bytes: 1 << 30 };
-    let mut s = simulator::<f32>(&scene, &settings).expect("threads");
-    let start = s.beginning(&mut |_, _| true).expect("settles");
-    let end = s.after(&start, &controls, &mut |_, _| true).expect("runs");
+    let mut s = Simulator::<f32>::new(&scene, &settings).expect("threads");
+    let start = s.initial_state(&mut |_, _| true).expect("settles");
+    let end = s.advanced(&start, &controls, &mut |_, _| true).expect("runs");
     assert!(end.sleepers() > 0);
     let (evaluation, _) = s.control_gradient(&start, &controls, &mut |_, _| true).expect("runs");
     assert_eq!(s.judge(&end).loss.to_bits(), evaluation.loss.to_bits());
@@ -70,7 +68,7 @@ fn skills_evaluated_side_by_side_have_the_bits_of_skills_evaluated_alone() {
     let evaluate = |threads: usize, memory_bytes: u64| {
         let settings =
             SimulatorSettings { seed: 1, precision: Precision::F32, threads: Some(threads), memory_bytes };
-        let mut s = simulator::<f32>(&scene, &settings).expect("threads");
+        let mut s = Simulator::<f32>::new(&scene, &settings).expect("threads");
         let (mut last, mut calls) = (0, 0);
         let all = s.evaluate_all(&skills, &mut |done, total| {
             assert!((last..=total).contains(&done));
@@ -100,7 +98,7 @@ fn a_worker_that_panics_ends_the_others() {
     let scene = Scene::load("bench-small").expect("shipped");
     let settings =
         SimulatorSettings { seed: 1, precision: Precision::F32, threads: Some(2), memory_bytes: 1 << 30 };
-    let mut s = simulator::<f32>(&scene, &settings).expect("threads");
+    let mut s = Simulator::<f32>::new(&scene, &settings).expect("threads");
     let skills = [0.1, -0.1, 0.2].map(|depth| [depth, 0.0, 0.0, 0.0, 0.0]);
     let mut calls = 0;
     let panicked = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
@@ -118,7 +116,7 @@ fn the_gradient_of_a_scoop_agrees_with_central_differences() {
     let scene = Scene::load("bench-small").expect("shipped");
     let settings =
         SimulatorSettings { seed: 1, precision: Precision::F64, threads: None, memory_bytes: 1 << 30 };
-    let mut s = simulator::<f64>(&scene, &settings).expect("threads");
+    let mut s = Simulator::<f64>::new(&scene, &settings).expect("threads");
     let map = SkillMap::new(&scene);
     let window = gradcheck::check_window(&mut s, &map, 12, 32, &mut |_, _| true).expect("runs");
     for c in &window.components {
@@ -134,13 +132,12 @@ fn a_motion_that_is_looked_at_ends_as_one_that_is_not() {
     scene.domain.sleep_speed_m_s = 0.01;
     scene.time.settle_s = 0.1;
     let map = SkillMap::new(&scene);
-    let controls: Vec<_> =
-        map.controls(&gradcheck::CHECKED_THETA).expect("fits")[..25].iter().map(displacement).collect();
+    let controls: Vec<_> = map.controls(&gradcheck::CHECKED_THETA).expect("fits")[..25].to_vec();
     let settings =
         SimulatorSettings { seed: 1, precision: Precision::F32, threads: Some(2), memory_bytes: 1 << 30 };
-    let mut s = simulator::<f32>(&scene, &settings).expect("threads");
+    let mut s = Simulator::<f32>::new(&scene, &settings).expect("threads");
     let alone = s.simulate(&controls, &mut |_, _| true).expect("runs");
-    let positions = s.final_positions(&controls, &mut |_, _| true).expect("runs");
+    let positions = s.final_positions_m(&controls, &mut |_, _| true).expect("runs");
     for every in [1, 10, 25, 40] {
         let recording = Recording { anchor: map.start_pose(), controls: &controls, every };
         let (mut steps, mut last) = (Vec::new(), Vec::new());
@@ -176,9 +173,9 @@ fn the_gradient_of_controls_agrees_with_central_differences() {
     let controls = &map.controls(&gradcheck::CHECKED_THETA).expect("fits")[..24];
     let settings =
         SimulatorSettings { seed: 1, precision: Precision::F64, threads: None, memory_bytes: 1 << 30 };
-    let mut s = simulator::<f64>(&scene, &settings).expect("threads");
-    let whole: Vec<_> = controls.iter().map(displacement).collect();
-    let (evaluation, slopes) = s.gradient_of(&whole, &mut |_, _| true).expect("runs");
+    let mut s = Simulator::<f64>::new(&scene, &settings).expect("threads");
+    let whole = controls.to_vec();
+    let (evaluation, slopes) = s.simulate_with_gradient(&whole, &mut |_, _| true).expect("runs");
     let simulated = s.simulate(&whole, &mut |_, _| true).expect("runs");
     assert_eq!(evaluation.loss.to_bits(), simulated.loss.to_bits());
     assert_eq!(slopes.len(), controls.len());
@@ -188,8 +185,9 @@ fn the_gradient_of_controls_agrees_with_central_differences() {
             if half.contains(&k) { libm::sin((6 * step + k) as f64) } else { 0.0 }
         };
         let mut loss_at = |h: f64| {
-            let moved = |(step, control): (usize, &Control)| {
-                displacement(&std::array::from_fn(|k| control[k] + h * direction(step, k)))
+            let moved = |(step, control): (usize, &Displacement)| {
+                let control = control.components();
+                Displacement::from(std::array::from_fn(|k| control[k] + h * direction(step, k)))
             };
             let moved: Vec<_> = controls.iter().enumerate().map(moved).collect();
             s.simulate(&moved, &mut |_, _| true).expect("runs").loss
@@ -210,13 +208,12 @@ fn a_loss_of_ones_own_is_differentiated_like_the_scenes() {
     let mut scene = Scene::load("bench-small").expect("shipped");
     scene.time.settle_s = 0.0;
     let map = SkillMap::new(&scene);
-    let controls: Vec<_> =
-        map.controls(&gradcheck::CHECKED_THETA).expect("fits")[..20].iter().map(displacement).collect();
+    let controls: Vec<_> = map.controls(&gradcheck::CHECKED_THETA).expect("fits")[..20].to_vec();
     let settings = SimulatorSettings { precision: Precision::F64, ..SimulatorSettings::default() };
-    let mut s = simulator::<f64>(&scene, &settings).expect("threads");
-    let (usual, slopes) = s.gradient_of(&controls, &mut |_, _| true).expect("runs");
+    let mut s = Simulator::<f64>::new(&scene, &settings).expect("threads");
+    let (usual, slopes) = s.simulate_with_gradient(&controls, &mut |_, _| true).expect("runs");
     let own = |positions: &[[f64; 3]]| super::loss::loss(&scene, positions);
-    let (loss, again) = s.gradient_of_loss(&controls, &own, &mut |_, _| true).expect("runs");
+    let (loss, again) = s.gradient_of_custom_loss(&controls, &own, &mut |_, _| true).expect("runs");
     assert_eq!(loss.to_bits(), usual.loss.to_bits());
     assert!(slopes == again && slopes.iter().any(|slope| slope.per_metre[2] != 0.0));
     // A multiple of it has as much of a slope.
@@ -224,14 +221,14 @@ fn a_loss_of_ones_own_is_differentiated_like_the_scenes() {
         let (loss, gradient) = own(positions);
         (2.0 * loss, gradient.iter().map(|row| row.map(|g| 2.0 * g)).collect())
     };
-    let (loss, doubled) = s.gradient_of_loss(&controls, &twice, &mut |_, _| true).expect("runs");
+    let (loss, doubled) = s.gradient_of_custom_loss(&controls, &twice, &mut |_, _| true).expect("runs");
     assert_eq!(loss.to_bits(), (2.0 * usual.loss).to_bits());
     for (one, two) in slopes.iter().zip(&doubled) {
-        assert_eq!(one.components().map(|g| 2.0 * g), two.components());
+        assert_eq!(one.components().map(|g| (2.0 * g).to_bits()), two.components().map(f64::to_bits));
     }
-    let refused = s.gradient_of_loss(&controls, &|_| (0.0, Vec::new()), &mut |_, _| true);
+    let refused = s.gradient_of_custom_loss(&controls, &|_| (0.0, Vec::new()), &mut |_, _| true);
     let particles = scene.particle_count();
-    assert_eq!(refused.err(), Some(RolloutError::Loss { given: 0, particles }));
+    assert_eq!(refused.err(), Some(RolloutError::LossGradientLength { given: 0, particles }));
 }
 
 /// A scoop put together from cuboids is the scoop: the same bits.
@@ -254,12 +251,12 @@ fn a_scoop_of_cuboids_moves_powder_as_the_scoop_does() {
     ];
     scene.tool.shape = ToolShape::BoxScoop { inner_size_m: [l, w, h] };
     let skill = SkillMap::new(&scene).controls(&gradcheck::CHECKED_THETA).expect("fits");
-    let controls: Vec<_> = skill[..80].iter().map(displacement).collect();
+    let controls: Vec<_> = skill[..80].to_vec();
     let gradient = |shape: ToolShape| {
         let mut scene = scene.clone();
         scene.tool.shape = shape;
-        let mut s = simulator::<f32>(&scene, &SimulatorSettings::default()).expect("threads");
-        let (evaluation, slopes) = s.gradient_of(&controls, &mut |_, _| true).expect("runs");
+        let mut s = Simulator::<f32>::new(&scene, &SimulatorSettings::default()).expect("threads");
+        let (evaluation, slopes) = s.simulate_with_gradient(&controls, &mut |_, _| true).expect("runs");
         (evaluation.loss.to_bits(), slopes)
     };
     let scoop = gradient(scene.tool.shape.clone());

@@ -10,14 +10,15 @@ pub const DEFAULT_TOLERANCE: f64 = 0.02;
 #[serde(try_from = "Table", into = "Table")]
 pub struct Amount {
     /// The amount.
-    pub wanted: Wanted,
+    pub wanted: Quantity,
     /// Largest miss that still counts as met, relative to the wanted amount; 0 to 1, 0.02 if it is not stated.
     pub tolerance: f64,
 }
 
 /// An amount of powder.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Wanted {
+#[non_exhaustive]
+pub enum Quantity {
     /// Particles; 1 to all of them.
     Particles(u32),
     /// Mass, kilogram; above 0, up to all of it. Simulated as the nearest number of whole particles.
@@ -26,7 +27,7 @@ pub enum Wanted {
 
 impl Amount {
     /// An amount with the usual tolerance.
-    pub fn new(wanted: Wanted) -> Self {
+    pub fn new(wanted: Quantity) -> Self {
         Self { wanted, tolerance: DEFAULT_TOLERANCE }
     }
 }
@@ -45,8 +46,8 @@ impl TryFrom<Table> for Amount {
 
     fn try_from(table: Table) -> Result<Self, Self::Error> {
         let wanted = match (table.mass_kg, table.particles) {
-            (Some(mass_kg), None) => Wanted::MassKg(mass_kg),
-            (None, Some(particles)) => Wanted::Particles(particles),
+            (Some(mass_kg), None) => Quantity::MassKg(mass_kg),
+            (None, Some(particles)) => Quantity::Particles(particles),
             (None, None) => {
                 return Err("neither `mass_kg` nor `particles` is given; one of them would be right");
             }
@@ -61,8 +62,8 @@ impl TryFrom<Table> for Amount {
 impl From<Amount> for Table {
     fn from(Amount { wanted, tolerance }: Amount) -> Self {
         let (mass_kg, particles) = match wanted {
-            Wanted::MassKg(mass_kg) => (Some(mass_kg), None),
-            Wanted::Particles(particles) => (None, Some(particles)),
+            Quantity::MassKg(mass_kg) => (Some(mass_kg), None),
+            Quantity::Particles(particles) => (None, Some(particles)),
         };
         Self { mass_kg, particles, tolerance: Some(tolerance) }
     }

@@ -27,6 +27,7 @@ type Point = [f64; 3];
 
 /// What the tool carries at most, kilogram.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct Capacity {
     /// Heaped as steeply as the powder stands.
     pub heaped_kg: f64,

@@ -40,7 +40,7 @@ impl Cuboid {
     }
 
     /// Largest p . `direction` over the cuboid, tool frame.
-    pub(super) fn reach(&self, direction: Vec3) -> f64 {
+    pub(super) fn support(&self, direction: Vec3) -> f64 {
         let half = |axis: Vec3, size: f64| 0.5 * size * dot(axis, direction).abs();
         dot(self.centre_m, direction)
             + self.axes().into_iter().zip(self.size_m).map(|(axis, size)| half(axis, size)).sum::<f64>()
@@ -93,8 +93,8 @@ mod tests {
     fn reach_and_heights_are_those_of_its_corners() {
         let corners = TURNED.corners_m();
         for direction in [[1.0, 0.0, 0.0], [0.3, -0.8, 0.52], [0.0, 0.0, -1.0]] {
-            let reach = corners.iter().map(|corner| dot(*corner, direction)).fold(f64::MIN, f64::max);
-            assert!((TURNED.reach(direction) - reach).abs() < 1e-15);
+            let support = corners.iter().map(|corner| dot(*corner, direction)).fold(f64::MIN, f64::max);
+            assert!((TURNED.support(direction) - support).abs() < 1e-15);
         }
         // Over a corner the vertical touches; beside all of them it passes by.
         let top = corners.into_iter().max_by(|a, b| a[2].total_cmp(&b[2])).unwrap();

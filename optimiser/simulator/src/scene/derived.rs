@@ -1,6 +1,6 @@
 //! Quantities that follow from a scene's fields.
 
-use super::{Container, ContainerShape, Objective, Powder, Scene, Time, Wanted};
+use super::{Container, ContainerShape, Objective, Powder, Quantity, Scene, Time};
 
 /// Edge of a grid block, in cells.
 pub const BLOCK_CELLS: usize = 4;
@@ -30,7 +30,7 @@ impl Time {
     }
 
     /// Length of an MPM substep, seconds.
-    pub fn dt_sub_s(&self) -> f64 {
+    pub fn substep_s(&self) -> f64 {
         self.control_period_s() / f64::from(self.substeps)
     }
 
@@ -115,13 +115,13 @@ impl Scene {
     /// was made up for measurements and has no source.
     pub(crate) fn nearest_of_source_m(&self) -> [f64; 3] {
         let Objective { source, p_target_m, .. } = &self.objective;
-        let source = self.container.iter().find(|container| container.name == *source);
+        let source = self.containers.iter().find(|container| container.name == *source);
         source.map_or(*p_target_m, |source| source.nearest_m(p_target_m))
     }
 
     /// The same with powder that never sleeps.
     #[must_use]
-    pub fn awake(&self) -> Self {
+    pub fn without_sleep(&self) -> Self {
         let mut scene = self.clone();
         scene.domain.sleep_speed_m_s = 0.0;
         scene
@@ -135,7 +135,7 @@ impl Scene {
     /// Part of the strain rate's momentum that viscosity takes in one substep, `8 eta dt / (rho cell^2)`,
     /// dimensionless; at most [`MAX_VISCOUS_LOSS`].
     pub fn viscous_loss(&self) -> f64 {
-        8.0 * self.powder.viscosity_pa_s * self.time.dt_sub_s()
+        8.0 * self.powder.viscosity_pa_s * self.time.substep_s()
             / (self.powder.density_kg_m3 * self.domain.cell_m.powi(2))
     }
 
@@ -157,22 +157,22 @@ impl Scene {
 
     /// Courant number sqrt(P-wave modulus / density) dt_sub / cell, dimensionless; at most [`MAX_CFL`].
     pub fn cfl_number(&self) -> f64 {
-        self.powder.sound_speed_m_s() * self.time.dt_sub_s() / self.domain.cell_m
+        self.powder.sound_speed_m_s() * self.time.substep_s() / self.domain.cell_m
     }
 
     /// Particles wanted in the target container; a mass is rounded to whole particles, at least one.
     pub fn target_count(&self) -> usize {
         match self.objective.amount.wanted {
-            Wanted::Particles(count) => count as usize,
-            Wanted::MassKg(mass_kg) => ((mass_kg / self.particle_mass_kg()).round() as usize).max(1),
+            Quantity::Particles(count) => count as usize,
+            Quantity::MassKg(mass_kg) => ((mass_kg / self.particle_mass_kg()).round() as usize).max(1),
         }
     }
 
     /// Mass wanted in the target container, kilogram.
     pub fn target_mass_kg(&self) -> f64 {
         match self.objective.amount.wanted {
-            Wanted::Particles(count) => f64::from(count) * self.particle_mass_kg(),
-            Wanted::MassKg(mass_kg) => mass_kg,
+            Quantity::Particles(count) => f64::from(count) * self.particle_mass_kg(),
+            Quantity::MassKg(mass_kg) => mass_kg,
         }
     }
 }

@@ -22,6 +22,7 @@ pub(super) fn container_path(names: &[&str], index: usize) -> String {
 /// Why a scene was refused. Displays as one sentence that names the file and, where there is one, the field,
 /// its value and what would be right.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[non_exhaustive]
 pub enum SceneError {
     /// Neither an embedded scene nor a file.
     #[error("there is no scene and no file called `{name}`; the embedded scenes are {known}{meant}")]

@@ -11,6 +11,7 @@ const ANGLES: u32 = 32;
 
 /// Why the wanted amount cannot arrive, and what would be right.
 #[derive(Clone, Debug, PartialEq, Error)]
+#[non_exhaustive]
 pub enum Infeasible {
     /// More than one spoonful.
     #[error(
@@ -114,7 +115,7 @@ impl Scene {
             ToolShape::BoxScoop { inner_size_m: [length, _, height] } => {
                 0.5 * length * forward[0] - height * forward[2]
             }
-            ToolShape::Cuboids { .. } => self.tool.body_reach(forward),
+            ToolShape::Cuboids { .. } => self.tool.body_support(forward),
         };
         let [carried_deg, poured_deg] = self.carried_to_poured_deg();
         let ahead = |pitch_deg: f64| {
@@ -153,7 +154,7 @@ fn spread([low, high]: [f64; 2], parts: u32) -> impl Iterator<Item = f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{Amount, EMBEDDED_SCENES, Wanted};
+    use crate::scene::{Amount, EMBEDDED_SCENES, Quantity};
 
     #[test]
     fn the_shipped_scenes_are_feasible() {
@@ -165,7 +166,7 @@ mod tests {
     #[test]
     fn more_than_a_spoonful_is_split() {
         let mut scene = Scene::load("bench").unwrap();
-        scene.objective.amount = Amount::new(Wanted::MassKg(0.030));
+        scene.objective.amount = Amount::new(Quantity::MassKg(0.030));
         let error = scene.check_feasible().unwrap_err();
         assert!(matches!(error, Infeasible::TooMuch { trips: 3, .. }), "{error:?}");
         let text = error.to_string();
@@ -175,9 +176,9 @@ mod tests {
         );
         assert!(text.contains("3 trips of 10 g each") && text.contains("{ mass_kg = 0.01 }"), "{text}");
         // Each part is feasible, and so is as much as can be had.
-        scene.objective.amount = Amount::new(Wanted::MassKg(0.010));
+        scene.objective.amount = Amount::new(Quantity::MassKg(0.010));
         assert_eq!(scene.check_feasible(), Ok(()));
-        scene.objective.amount = Amount::new(Wanted::MassKg(0.030));
+        scene.objective.amount = Amount::new(Quantity::MassKg(0.030));
         scene.objective.aim = Aim::All;
         assert_eq!(scene.check_feasible(), Ok(()));
     }

@@ -7,13 +7,13 @@
 mod amount;
 mod canonical;
 mod capacity;
+mod closest_match;
 mod cuboid;
 mod derived;
 mod embedded;
 mod error;
 mod feasible;
 pub mod figures;
-mod nearest;
 mod packing;
 mod parse;
 mod path;
@@ -26,9 +26,10 @@ mod validate;
 
 use serde::{Deserialize, Serialize};
 
-pub use amount::{Amount, DEFAULT_TOLERANCE, Wanted};
+pub use amount::{Amount, DEFAULT_TOLERANCE, Quantity};
 pub use canonical::{DIGEST_VERSION, Digest};
 pub use capacity::Capacity;
+pub use closest_match::closest_match;
 pub use cuboid::Cuboid;
 pub use derived::{
     BLOCK_CELLS, MAX_CELLS, MAX_CFL, MAX_PARTICLES, MAX_SUBSTEPS, MAX_VISCOUS_LOSS, PADDING_BLOCKS,
@@ -36,7 +37,6 @@ pub use derived::{
 pub use embedded::{DEFAULT_SCENE, EMBEDDED_SCENES, embedded_scene};
 pub use error::SceneError;
 pub use feasible::Infeasible;
-pub use nearest::nearest;
 pub use powderline_shared::limits::Limits;
 pub use read::MAX_SCENE_BYTES;
 pub(crate) use tool_body::PlacedTool;
@@ -55,7 +55,8 @@ pub struct Scene {
     /// Control period, substeps and horizon.
     pub time: Time,
     /// Open containers standing on the bench, 2 to 16, none overlapping another.
-    pub container: Vec<Container>,
+    #[serde(rename = "container")]
+    pub containers: Vec<Container>,
     /// Spoon or scoop, moved by the arm.
     pub tool: Tool,
     /// Five skill parameters and how they become a motion.
@@ -185,7 +186,7 @@ pub struct Tool {
     /// Start position of the tool's origin, metres, world frame.
     pub start_position_m: [f64; 3],
     /// Start pitch, degrees: how far the opening is tilted from straight up towards the scooping direction;
-    /// -90 to 90, typically 50.
+    /// -90 to 90, typically 80.
     pub start_pitch_deg: f64,
     /// Rod that joins the tool to the arm.
     pub handle: Handle,
@@ -220,11 +221,11 @@ pub const MAX_CUBOIDS: usize = 64;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Handle {
-    /// Length of the capsule's axis, metres; 0.001 to 1, typically 0.05.
+    /// Length of the capsule's axis, metres; 0.001 to 1, typically 0.04.
     pub length_m: f64,
     /// Radius, metres; a quarter of a cell to 0.1, typically one cell.
     pub radius_m: f64,
-    /// Angle between the rod and the tool's -x axis, degrees, positive towards +z; -90 to 90, typically 75.
+    /// Angle between the rod and the tool's -x axis, degrees, positive towards +z; -90 to 90, typically 85.
     pub rise_deg: f64,
 }
 
@@ -256,7 +257,7 @@ pub struct Skill {
     pub approach_m: f64,
     /// Forward travel during the scoop segment, metres; 0 to 1, typically 0.016.
     pub sweep_m: f64,
-    /// Mean linear speed of each translating segment, m/s; 0.001 to 5, typically 0.1. With `minimum_jerk` the
+    /// Mean linear speed of each translating segment, m/s; 0.001 to 5, typically 0.14. With `minimum_jerk` the
     /// peak is 1.875 times as high.
     pub linear_speed_m_s: f64,
     /// Mean angular speed of the scoop and pour segments, rad/s; 0.01 to 50, typically 1.5. With
@@ -271,6 +272,7 @@ pub struct Skill {
 /// How segment lengths become segment times.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum Timing {
     /// Every segment is rounded to whole control steps, as in the paper; the gradient takes the count as fixed.
     Rounded,
@@ -281,6 +283,7 @@ pub enum Timing {
 /// How the speed runs within a segment.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum Profile {
     /// The mean speed throughout, as in the paper; velocity jumps at both ends.
     ConstantSpeed,
@@ -321,6 +324,7 @@ pub enum Aim {
 /// How a particle's distance from the target point is measured.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum Norm {
     /// Straight-line distance.
     Euclidean,
@@ -331,6 +335,7 @@ pub enum Norm {
 /// Which particles the loss sees at the end of the motion.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+#[non_exhaustive]
 pub enum Observation {
     /// Every particle.
     All,
@@ -361,7 +366,7 @@ pub struct Optimiser {
     /// RMSprop's guard against division by zero, in units of the gradient; above 0, up to 1, typically 1e-8.
     pub epsilon: f64,
     /// What the updates go by.
-    pub gradient: Gradient,
+    pub gradient: GradientEstimator,
     /// Half-step of the central differences that `mixed` compares the adjoint with, in units of theta; above 0, up to
     /// 0.5, typically 0.1: far enough for single grains to average out.
     pub difference_half_step: f64,
@@ -370,7 +375,8 @@ pub struct Optimiser {
 /// What stands for the gradient of the loss.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Gradient {
+#[non_exhaustive]
+pub enum GradientEstimator {
     /// The adjoint of the simulation.
     Adjoint,
     /// The adjoint and central differences, weighted in every component by their measured variances.

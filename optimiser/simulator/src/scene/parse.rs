@@ -3,8 +3,8 @@
 use serde_json::Value;
 use toml::de::{DeTable, DeValue, Deserializer, Error};
 
+use super::closest_match::did_you_mean;
 use super::error::container_path;
-use super::nearest::did_you_mean;
 use super::{DEFAULT_SCENE, Scene, SceneError, embedded_scene};
 
 /// Tables of a scene; `container` is the only list of tables.

@@ -10,7 +10,7 @@ const PITCH_STEP_DEG: f64 = 2.0;
 const SAMPLES: u32 = 8;
 
 /// One stage of the motion: the extreme places of the tool's origin and its range of pitch.
-pub(super) struct Stage {
+pub(super) struct SegmentEnvelope {
     /// The field that moves the tool there.
     pub(super) field: &'static str,
     /// That field's value.
@@ -49,7 +49,7 @@ impl Scene {
     }
 
     /// The stages of the motion in order.
-    pub(super) fn stages(&self) -> [Stage; 5] {
+    pub(super) fn stages(&self) -> [SegmentEnvelope; 5] {
         let skill = &self.skill;
         let start_deg = self.tool.start_pitch_deg;
         let [shallow_m, deep_m] = skill.scooping_depth_m.map(|depth_m| -skill.approach_m - depth_m);
@@ -63,31 +63,31 @@ impl Scene {
         };
         let transported_m = skill.transport_displacement_m.map(|travel_m| swept_m + travel_m);
         [
-            Stage {
+            SegmentEnvelope {
                 field: "tool.start_position_m",
                 value: self.tool.start_position_m.to_vec(),
                 origins: at(&[0.0], [0.0, 0.0]),
                 pitch_deg: [start_deg; 2],
             },
-            Stage {
+            SegmentEnvelope {
                 field: "skill.scooping_depth_m",
                 value: skill.scooping_depth_m.to_vec(),
                 origins: at(&[0.0], [shallow_m, deep_m]),
                 pitch_deg: [start_deg; 2],
             },
-            Stage {
+            SegmentEnvelope {
                 field: "skill.sweep_m",
                 value: vec![skill.sweep_m],
                 origins: at(&[swept_m], [shallow_m, deep_m]),
                 pitch_deg: [carried_low_deg, start_deg],
             },
-            Stage {
+            SegmentEnvelope {
                 field: "skill.lift_height_m",
                 value: skill.lift_height_m.to_vec(),
                 origins: at(&[swept_m], [lifted_low_m, lifted_high_m]),
                 pitch_deg: [carried_low_deg, carried_high_deg],
             },
-            Stage {
+            SegmentEnvelope {
                 field: "skill.transport_displacement_m",
                 value: skill.transport_displacement_m.to_vec(),
                 origins: at(&transported_m, [lifted_low_m, lifted_high_m]),

@@ -4,7 +4,7 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
-use super::{EMBEDDED_SCENES, Scene, SceneError, embedded, nearest::did_you_mean, parse::parse};
+use super::{EMBEDDED_SCENES, Scene, SceneError, closest_match::did_you_mean, embedded, parse::parse};
 
 /// A scene file longer than this is refused without being read, bytes.
 pub const MAX_SCENE_BYTES: u64 = 1 << 20;

@@ -13,13 +13,13 @@ const BADLY_PLACED_CELLS: f64 = 0.1;
 impl Scene {
     /// Sentences about a valid scene that may hide a mistake: a start height at odds with the approach, and faces that the
     /// grid holds badly.
-    pub fn remarks(&self) -> Vec<String> {
+    pub fn warnings(&self) -> Vec<String> {
         [self.remark_approach(), self.remark_faces()].into_iter().flatten().collect()
     }
 
     fn remark_approach(&self) -> Option<String> {
         let start = PlacedTool::new(self, self.tool.start_position_m, self.tool.start_pitch_deg);
-        let lowest_m = -start.body_reach([0.0, 0.0, -1.0]) - self.skill.approach_m;
+        let lowest_m = -start.body_support([0.0, 0.0, -1.0]) - self.skill.approach_m;
         let above_m = lowest_m - self.powder.fill_max_m[2];
         (above_m.abs() > REMARKABLE_CELLS * self.domain.cell_m).then(|| {
             format!(
@@ -33,7 +33,7 @@ impl Scene {
 
     fn remark_faces(&self) -> Option<String> {
         let cell_m = self.domain.cell_m;
-        let (container, face_m) = self.container.iter().find_map(|container| {
+        let (container, face_m) = self.containers.iter().find_map(|container| {
             let badly = |face_m: &f64| {
                 let halves = 2.0 * face_m / cell_m;
                 0.5 * (halves - halves.round()).abs() > BADLY_PLACED_CELLS
@@ -75,12 +75,12 @@ mod tests {
     fn faces_between_nodes_are_remarked() {
         let mut scene = Scene::load("bench").unwrap();
         assert_eq!(scene.remark_faces(), None);
-        scene.container[1].position_m[0] += 0.001;
+        scene.containers[1].position_m[0] += 0.001;
         let remark = scene.remark_faces().unwrap();
         assert!(remark.contains("\"target\" at 145 mm") && remark.contains("multiples of 2 mm"), "{remark}");
-        scene.container[1].yaw_deg = 30.0;
+        scene.containers[1].yaw_deg = 30.0;
         assert_eq!(scene.remark_faces(), None);
-        scene.container[1].position_m[2] += 0.0011;
+        scene.containers[1].position_m[2] += 0.0011;
         assert!(scene.remark_faces().unwrap().contains("at 5.1 mm"));
     }
 }

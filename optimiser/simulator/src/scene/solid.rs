@@ -42,7 +42,7 @@ impl Scene {
     pub(crate) fn solids(&self) -> Vec<Solid> {
         let solid =
             |c: &Container| Solid { name: c.name.clone(), pieces: c.pieces(), extent: c.outer().extent() };
-        self.container.iter().map(solid).collect()
+        self.containers.iter().map(solid).collect()
     }
 }
 
@@ -57,25 +57,25 @@ pub(super) struct Hull {
 impl Hull {
     /// Whether it is apart from another solid, given by its reach.
     pub(super) fn clear_of(&self, other: impl Fn(Vec3) -> f64) -> bool {
-        apart(&self.normals, |direction| self.reach(direction), other)
+        apart(&self.normals, |direction| self.support(direction), other)
     }
 
     /// Whether it is apart from another hull.
     pub(super) fn clear_of_hull(&self, other: &Self) -> bool {
         let normals: Vec<Vec3> = self.normals.iter().chain(&other.normals).copied().collect();
-        apart(&normals, |direction| self.reach(direction), |direction| other.reach(direction))
+        apart(&normals, |direction| self.support(direction), |direction| other.support(direction))
     }
 
     /// How far it would have to go, at least, to be apart from another hull, metres.
     pub(super) fn overlap_m(&self, other: &Self) -> f64 {
-        let along = |d: Vec3| self.reach(d) + other.reach(d.map(|component| -component));
+        let along = |d: Vec3| self.support(d) + other.support(d.map(|component| -component));
         let both_ways = |d: &Vec3| along(*d).min(along(d.map(|component| -component)));
         let directions = self.normals.iter().chain(&other.normals).chain(SPREAD.iter());
         directions.map(both_ways).fold(f64::INFINITY, f64::min)
     }
 
     /// Largest p . `direction` over the hull.
-    pub(super) fn reach(&self, direction: Vec3) -> f64 {
+    pub(super) fn support(&self, direction: Vec3) -> f64 {
         self.points.iter().map(|point| dot(*point, direction)).fold(f64::NEG_INFINITY, f64::max)
     }
 
@@ -84,7 +84,7 @@ impl Hull {
         let ends = |axis: usize| {
             let mut along = [0.0; 3];
             along[axis] = 1.0;
-            [-self.reach(along.map(|x: f64| -x)), self.reach(along)]
+            [-self.support(along.map(|x: f64| -x)), self.support(along)]
         };
         [0, 1].map(|end| std::array::from_fn(|axis| ends(axis)[end]))
     }
@@ -128,13 +128,13 @@ pub(super) struct Wall {
 
 impl Wall {
     /// How far a convex solid, given by its reach, goes beyond the wall's inner face, metres; none if it stays clear.
-    pub(super) fn depth_m(&self, reach: impl Fn(Vec3) -> f64) -> Option<f64> {
-        (!self.hull.clear_of(&reach)).then(|| self.beyond_m(reach))
+    pub(super) fn depth_m(&self, support: impl Fn(Vec3) -> f64) -> Option<f64> {
+        (!self.hull.clear_of(&support)).then(|| self.beyond_m(support))
     }
 
     /// How far a convex solid reaches beyond the plane of the wall's inner face, metres; negative if it does not.
-    pub(super) fn beyond_m(&self, reach: impl Fn(Vec3) -> f64) -> f64 {
-        reach(self.outwards) + self.hull.reach(self.outwards.map(|x| -x))
+    pub(super) fn beyond_m(&self, support: impl Fn(Vec3) -> f64) -> f64 {
+        support(self.outwards) + self.hull.support(self.outwards.map(|x| -x))
     }
 
     /// Whether something stays clear of it, by its own judgement of a convex solid.
@@ -336,7 +336,7 @@ mod tests {
     fn a_corner_beside_a_corner_is_found_without_a_hint() {
         let a = Hull::aligned_box([0.0; 3], [1.0; 3]);
         let tip = [[1.15, 1.15, 0.85], [1.15, 0.85, 1.15], [0.85, 1.15, 1.15]];
-        let reach = |direction| tip.iter().map(|point| dot(*point, direction)).fold(f64::MIN, f64::max);
-        assert!(a.clear_of(reach));
+        let support = |direction| tip.iter().map(|point| dot(*point, direction)).fold(f64::MIN, f64::max);
+        assert!(a.clear_of(support));
     }
 }

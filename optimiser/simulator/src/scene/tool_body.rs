@@ -12,7 +12,7 @@ use std::fmt;
 impl Tool {
     /// Distance from the tool's origin to its lowest point when the opening looks straight up, metres.
     pub fn body_depth_m(&self) -> f64 {
-        self.body_reach([0.0, 0.0, -1.0])
+        self.body_support([0.0, 0.0, -1.0])
     }
 
     /// Ends of the handle's axis in the tool's frame, metres: its round end touches the inside of the rear wall.
@@ -27,7 +27,7 @@ impl Tool {
         let rear = match &self.shape {
             ToolShape::Bowl { inner_radius_m } => inner_radius_m + half_wall,
             ToolShape::BoxScoop { inner_size_m } => 0.5 * inner_size_m[0] + half_wall,
-            ToolShape::Cuboids { .. } => self.body_reach([-1.0, 0.0, 0.0]) - half_wall,
+            ToolShape::Cuboids { .. } => self.body_support([-1.0, 0.0, 0.0]) - half_wall,
         };
         let start = rear + half_wall.max(self.handle.radius_m);
         let (rise, length) = (self.handle.rise_deg.to_radians(), self.handle.length_m);
@@ -35,7 +35,7 @@ impl Tool {
     }
 
     /// Reach of the body from the tool's origin, tool frame.
-    pub(super) fn body_reach(&self, direction: Vec3) -> f64 {
+    pub(super) fn body_support(&self, direction: Vec3) -> f64 {
         let [x, y, z] = direction;
         let wall = self.wall_thickness_m;
         match &self.shape {
@@ -48,7 +48,7 @@ impl Tool {
                 let along = if x > 0.0 { 0.5 * length * x } else { -(0.5 * length + wall) * x };
                 along + (0.5 * width + wall) * y.abs() + (height + wall) * (-z).max(0.0)
             }
-            ToolShape::Cuboids { cuboid } => farthest(cuboid.iter().map(|cuboid| cuboid.reach(direction))),
+            ToolShape::Cuboids { cuboid } => farthest(cuboid.iter().map(|cuboid| cuboid.support(direction))),
         }
     }
 
@@ -58,14 +58,14 @@ impl Tool {
         for axis in 0..3 {
             let mut along = [0.0; 3];
             along[axis] = 1.0;
-            extent[1][axis] = self.body_reach(along);
-            extent[0][axis] = -self.body_reach(along.map(|x| -x));
+            extent[1][axis] = self.body_support(along);
+            extent[0][axis] = -self.body_support(along.map(|x| -x));
         }
         extent
     }
 
     /// Of a ball around the tool's origin that holds all of it, metres.
-    pub(crate) fn radius_m(&self) -> f64 {
+    pub(crate) fn bounding_radius_m(&self) -> f64 {
         let wall = self.wall_thickness_m;
         let body = match &self.shape {
             ToolShape::Bowl { inner_radius_m } => inner_radius_m + wall,
@@ -81,7 +81,7 @@ impl Tool {
         body.max(ends[0]).max(ends[1])
     }
 
-    fn handle_reach(&self, direction: Vec3) -> f64 {
+    fn handle_support(&self, direction: Vec3) -> f64 {
         let [near, far] = self.handle_axis_m();
         dot(near, direction).max(dot(far, direction)) + self.handle.radius_m
     }
@@ -139,7 +139,7 @@ impl<'a> PlacedTool<'a> {
     pub(crate) fn inside_of<'s>(&self, solids: &'s [Solid]) -> Option<(ToolPart, &'s str)> {
         let near = |solid: &&Solid| {
             let [low, high] = solid.extent;
-            let reach = self.tool.radius_m();
+            let reach = self.tool.bounding_radius_m();
             (0..3).all(|k| self.origin[k] + reach > low[k] && self.origin[k] - reach < high[k])
         };
         solids.iter().filter(near).find_map(|solid| {
@@ -156,23 +156,23 @@ impl<'a> PlacedTool<'a> {
     }
 
     /// Largest p . `direction` over the body, world frame.
-    pub(super) fn body_reach(&self, direction: Vec3) -> f64 {
-        dot(self.origin, direction) + self.tool.body_reach(self.to_tool(direction))
+    pub(super) fn body_support(&self, direction: Vec3) -> f64 {
+        dot(self.origin, direction) + self.tool.body_support(self.to_tool(direction))
     }
 
     /// Largest p . `direction` over the handle, world frame.
-    pub(super) fn handle_reach(&self, direction: Vec3) -> f64 {
-        dot(self.origin, direction) + self.tool.handle_reach(self.to_tool(direction))
+    pub(super) fn handle_support(&self, direction: Vec3) -> f64 {
+        dot(self.origin, direction) + self.tool.handle_support(self.to_tool(direction))
     }
 
     /// Whether the body stays clear of a convex solid.
     pub(super) fn body_clears(&self, solid: &Hull) -> bool {
-        solid.clear_of(|direction| self.body_reach(direction))
+        solid.clear_of(|direction| self.body_support(direction))
     }
 
     /// Whether the handle stays clear of a convex solid.
     pub(super) fn handle_clears(&self, solid: &Hull) -> bool {
-        solid.clear_of(|direction| self.handle_reach(direction))
+        solid.clear_of(|direction| self.handle_support(direction))
     }
 }
 
@@ -185,12 +185,12 @@ mod tests {
         let scene = Scene::load("bench").unwrap();
         for pitch in [-90.0, -50.0, 0.0, 50.0, 90.0] {
             let tool = PlacedTool::new(&scene, [0.0; 3], pitch);
-            assert!((tool.body_reach([0.0, 0.0, -1.0]) - 0.020).abs() < 1e-15);
+            assert!((tool.body_support([0.0, 0.0, -1.0]) - 0.020).abs() < 1e-15);
         }
         // Upside down the rim is the lowest part.
         let tool = PlacedTool::new(&scene, [0.0; 3], 180.0);
-        assert!(tool.body_reach([0.0, 0.0, -1.0]).abs() < 1e-15);
-        assert!((tool.body_reach([0.0, 0.0, 1.0]) - 0.020).abs() < 1e-15);
+        assert!(tool.body_support([0.0, 0.0, -1.0]).abs() < 1e-15);
+        assert!((tool.body_support([0.0, 0.0, 1.0]) - 0.020).abs() < 1e-15);
     }
 
     #[test]
@@ -198,8 +198,8 @@ mod tests {
         let scene = Scene::load("bench").unwrap();
         let tool = PlacedTool::new(&scene, [0.0; 3], 90.0);
         // The opening looks along +x: nothing of the bowl lies before its rim plane.
-        assert!(tool.body_reach([1.0, 0.0, 0.0]).abs() < 1e-15);
-        assert!((tool.body_reach([-1.0, 0.0, 0.0]) - 0.020).abs() < 1e-15);
+        assert!(tool.body_support([1.0, 0.0, 0.0]).abs() < 1e-15);
+        assert!((tool.body_support([-1.0, 0.0, 0.0]) - 0.020).abs() < 1e-15);
     }
 
     #[test]

@@ -6,7 +6,7 @@
 
 use core::ops::{Add, Mul, Neg, Sub};
 
-use crate::real::Real;
+use crate::real::{Arithmetic, Real};
 use crate::small::{Mat3, Vec3, three};
 
 /// What a signed distance may do with its numbers.
@@ -19,16 +19,16 @@ pub(crate) trait Scalar<T: Real>:
     fn recip(self) -> Self;
 
     #[inline(always)]
-    fn choose(condition: bool, yes: Self, no: Self) -> Self {
+    fn select(condition: bool, yes: Self, no: Self) -> Self {
         if condition { yes } else { no }
     }
     #[inline(always)]
     fn abs(self) -> Self {
-        Self::choose(self.value() < T::ZERO, -self, self)
+        Self::select(self.value() < T::ZERO, -self, self)
     }
     #[inline(always)]
     fn positive_part(self) -> Self {
-        Self::choose(self.value() > T::ZERO, self, Self::constant(T::ZERO))
+        Self::select(self.value() > T::ZERO, self, Self::constant(T::ZERO))
     }
 }
 
@@ -43,7 +43,7 @@ impl<T: Real> Scalar<T> for T {
     }
     #[inline(always)]
     fn sqrt(self) -> Self {
-        Real::sqrt(self)
+        Arithmetic::sqrt(self)
     }
     #[inline(always)]
     fn recip(self) -> Self {
@@ -98,7 +98,7 @@ impl<T: Real> Scalar<T> for Dual<T> {
     #[inline(always)]
     fn sqrt(self) -> Self {
         let root = self.value.sqrt();
-        Self { value: root, partial: T::of(0.5) * self.partial / root }
+        Self { value: root, partial: T::from_f64(0.5) * self.partial / root }
     }
     #[inline(always)]
     fn recip(self) -> Self {
@@ -119,14 +119,14 @@ pub(crate) struct HalfSpace;
 
 /// Box centred at `centre`, with half edges `half`. Lengths in metres, here and below.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Slab<T> {
+pub(crate) struct AlignedBox<T> {
     pub(crate) centre: Vec3<T>,
     pub(crate) half: Vec3<T>,
 }
 
 /// A box that is turned: its axes are the rows of `axes`.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Turned<T> {
+pub(crate) struct OrientedBox<T> {
     pub(crate) centre: Vec3<T>,
     pub(crate) half: Vec3<T>,
     pub(crate) axes: Mat3<T>,
@@ -143,7 +143,7 @@ pub(crate) struct Bowl<T> {
 
 /// Solid of revolution about z with a rectangular profile: a tube, or a disc when `radius` is zero.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct Ring<T> {
+pub(crate) struct Tube<T> {
     /// Middle radius of the profile.
     pub(crate) radius: T,
     /// Half extent of the profile in the radial direction.
@@ -168,11 +168,11 @@ pub(crate) struct Capsule<T> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum Shape<T> {
     HalfSpace(HalfSpace),
-    Slab(Slab<T>),
+    AlignedBox(AlignedBox<T>),
     Bowl(Bowl<T>),
-    Ring(Ring<T>),
+    Tube(Tube<T>),
     Capsule(Capsule<T>),
-    Turned(Turned<T>),
+    OrientedBox(OrientedBox<T>),
 }
 
 /// Runs `$body` with `$solid` bound to the concrete solid inside a [`Shape`], so that a loop over lanes in
@@ -181,11 +181,11 @@ macro_rules! with_solid {
     ($shape:expr, $solid:ident => $body:expr) => {
         match $shape {
             $crate::shape::Shape::HalfSpace($solid) => $body,
-            $crate::shape::Shape::Slab($solid) => $body,
+            $crate::shape::Shape::AlignedBox($solid) => $body,
             $crate::shape::Shape::Bowl($solid) => $body,
-            $crate::shape::Shape::Ring($solid) => $body,
+            $crate::shape::Shape::Tube($solid) => $body,
             $crate::shape::Shape::Capsule($solid) => $body,
-            $crate::shape::Shape::Turned($solid) => $body,
+            $crate::shape::Shape::OrientedBox($solid) => $body,
         }
     };
 }
@@ -196,11 +196,11 @@ impl<T: Real> Shape<T> {
     pub(crate) fn half_thickness(&self) -> Option<T> {
         match *self {
             Self::HalfSpace(_) => None,
-            Self::Slab(Slab { half, .. }) | Self::Turned(Turned { half, .. }) => {
+            Self::AlignedBox(AlignedBox { half, .. }) | Self::OrientedBox(OrientedBox { half, .. }) => {
                 Some(half[0].at_most(half[1]).at_most(half[2]))
             }
             Self::Bowl(Bowl { half, .. }) => Some(half),
-            Self::Ring(Ring { half_radial, half_axial, .. }) => Some(half_radial.at_most(half_axial)),
+            Self::Tube(Tube { half_radial, half_axial, .. }) => Some(half_radial.at_most(half_axial)),
             Self::Capsule(Capsule { radius, .. }) => Some(radius),
         }
     }
@@ -222,15 +222,15 @@ const SKIN: f64 = 1e-6;
 
 #[inline(always)]
 fn norm3<T: Real, S: Scalar<T>>(a: [S; 3]) -> S {
-    (a[0] * a[0] + a[1] * a[1] + a[2] * a[2] + S::constant(T::of(TINY))).sqrt()
+    (a[0] * a[0] + a[1] * a[1] + a[2] * a[2] + S::constant(T::from_f64(TINY))).sqrt()
 }
 
 #[inline(always)]
 fn norm2<T: Real, S: Scalar<T>>(a: S, b: S) -> S {
-    (a * a + b * b + S::constant(T::of(TINY))).sqrt()
+    (a * a + b * b + S::constant(T::from_f64(TINY))).sqrt()
 }
 
-impl<T: Real> SignedDistance<T> for Slab<T> {
+impl<T: Real> SignedDistance<T> for AlignedBox<T> {
     #[inline(always)]
     fn distance<S: Scalar<T>>(&self, y: [S; 3]) -> (S, [S; 3]) {
         slab(y, self.centre, self.half)
@@ -251,16 +251,16 @@ fn slab<T: Real, S: Scalar<T>>(y: [S; 3], centre: [T; 3], half: [T; 3]) -> (S, [
     let x_face = a >= b && a >= c;
     let y_face = !x_face && b >= c;
     let z_face = !x_face && !y_face;
-    let outside = a.at_least(b).at_least(c) > T::of(SKIN);
-    let deepest = S::choose(x_face, q[0], S::choose(y_face, q[1], q[2]));
+    let outside = a.at_least(b).at_least(c) > T::from_f64(SKIN);
+    let deepest = S::select(x_face, q[0], S::select(y_face, q[1], q[2]));
     let face = [x_face, y_face, z_face];
     let zero = S::constant(T::ZERO);
     let normal =
-        three!(i => S::choose(outside, out[i] * inverse * sign[i], S::choose(face[i], sign[i], zero)));
-    (S::choose(outside, distance, deepest), normal)
+        three!(i => S::select(outside, out[i] * inverse * sign[i], S::select(face[i], sign[i], zero)));
+    (S::select(outside, distance, deepest), normal)
 }
 
-impl<T: Real> SignedDistance<T> for Turned<T> {
+impl<T: Real> SignedDistance<T> for OrientedBox<T> {
     #[inline(always)]
     fn distance<S: Scalar<T>>(&self, y: [S; 3]) -> (S, [S; 3]) {
         let axis = |k: usize, i: usize| S::constant(self.axes[k][i]);
@@ -288,22 +288,23 @@ impl<T: Real> SignedDistance<T> for Bowl<T> {
         let rim = norm2::<T, S>(to_rim, y[2]);
         let inverse = rim.recip();
         let across = to_rim * inverse * rho.recip();
-        let distance = S::choose(below, gap.abs(), rim) - S::constant(self.half);
+        let distance = S::select(below, gap.abs(), rim) - S::constant(self.half);
         let normal = [
-            S::choose(below, y[0] * radial, y[0] * across),
-            S::choose(below, y[1] * radial, y[1] * across),
-            S::choose(below, y[2] * radial, y[2] * inverse),
+            S::select(below, y[0] * radial, y[0] * across),
+            S::select(below, y[1] * radial, y[1] * across),
+            S::select(below, y[2] * radial, y[2] * inverse),
         ];
         (distance, normal)
     }
 }
 
-impl<T: Real> SignedDistance<T> for Ring<T> {
+impl<T: Real> SignedDistance<T> for Tube<T> {
     #[inline(always)]
     fn distance<S: Scalar<T>>(&self, y: [S; 3]) -> (S, [S; 3]) {
         let rho = norm2::<T, S>(y[0], y[1]);
         let flat = [rho - S::constant(self.radius), y[2] - S::constant(self.height), S::constant(T::ZERO)];
-        let (distance, profile) = slab(flat, [T::ZERO; 3], [self.half_radial, self.half_axial, T::of(1e9)]);
+        let (distance, profile) =
+            slab(flat, [T::ZERO; 3], [self.half_radial, self.half_axial, T::from_f64(1e9)]);
         let across = profile[0] * rho.recip();
         (distance, [y[0] * across, y[1] * across, profile[1]])
     }
@@ -316,7 +317,7 @@ impl<T: Real> SignedDistance<T> for Capsule<T> {
         let axis = three!(i => S::constant(self.along[i]));
         let inverse = S::constant(T::ONE / crate::small::dot(self.along, self.along));
         let part = (r[0] * axis[0] + r[1] * axis[1] + r[2] * axis[2]) * inverse;
-        let part = S::choose(part.value() > T::ONE, S::constant(T::ONE), part.positive_part());
+        let part = S::select(part.value() > T::ONE, S::constant(T::ONE), part.positive_part());
         let away = three!(i => r[i] - part * axis[i]);
         let length = norm3::<T, S>(away);
         let scale = length.recip();

@@ -17,6 +17,7 @@ const MOST_LOOKS: f64 = 1000.0;
 /// A place where the tool would be inside a container's material.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[error("the {part} would pass through container {container:?} at {at_s:.2} s")]
+#[non_exhaustive]
 pub struct Collision {
     /// What of the tool.
     pub part: ToolPart,
@@ -53,7 +54,7 @@ pub fn collision(scene: &Scene, start: &Pose, controls: &[Displacement]) -> Opti
 }
 
 fn stride_m(scene: &Scene) -> f64 {
-    let walls = scene.container.iter().map(|container| container.wall_thickness_m);
+    let walls = scene.containers.iter().map(|container| container.wall_thickness_m);
     let parts = [2.0 * scene.tool.handle.radius_m, scene.tool.wall_thickness_m];
     0.5 * walls.chain(parts).fold(f64::INFINITY, f64::min)
 }
@@ -61,7 +62,7 @@ fn stride_m(scene: &Scene) -> f64 {
 /// How far a displacement takes any point of the tool, at most, metres.
 fn travel_m(scene: &Scene, control: &Displacement) -> f64 {
     let length = |[x, y, z]: [f64; 3]| libm::sqrt(x * x + y * y + z * z);
-    length(control.translation_m) + length(control.rotation_rad) * scene.tool.radius_m()
+    length(control.translation_m) + length(control.rotation_rad) * scene.tool.bounding_radius_m()
 }
 
 fn fraction(control: &Displacement, part: f64) -> Displacement {
@@ -78,7 +79,7 @@ pub fn colliding_skill(scene: &Scene) -> Option<(Theta, Collision)> {
     let mut skills = (0..SAMPLES.pow(5))
         .map(|index| std::array::from_fn(|k| (index / SAMPLES.pow(k as u32) % SAMPLES) as f64 - 1.0));
     skills.find_map(|theta: Theta| {
-        let motion = map.quantised(&theta).ok()?;
+        let motion = map.quantise(&theta).ok()?;
         collision(scene, map.start_pose(), &motion.controls).map(|collision| (theta, collision))
     })
 }
@@ -100,7 +101,7 @@ mod tests {
         let mut scene = Scene::load("bench").unwrap();
         scene.skill.lift_height_m[0] = 0.020;
         let map = SkillMap::new(&scene);
-        let motion = |lift: f64| map.quantised(&[1.0, -1.0, lift, 0.0, 0.0]).unwrap().controls;
+        let motion = |lift: f64| map.quantise(&[1.0, -1.0, lift, 0.0, 0.0]).unwrap().controls;
         let found = collision(&scene, map.start_pose(), &motion(-1.0)).unwrap();
         assert_eq!((found.part, found.container.as_str()), (ToolPart::Body, "source"));
         assert!(
@@ -129,7 +130,7 @@ mod tests {
         let mut scene = Scene::load("bench").unwrap();
         scene.tool.handle.length_m = 0.09;
         let map = SkillMap::new(&scene);
-        let motion = map.quantised(&[0.0, -1.0, -1.0, 0.0, 1.0]).unwrap().controls;
+        let motion = map.quantise(&[0.0, -1.0, -1.0, 0.0, 1.0]).unwrap().controls;
         let found = collision(&scene, map.start_pose(), &motion).unwrap();
         assert_eq!((found.part, found.container.as_str()), (ToolPart::Handle, "target"));
     }

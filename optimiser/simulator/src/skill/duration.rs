@@ -26,7 +26,7 @@
 //! `sqrt(D^2 + D_0^2)`, D_0 being the travel of one control period, because their slope at D = 0 is infinite.
 //! With `constant_speed` only D/v counts; its accelerations are jumps, which no duration brings within a limit.
 
-use super::{profile::MINIMUM_JERK, real::Real};
+use super::{profile::MINIMUM_JERK, real::SkillScalar};
 use crate::scene::Profile;
 
 /// Limits that a segment's durations are made for: of translation (metres) or of rotation (radians).
@@ -54,7 +54,7 @@ pub(super) struct Leg<S> {
     pub(super) pace: Pace,
 }
 
-impl<S: Real> Leg<S> {
+impl<S: SkillScalar> Leg<S> {
     fn by_speed(&self) -> S {
         self.travel / S::constant(self.pace.speed)
     }
@@ -73,7 +73,7 @@ impl<S: Real> Leg<S> {
 }
 
 /// Smooth duration of a segment whose legs are travelled at the same time, seconds.
-pub(super) fn continuous_s<S: Real>(profile: Profile, legs: &[Leg<S>]) -> S {
+pub(super) fn continuous_s<S: SkillScalar>(profile: Profile, legs: &[Leg<S>]) -> S {
     let mut norm = Norm16::default();
     for leg in legs {
         norm.push(leg.by_speed());
@@ -86,7 +86,7 @@ pub(super) fn continuous_s<S: Real>(profile: Profile, legs: &[Leg<S>]) -> S {
 
 /// Control steps of a segment under `rounded` timing: the paper's `round(D / (v dt))`, at least one, and for
 /// minimum jerk at least as many as the limits need.
-pub(super) fn rounded_steps<S: Real>(profile: Profile, legs: &[Leg<S>], period_s: f64) -> u64 {
+pub(super) fn rounded_steps<S: SkillScalar>(profile: Profile, legs: &[Leg<S>], period_s: f64) -> u64 {
     let longest =
         |durations: &mut dyn Iterator<Item = S>| durations.map(|t| t.value().abs()).fold(0.0, f64::max);
     let by_speed = libm::round(longest(&mut legs.iter().map(Leg::by_speed)) / period_s);
@@ -110,7 +110,7 @@ impl<S: Copy> Default for Norm16<S> {
     }
 }
 
-impl<S: Real> Norm16<S> {
+impl<S: SkillScalar> Norm16<S> {
     fn push(&mut self, term: S) {
         self.terms[self.len] = Some(term);
         self.len += 1;

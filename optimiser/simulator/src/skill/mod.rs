@@ -21,14 +21,14 @@ mod tests;
 
 pub use clearance::{Collision, colliding_skill, collision};
 pub use motion::SegmentKind;
-pub use quantised::{LSB, Quantised, controls_of, displacement};
-pub use real::{Dual5, Real};
+pub use quantised::{LSB, QuantisedControls, controls_of};
+use real::{Dual5, SkillScalar};
 
 use crate::scene::{Limits, Scene, Skill, Time, Tool};
 use duration::{Caps, Pace};
-use motion::{Clock, Coordinates, Segment, Travel};
+use motion::{Coordinates, Segment, TimeParametrisation, Travel};
 use powderline_shared::{
-    displacement::SetpointError,
+    displacement::{Displacement, SetpointError},
     limits::{LimitsError, Violation},
     plan::SKILL_PARAMETERS,
     pose::Pose,
@@ -43,6 +43,7 @@ pub type Control = [f64; 6];
 
 /// Why a skill gives no valid motion.
 #[derive(Clone, Debug, PartialEq, Error)]
+#[non_exhaustive]
 pub enum SkillError {
     /// A component of theta is outside `[-1, 1]`, or not a number.
     #[error("theta's component {index} ({name}) is {value}, outside [-1, 1]", name = SKILL_PARAMETERS[*index].0)]
@@ -84,6 +85,7 @@ pub enum SkillError {
 
 /// The place of one segment in time, seconds from the start of the motion.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct SegmentSpan {
     /// What the segment does.
     pub kind: SegmentKind,
@@ -95,14 +97,15 @@ pub struct SegmentSpan {
 
 /// A control sequence with its derivative.
 #[derive(Clone, Debug)]
-pub struct Linearised {
+#[non_exhaustive]
+pub struct Linearisation {
     /// One displacement per control step.
-    pub controls: Vec<Control>,
+    pub controls: Vec<Displacement>,
     /// `jacobian[i][row][k]`: derivative of `controls[i][row]` with respect to theta's component `k`.
     pub jacobian: Vec<[[f64; 5]; 6]>,
 }
 
-impl Linearised {
+impl Linearisation {
     /// Gradient with respect to theta, given that with respect to the controls.
     ///
     /// Summed in the order of the steps, so its bits depend on nothing else. Missing cotangents count as zero.
@@ -130,7 +133,7 @@ pub struct SkillMap {
     pitch_axis: [f64; 3],
     approach_m: f64,
     sweep_m: f64,
-    clock: Clock,
+    clock: TimeParametrisation,
     period_us: u32,
     start: Pose,
     limits: Limits,
@@ -185,7 +188,11 @@ impl SkillMap {
     ///
     /// # Errors
     /// [`SkillError::Theta`] and [`SkillError::TooLong`].
-    pub fn controls(&self, theta: &Theta) -> Result<Vec<Control>, SkillError> {
+    pub fn controls(&self, theta: &Theta) -> Result<Vec<Displacement>, SkillError> {
+        Ok(self.control_vectors(theta)?.into_iter().map(Displacement::from).collect())
+    }
+
+    fn control_vectors(&self, theta: &Theta) -> Result<Vec<Control>, SkillError> {
         check_theta(theta)?;
         let coordinates = self.coordinates(theta)?;
         Ok(coordinates.array_windows().map(|[from, to]| self.control(from, to)).collect())
@@ -195,20 +202,20 @@ impl SkillMap {
     ///
     /// # Errors
     /// [`SkillError::Theta`] and [`SkillError::TooLong`].
-    pub fn linearise(&self, theta: &Theta) -> Result<Linearised, SkillError> {
+    pub fn linearise(&self, theta: &Theta) -> Result<Linearisation, SkillError> {
         check_theta(theta)?;
         let dual: [Dual5; 5] = std::array::from_fn(|k| Dual5::variable(theta[k], k));
         let coordinates = self.coordinates(&dual)?;
         let steps: Vec<[Dual5; 6]> =
             coordinates.array_windows().map(|[from, to]| self.control(from, to)).collect();
-        Ok(Linearised {
-            controls: steps.iter().map(|step| step.map(|component| component.value)).collect(),
+        Ok(Linearisation {
+            controls: steps.iter().map(|step| step.map(|component| component.value).into()).collect(),
             jacobian: steps.iter().map(|step| step.map(|component| component.partials)).collect(),
         })
     }
 
     /// Exact at both ends of the range.
-    fn physical<S: Real>(&self, theta: &[S; 5]) -> [S; 5] {
+    fn physical<S: SkillScalar>(&self, theta: &[S; 5]) -> [S; 5] {
         let half = S::constant(0.5);
         std::array::from_fn(|k| {
             let [low, high] = self.bounds[k].map(S::constant);
@@ -216,7 +223,7 @@ impl SkillMap {
         })
     }
 
-    fn travels<S: Real>(&self, theta: &[S; 5]) -> [Travel<S>; 6] {
+    fn travels<S: SkillScalar>(&self, theta: &[S; 5]) -> [Travel<S>; 6] {
         let [depth, scoop, lift, transport, pour] = self.physical(theta);
         let [approach, sweep] = [self.approach_m, self.sweep_m].map(S::constant);
         let down = |travel: S| Some(S::constant(0.0) - travel);
@@ -231,11 +238,11 @@ impl SkillMap {
         ]
     }
 
-    fn schedule<S: Real>(&self, theta: &[S; 5]) -> Vec<Segment<S>> {
+    fn schedule<S: SkillScalar>(&self, theta: &[S; 5]) -> Vec<Segment<S>> {
         self.clock.schedule(&self.travels(theta))
     }
 
-    fn coordinates<S: Real>(&self, theta: &[S; 5]) -> Result<Vec<Coordinates<S>>, SkillError> {
+    fn coordinates<S: SkillScalar>(&self, theta: &[S; 5]) -> Result<Vec<Coordinates<S>>, SkillError> {
         let segments = self.schedule(theta);
         let motion_s = segments.last().map_or(0.0, |segment| segment.end_s().value());
         let horizon_s = f64::from(self.clock.horizon_steps) * self.clock.period_s;
@@ -246,7 +253,7 @@ impl SkillMap {
         Ok(self.clock.sample(&segments))
     }
 
-    fn control<S: Real>(&self, from: &Coordinates<S>, to: &Coordinates<S>) -> [S; 6] {
+    fn control<S: SkillScalar>(&self, from: &Coordinates<S>, to: &Coordinates<S>) -> [S; 6] {
         let [forward, up, pitch]: [S; 3] = std::array::from_fn(|k| to[k] - from[k]);
         let along = |axis: f64, travel: S| travel * S::constant(axis);
         [
@@ -271,10 +278,10 @@ pub fn check_theta(theta: &Theta) -> Result<(), SkillError> {
     }
 }
 
-fn clock(skill: &Skill, time: &Time, limits: &Limits) -> Clock {
+fn clock(skill: &Skill, time: &Time, limits: &Limits) -> TimeParametrisation {
     let period_s = f64::from(time.control_period_us) * 1e-6;
     let pace = |speed, caps| Pace { speed, caps, floor: speed * period_s };
-    Clock {
+    TimeParametrisation {
         linear: pace(
             skill.linear_speed_m_s,
             Caps {

@@ -7,7 +7,7 @@
 use super::{
     duration::{Leg, Pace, continuous_s, rounded_steps},
     profile::position,
-    real::Real,
+    real::SkillScalar,
 };
 use crate::scene::{Profile, Timing};
 
@@ -16,6 +16,7 @@ pub(super) type Coordinates<S> = [S; 3];
 
 /// What a segment does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum SegmentKind {
     /// Down from the start pose to the powder's surface.
     Approach,
@@ -40,7 +41,7 @@ pub(super) struct Travel<S> {
     pub(super) pitch: Option<S>,
 }
 
-impl<S: Real> Travel<S> {
+impl<S: SkillScalar> Travel<S> {
     fn coordinates(&self) -> Coordinates<S> {
         [self.forward, self.up, self.pitch].map(|travel| travel.unwrap_or(S::constant(0.0)))
     }
@@ -48,7 +49,7 @@ impl<S: Real> Travel<S> {
 
 /// How travels become a motion in time.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Clock {
+pub(super) struct TimeParametrisation {
     pub(super) linear: Pace,
     pub(super) angular: Pace,
     pub(super) timing: Timing,
@@ -66,7 +67,7 @@ pub(super) struct Segment<S> {
     travel: Coordinates<S>,
 }
 
-impl<S: Real> Segment<S> {
+impl<S: SkillScalar> Segment<S> {
     pub(super) fn end_s(&self) -> S {
         self.start_s + self.duration_s
     }
@@ -84,9 +85,9 @@ impl<S: Real> Segment<S> {
     }
 }
 
-impl Clock {
+impl TimeParametrisation {
     /// Lays travels end to end from time zero.
-    pub(super) fn schedule<S: Real>(&self, travels: &[Travel<S>]) -> Vec<Segment<S>> {
+    pub(super) fn schedule<S: SkillScalar>(&self, travels: &[Travel<S>]) -> Vec<Segment<S>> {
         let mut start_s = S::constant(0.0);
         let mut steps = 0;
         let mut segments = Vec::with_capacity(travels.len());
@@ -107,7 +108,7 @@ impl Clock {
         segments
     }
 
-    fn legs<S: Real>(&self, travel: &Travel<S>) -> Vec<Leg<S>> {
+    fn legs<S: SkillScalar>(&self, travel: &Travel<S>) -> Vec<Leg<S>> {
         let leg = |travel: Option<S>, pace| travel.map(|travel| Leg { travel, pace });
         [leg(travel.forward, self.linear), leg(travel.up, self.linear), leg(travel.pitch, self.angular)]
             .into_iter()
@@ -116,7 +117,7 @@ impl Clock {
     }
 
     /// Coordinates at every control tick `0..=horizon_steps`.
-    pub(super) fn sample<S: Real>(&self, segments: &[Segment<S>]) -> Vec<Coordinates<S>> {
+    pub(super) fn sample<S: SkillScalar>(&self, segments: &[Segment<S>]) -> Vec<Coordinates<S>> {
         (0..=self.horizon_steps)
             .map(|tick| {
                 // A hair early would be one tick late: the end of a rounded segment is a tick exactly.

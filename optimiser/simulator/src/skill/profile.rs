@@ -7,7 +7,7 @@
 //! | max abs s''   | `Peaks::acceleration` | infinite     | 10/sqrt(3) (at r = 1/2 -+ sqrt(3)/6) |
 //! | max abs s'''  | `Peaks::jerk`       | infinite       | 60 (at r = 0 and r = 1)          |
 
-use super::real::Real;
+use super::real::SkillScalar;
 use crate::scene::Profile;
 
 /// Largest derivatives of the minimum-jerk `s(r)` over `[0, 1]`.
@@ -22,7 +22,7 @@ pub(super) const MINIMUM_JERK: Peaks =
     Peaks { velocity: 1.875, acceleration: 5.773_502_691_896_26, jerk: 60.0 };
 
 /// Normalised position at normalised time `r`; rests at 0 before the segment and at 1 after it.
-pub(super) fn position<S: Real>(profile: Profile, r: S) -> S {
+pub(super) fn position<S: SkillScalar>(profile: Profile, r: S) -> S {
     if r.value() <= 0.0 {
         return S::constant(0.0);
     }
@@ -36,7 +36,7 @@ pub(super) fn position<S: Real>(profile: Profile, r: S) -> S {
 }
 
 /// Evaluated from the nearer end, so that the approach to 1 is as smooth in floating point as the start at 0.
-fn minimum_jerk<S: Real>(r: S) -> S {
+fn minimum_jerk<S: SkillScalar>(r: S) -> S {
     let one = S::constant(1.0);
     if r.value() > 0.5 {
         return one - minimum_jerk(one - r);

@@ -1,6 +1,6 @@
 //! The control sequence as it is shipped: rounded to counts, and what the rounded one does.
 
-use super::{Control, SkillError, SkillMap, Theta};
+use super::{SkillError, SkillMap, Theta};
 use crate::scene;
 use powderline_shared::{
     displacement::{Displacement, Lsb, Quantiser, Setpoint, StepCounts, displacement_between, pose_at},
@@ -13,7 +13,8 @@ pub const LSB: Lsb = Lsb { translation_nm: 100, rotation_nrad: 100 };
 
 /// A quantised control sequence.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Quantised {
+#[non_exhaustive]
+pub struct QuantisedControls {
     /// What a plan stores: one difference of setpoints per control step.
     pub steps: Vec<StepCounts>,
     /// The setpoints, from tick 1.
@@ -22,17 +23,17 @@ pub struct Quantised {
     pub controls: Vec<Displacement>,
 }
 
-impl Quantised {
+impl QuantisedControls {
     /// Rounds the cumulative displacements, so that no setpoint is off by more than half an LSB.
     ///
     /// # Errors
     /// A displacement that is no setpoint, above all a rotation that reaches pi.
-    pub fn new(controls: &[Control]) -> Result<Self, SkillError> {
+    pub fn new(controls: &[Displacement]) -> Result<Self, SkillError> {
         let mut quantiser = Quantiser::new(LSB);
         let mut steps = Vec::with_capacity(controls.len());
         let mut setpoints = Vec::with_capacity(controls.len());
         for control in controls {
-            let (setpoint, step) = quantiser.push(&displacement(control))?;
+            let (setpoint, step) = quantiser.push(control)?;
             steps.push(step);
             setpoints.push(setpoint);
         }
@@ -45,12 +46,6 @@ impl Quantised {
 pub fn controls_of(setpoints: &[Setpoint], lsb: Lsb) -> Vec<Displacement> {
     let previous = std::iter::once(&Setpoint::ANCHOR).chain(setpoints);
     previous.zip(setpoints).map(|(&from, &to)| displacement_between(from, to, lsb)).collect()
-}
-
-/// A [`Control`] as a [`Displacement`], the type that optimiser and arm share.
-pub fn displacement(control: &Control) -> Displacement {
-    let [x, y, z, rx, ry, rz] = *control;
-    Displacement { translation_m: [x, y, z], rotation_rad: [rx, ry, rz] }
 }
 
 /// The tool's pose before the motion: pitched about its pitch axis, then turned to the heading.
@@ -75,15 +70,15 @@ impl SkillMap {
     ///
     /// # Errors
     /// The skill is not a motion, see [`SkillError`].
-    pub fn quantised(&self, theta: &Theta) -> Result<Quantised, SkillError> {
-        Quantised::new(&self.controls(theta)?)
+    pub fn quantise(&self, theta: &Theta) -> Result<QuantisedControls, SkillError> {
+        QuantisedControls::new(&self.controls(theta)?)
     }
 
     /// Checks a quantised motion against the scene's limits, from rest to rest.
     ///
     /// # Errors
     /// [`SkillError::Limits`] and [`SkillError::Violation`].
-    pub fn check_limits(&self, quantised: &Quantised) -> Result<PeakUse, SkillError> {
+    pub fn check_limits(&self, quantised: &QuantisedControls) -> Result<PeakUse, SkillError> {
         self.limits.validate()?;
         self.limits.check_resolution(LSB, self.period_us)?;
         let mut checker = LimitChecker::new(self.limits, LSB, self.period_us, self.start);
@@ -102,7 +97,7 @@ impl SkillMap {
     pub fn check_all_corners(&self) -> Result<(), SkillError> {
         for corner in 0..32u32 {
             let theta = std::array::from_fn(|k| if corner >> k & 1 == 0 { -1.0 } else { 1.0 });
-            self.quantised(&theta)
+            self.quantise(&theta)
                 .and_then(|quantised| self.check_limits(&quantised))
                 .map_err(|source| SkillError::Corner { theta, source: Box::new(source) })?;
         }

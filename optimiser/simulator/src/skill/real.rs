@@ -5,7 +5,7 @@
 use std::ops::{Add, Div, Mul, Sub};
 
 /// Field operations and the two roots that the mapping from skill to motion needs.
-pub trait Real:
+pub(super) trait SkillScalar:
     Copy + Add<Output = Self> + Sub<Output = Self> + Mul<Output = Self> + Div<Output = Self>
 {
     /// A constant: all derivatives are zero.
@@ -18,7 +18,7 @@ pub trait Real:
     fn cbrt(self) -> Self;
 }
 
-impl Real for f64 {
+impl SkillScalar for f64 {
     fn constant(value: f64) -> Self {
         value
     }
@@ -38,11 +38,11 @@ impl Real for f64 {
 
 /// A value and its partial derivatives with respect to the five components of theta.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Dual5 {
+pub(super) struct Dual5 {
     /// The value.
-    pub value: f64,
+    pub(super) value: f64,
     /// Partial derivatives.
-    pub partials: [f64; 5],
+    pub(super) partials: [f64; 5],
 }
 
 impl Dual5 {
@@ -50,7 +50,7 @@ impl Dual5 {
     ///
     /// # Panics
     /// When `index` is not below 5.
-    pub fn variable(value: f64, index: usize) -> Self {
+    pub(super) fn variable(value: f64, index: usize) -> Self {
         let mut partials = [0.0; 5];
         partials[index] = 1.0;
         Self { value, partials }
@@ -101,7 +101,7 @@ impl Div for Dual5 {
     }
 }
 
-impl Real for Dual5 {
+impl SkillScalar for Dual5 {
     fn constant(value: f64) -> Self {
         Self { value, partials: [0.0; 5] }
     }
@@ -126,8 +126,8 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    /// Exercises every operation of [`Real`].
-    fn mixed<S: Real>(x: S, y: S) -> S {
+    /// Exercises every operation of [`SkillScalar`].
+    fn mixed<S: SkillScalar>(x: S, y: S) -> S {
         (x * y + S::constant(2.0)).sqrt() / (x - y * S::constant(0.25)).cbrt()
     }
 

@@ -93,7 +93,7 @@ fn theta_maps_affinely_and_exactly_at_the_ends() {
 fn theta_outside_its_range_is_refused_by_name() {
     let map = map(Timing::Continuous, Profile::MinimumJerk);
     for value in [1.000_001, -1.5, f64::NAN, f64::INFINITY] {
-        let error = map.controls(&[0.0, 0.0, 0.0, value, 0.0]).unwrap_err();
+        let error = map.control_vectors(&[0.0, 0.0, 0.0, value, 0.0]).unwrap_err();
         assert!(error.to_string().contains("transport displacement"), "{error}");
     }
 }
@@ -103,7 +103,7 @@ fn constant_speed_segments_move_at_their_speeds_in_their_directions() {
     let theta = [0.1, 0.2, -0.3, 0.4, 0.5];
     for timing in [Timing::Continuous, Timing::Rounded] {
         let map = map(timing, Profile::ConstantSpeed);
-        let controls = map.controls(&theta).unwrap();
+        let controls = map.control_vectors(&theta).unwrap();
         let moves = [
             (SegmentKind::Approach, [0.0, 0.0, -0.001, 0.0, 0.0, 0.0]),
             (SegmentKind::Insert, [0.0, 0.0, -0.001, 0.0, 0.0, 0.0]),
@@ -161,7 +161,7 @@ fn minimum_jerk_segment_follows_the_quintic() {
     let theta = [0.3; 5];
     for timing in [Timing::Continuous, Timing::Rounded] {
         let map = map(timing, Profile::MinimumJerk);
-        let controls = map.controls(&theta).unwrap();
+        let controls = map.control_vectors(&theta).unwrap();
         let span = map.segments(&theta)[4];
         let quintic = |t: f64| {
             let r = ((t - span.start_s) / (span.end_s - span.start_s)).clamp(0.0, 1.0);
@@ -183,7 +183,7 @@ fn motion_longer_than_the_horizon_is_refused_with_both_times() {
     for (timing, profile) in KINDS {
         let short = Time { horizon_steps: 100, ..time() };
         let map = SkillMap::from_parts(&skill(timing, profile), &short, &limits(), &tool());
-        let error = map.controls(&[0.0; 5]).unwrap_err();
+        let error = map.control_vectors(&[0.0; 5]).unwrap_err();
         let SkillError::TooLong { motion_s, horizon_s } = error else { panic!("{error}") };
         assert!(motion_s > 2.0 && close(horizon_s, 1.0, 1e-12));
     }
@@ -196,8 +196,8 @@ fn motion_that_just_fits_the_horizon_is_accepted() {
     let fitting = Time { horizon_steps: (end_s / 0.01).round() as u32, ..time() };
     let map =
         SkillMap::from_parts(&skill(Timing::Rounded, Profile::MinimumJerk), &fitting, &limits(), &tool());
-    let full = total(&rounded.controls(&[0.5; 5]).unwrap());
-    let fitted = total(&map.controls(&[0.5; 5]).unwrap());
+    let full = total(&rounded.control_vectors(&[0.5; 5]).unwrap());
+    let fitted = total(&map.control_vectors(&[0.5; 5]).unwrap());
     assert_eq!(full.map(f64::to_bits), fitted.map(f64::to_bits));
 }
 
@@ -230,7 +230,7 @@ fn travels_of_zero_are_motions() {
         let still = Skill { sweep_m: 0.0, approach_m: 0.0, ..skill(timing, profile) };
         let map = SkillMap::from_parts(&still, &time(), &limits(), &tool());
         let at = map.linearise(&[-1.0; 5]).unwrap();
-        assert!(at.controls.iter().flatten().all(|value| value.is_finite()));
+        assert!(at.controls.iter().flat_map(|control| control.components()).all(|value| value.is_finite()));
         assert!(at.jacobian.iter().flatten().flatten().all(|value| value.is_finite()));
     }
 }
@@ -249,8 +249,9 @@ fn the_scoop_kink_of_constant_speed_is_rounded_off_from_above() {
 /// Remainder of the linear model after a step of length `h` along `direction`.
 fn remainder(map: &SkillMap, theta: &Theta, direction: &Theta, h: f64) -> f64 {
     let at = map.linearise(theta).unwrap();
-    let moved = map.controls(&std::array::from_fn(|k| theta[k] + h * direction[k])).unwrap();
+    let moved = map.control_vectors(&std::array::from_fn(|k| theta[k] + h * direction[k])).unwrap();
     let squares = moved.iter().zip(&at.controls).zip(&at.jacobian).map(|((moved, control), jacobian)| {
+        let control = control.components();
         let residual = |row: usize| {
             let linear: f64 = (0..5).map(|k| jacobian[row][k] * direction[k]).sum();
             moved[row] - control[row] - h * linear
@@ -296,7 +297,7 @@ proptest! {
             let shifted = |sign: f64| {
                 let mut theta = theta;
                 theta[k] += sign * h;
-                map.controls(&theta).unwrap()
+                map.control_vectors(&theta).unwrap()
             };
             let (up, down) = (shifted(1.0), shifted(-1.0));
             for i in 0..at.controls.len() {
@@ -325,7 +326,7 @@ proptest! {
             let (sin, cos) = heading_deg.to_radians().sin_cos();
             let (forward, pitch) = (0.03 + transport, pour - scoop);
             let wanted = [forward * cos, forward * sin, lift - depth - 0.02, -pitch * sin, pitch * cos, 0.0];
-            let found = total(&map.controls(&theta).unwrap());
+            let found = total(&map.control_vectors(&theta).unwrap());
             for (found, wanted) in found.iter().zip(wanted) {
                 prop_assert!(close(*found, wanted, 1e-13));
             }
@@ -338,8 +339,8 @@ proptest! {
             let skill = Skill { heading_deg, ..skill(timing, profile) };
             let map = SkillMap::from_parts(&skill, &time(), &limits(), &tool());
             let [depth, scoop, lift, transport, pour] = map.parameters(&theta);
-            let controls = map.controls(&theta).unwrap();
-            let end = controls.iter().fold(*map.start_pose(), |pose, control| pose.displaced(&displacement(control)));
+            let controls = map.control_vectors(&theta).unwrap();
+            let end = controls.iter().fold(*map.start_pose(), |pose, control| pose.displaced(&Displacement::from(*control)));
             // In the tool's words: the same place, the opening tilted by start pitch - scoop + pour.
             let heading = exp_so3(&[0.0, 0.0, heading_deg.to_radians()].into());
             let pitch = 30f64.to_radians() - scoop + pour;
@@ -358,8 +359,8 @@ proptest! {
         for (timing, profile) in KINDS {
             let skill = Skill { heading_deg, ..skill(timing, profile) };
             let map = SkillMap::from_parts(&skill, &time(), &limits(), &tool());
-            let controls = map.controls(&theta).unwrap();
-            let quantised = Quantised::new(&controls).unwrap();
+            let controls = map.control_vectors(&theta).unwrap();
+            let quantised = QuantisedControls::new(&map.controls(&theta).unwrap()).unwrap();
             prop_assert_eq!(quantised.steps.len(), controls.len());
             let mut performed = *map.start_pose();
             for i in 0..controls.len() {
@@ -382,8 +383,8 @@ proptest! {
             let skill = Skill { linear_speed_m_s: speed, ..skill(timing, Profile::MinimumJerk) };
             let slow = Time { horizon_steps: 4000, ..time() };
             let map = SkillMap::from_parts(&skill, &slow, &limits(), &tool());
-            let controls = map.controls(&theta).unwrap();
-            prop_assert!(map.check_limits(&Quantised::new(&controls).unwrap()).is_ok());
+            let controls = map.control_vectors(&theta).unwrap();
+            prop_assert!(map.check_limits(&QuantisedControls::new(&map.controls(&theta).unwrap()).unwrap()).is_ok());
             let (translation, rotation): (Vec<[f64; 3]>, Vec<[f64; 3]>) =
                 controls.iter().map(|c| ([c[0], c[1], c[2]], [c[3], c[4], c[5]])).unzip();
             let limits = limits();

@@ -25,7 +25,7 @@ fn quarter_turn(scene: &mut Scene) {
     let [low, high] = [scene.limits.workspace_min_m, scene.limits.workspace_max_m].map(turn);
     scene.limits.workspace_min_m = [high[0], low[1], low[2]];
     scene.limits.workspace_max_m = [low[0], high[1], high[2]];
-    for container in &mut scene.container {
+    for container in &mut scene.containers {
         container.position_m = turn(container.position_m);
         container.yaw_deg = 90.0;
     }
@@ -63,27 +63,27 @@ fn a_wall_beside_the_way_is_not_said_to_be_ahead() {
 fn a_container_turned_out_of_line_still_counts_whole() {
     let mut scene = bench();
     // Across the diagonal the target's outer half width is 51 mm: out at y = 48 + 51.
-    scene.container[1].yaw_deg = 45.0;
+    scene.containers[1].yaw_deg = 45.0;
     assert_eq!(refused_field(&scene).as_deref(), Some("container \"target\".position_m"));
     scene.domain.size_m[1] = 0.104;
     assert_eq!(refused_field(&scene).as_deref(), Some("container \"target\".position_m"));
     // 36 + 51 mm apart and both inside: valid.
     scene.domain.size_m[1] = 0.128;
-    for container in &mut scene.container {
+    for container in &mut scene.containers {
         container.position_m[1] = 0.064;
     }
     scene.powder.fill_min_m[1] = 0.032;
     scene.powder.fill_max_m[1] = 0.096;
     scene.tool.start_position_m[1] = 0.064;
     assert_eq!(refused_field(&scene), None);
-    scene.container[1].position_m[0] = 0.056 + 0.036 + 0.050;
+    scene.containers[1].position_m[0] = 0.056 + 0.036 + 0.050;
     assert_eq!(refused_field(&scene).as_deref(), Some("container \"target\".position_m"));
 }
 
 #[test]
 fn powder_must_fit_into_a_round_source_with_its_corners() {
     let mut scene = bench();
-    scene.container[0].shape = ContainerShape::Cylinder { inner_radius_m: 0.036, inner_height_m: 0.030 };
+    scene.containers[0].shape = ContainerShape::Cylinder { inner_radius_m: 0.036, inner_height_m: 0.030 };
     assert_eq!(refused_field(&scene).as_deref(), Some("powder.fill_min_m"));
     scene.powder.fill_min_m = [0.032, 0.024, 0.004];
     scene.powder.fill_max_m = [0.080, 0.072, 0.026];
@@ -96,7 +96,7 @@ fn a_round_wall_is_met_where_its_radius_says() {
     scene.powder.fill_min_m = [0.040, 0.032, 0.004];
     scene.powder.fill_max_m = [0.072, 0.064, 0.026];
     let mut refused_with_radius = |inner_radius_m| {
-        scene.container[0].shape = ContainerShape::Cylinder { inner_radius_m, inner_height_m: 0.030 };
+        scene.containers[0].shape = ContainerShape::Cylinder { inner_radius_m, inner_height_m: 0.030 };
         refused_field(&scene)
     };
     // The bowl's 20 mm and the 10.5 mm that its middle starts behind the container's need 30.5 mm.

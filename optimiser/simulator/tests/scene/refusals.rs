@@ -736,7 +736,7 @@ fn one_container_or_seventeen_are_refused() {
     let base = base();
     for count in [1, 17] {
         let mut scene = base.clone();
-        scene.container = vec![base.container[0].clone(); count];
+        scene.containers = vec![base.containers[0].clone(); count];
         assert_eq!(
             scene.validate("bad.toml").unwrap_err().to_string(),
             format!(

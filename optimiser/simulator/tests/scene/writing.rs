@@ -1,7 +1,7 @@
 //! Writing and identifying scenes.
 
 use powderline_simulator::scene::{
-    Aim, Amount, ContainerShape, EMBEDDED_SCENES, Observation, Scene, ToolShape, Wanted,
+    Aim, Amount, ContainerShape, EMBEDDED_SCENES, Observation, Quantity, Scene, ToolShape,
 };
 use proptest::prelude::*;
 
@@ -20,16 +20,16 @@ fn arbitrary_scene() -> impl Strategy<Value = Scene> {
         scene.domain.gravity_m_s2 = [tilt, -0.0, small];
         scene.optimiser.epsilon = small;
         if round {
-            scene.container[1].shape =
+            scene.containers[1].shape =
                 ContainerShape::Cylinder { inner_radius_m: 0.03 + 1e-3 * small, inner_height_m: 0.04 };
         }
         if scoop {
             scene.tool.shape = ToolShape::BoxScoop { inner_size_m: [0.02, 0.02, 0.01 + 1e-3 * small] };
         }
         if by_mass {
-            scene.objective.amount = Amount::new(Wanted::MassKg(small * 0.09));
+            scene.objective.amount = Amount::new(Quantity::MassKg(small * 0.09));
         } else {
-            scene.objective.amount = Amount { wanted: Wanted::Particles(particles), tolerance: 0.01 };
+            scene.objective.amount = Amount { wanted: Quantity::Particles(particles), tolerance: 0.01 };
         }
         scene.objective.observation = [
             Observation::All,

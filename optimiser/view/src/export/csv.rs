@@ -61,7 +61,7 @@ pub(super) fn destinations(file: &mut dyn Write, destinations: &[Destination]) -
     writeln!(file, "particle,destination")?;
     for (particle, destination) in destinations.iter().enumerate() {
         let name = match destination {
-            Destination::Left => "left",
+            Destination::Remained => "left",
             Destination::Target => "target",
             Destination::Tool => "tool",
             Destination::Spilled => "spilled",

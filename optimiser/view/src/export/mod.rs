@@ -188,7 +188,7 @@ mod tests {
 
     const FORMATS: [Format; 3] = [Format::Vtk, Format::Ply, Format::Csv];
     const DESTINATIONS_OF_ALL: [Destination; 3] =
-        [Destination::Spilled, Destination::Left, Destination::Target];
+        [Destination::Spilled, Destination::Remained, Destination::Target];
 
     /// Six frames, of which every k-th is written.
     fn play(format: Format, folder: &Path, every: usize) -> Result<(), ViewError> {

@@ -27,7 +27,7 @@ const LEAST_PERIOD_S: f64 = 0.02;
 /// Speeds wait as multiples of this for the fastest to be known; from 6.5 m/s on they are all one.
 const SPEED_QUANTUM_M_S: f64 = 1e-4;
 
-/// Quantised frames never take more memory than this.
+/// QuantisedControls frames never take more memory than this.
 const MEMORY_BYTES: usize = 256 << 20;
 
 /// What a page's powder may take, in bytes of the page, if nothing else is asked for: then the whole page stays
@@ -111,7 +111,7 @@ impl Recorder {
     /// The frame in as few bits as are kept of it.
     ///
     /// A frame has as many particles as the bench says: others are not shown, missing ones lie in the corner.
-    fn quantised(&self, frame: &Frame<'_>) -> Kept {
+    fn quantise(&self, frame: &Frame<'_>) -> Kept {
         let position = |at: usize| frame.positions_m.get(at).copied().unwrap_or_default();
         let speed = |at: usize| frame.velocities_m_s.get(at).copied().unwrap_or_default();
         let particles = 0..self.bench.particles;
@@ -127,7 +127,7 @@ impl Recorder {
 
 impl Sink for Recorder {
     fn frame(&mut self, frame: &Frame<'_>) -> Result<(), ViewError> {
-        let quantised = self.quantised(frame);
+        let quantised = self.quantise(frame);
         self.newest = None;
         if self.seen.is_multiple_of(self.stride) {
             self.kept.push(quantised);
@@ -318,7 +318,7 @@ fn role_name(role: Role) -> &'static str {
 
 fn digit(destination: Destination) -> char {
     match destination {
-        Destination::Left => '0',
+        Destination::Remained => '0',
         Destination::Target => '1',
         Destination::Tool => '2',
         Destination::Spilled => '3',
@@ -497,7 +497,7 @@ mod tests {
             velocities_m_s: &[],
         };
         recorder.frame(&frame).expect("a recorder writes nothing");
-        recorder.finish(&[Destination::Left]).expect("a recorder writes nothing");
+        recorder.finish(&[Destination::Remained]).expect("a recorder writes nothing");
         let replay = recorder.into_replay().expect("frames came");
         assert_eq!(unpacked(&replay).len(), 2);
         assert!(replay.about.destinations.is_none());

@@ -357,7 +357,7 @@ impl Colouring {
             Self::Plain(colour) => *colour,
             Self::Speed { max_m_s } => speed_colour(f64::from(*speed) / max_m_s),
             Self::Height { max_m } => height_colour(f64::from(*z) / max_m),
-            Self::Destination => destination_colour(destination.unwrap_or(Destination::Left)),
+            Self::Destination => destination_colour(destination.unwrap_or(Destination::Remained)),
         }
     }
 
@@ -386,7 +386,7 @@ fn clamped(share: f64) -> f64 {
 /// Colours that colour-blind readers can tell apart, after M. Okabe and K. Ito.
 fn destination_colour(destination: Destination) -> Rgb {
     match destination {
-        Destination::Left => [205, 190, 165],
+        Destination::Remained => [205, 190, 165],
         Destination::Target => [0, 158, 115],
         Destination::Tool => [0, 114, 178],
         Destination::Spilled => [213, 74, 20],
@@ -395,7 +395,7 @@ fn destination_colour(destination: Destination) -> Rgb {
 
 fn key(destinations: &[Destination]) -> Vec<(Rgb, String)> {
     let names = [
-        (Destination::Left, "left"),
+        (Destination::Remained, "left"),
         (Destination::Target, "target"),
         (Destination::Tool, "tool"),
         (Destination::Spilled, "spilled"),

@@ -12,8 +12,8 @@ const HEIGHT_M: f64 = 0.024;
 /// A box of 24 x 24 mm whose floor and walls lie `shift` off the grid's nodes, and a bed in it.
 fn boxed(shift: f64, friction: f64) -> (Scene, Vec<[f64; 3]>) {
     let mut scene = awake("bench-small");
-    scene.container.truncate(1);
-    let c = &mut scene.container[0];
+    scene.containers.truncate(1);
+    let c = &mut scene.containers[0];
     c.friction = friction;
     c.position_m = [0.032 + shift, 0.032 + shift, 0.008 + shift];
     c.shape = ContainerShape::Box { inner_size_m: [0.024, 0.024, 0.036] };
@@ -23,7 +23,7 @@ fn boxed(shift: f64, friction: f64) -> (Scene, Vec<[f64; 3]>) {
 }
 
 fn height(scene: &Scene, bed: &[Settled]) -> f64 {
-    2.0 * (mean(bed, |_| true, |p| p.x[2]) - scene.container[0].position_m[2])
+    2.0 * (mean(bed, |_| true, |p| p.x[2]) - scene.containers[0].position_m[2])
 }
 
 #[test]
@@ -32,7 +32,7 @@ fn the_base_of_a_frictionless_box_bears_the_powders_weight() {
         [(0.0, 0.05, 0.97), (0.001, 0.05, 0.85), (0.002, 0.3, 0.92), (0.003, 0.3, 0.82)]
     {
         let (scene, positions) = boxed(shift, 0.0);
-        let [x, y, z] = scene.container[0].position_m;
+        let [x, y, z] = scene.containers[0].position_m;
         let end = settle(&scene, &positions, 2000);
         let inside = |p: &Settled| (p.x[0] - x).abs() < 0.012 && (p.x[1] - y).abs() < 0.012 && p.x[2] > z;
         let height = height(&scene, &end);
@@ -58,7 +58,7 @@ fn a_bed_at_rest_hardly_sinks() {
         let (scene, positions) = boxed(shift, 0.4);
         let [before, after] =
             [1000, 2000].map(|substeps| height(&scene, &settle(&scene, &positions, substeps)));
-        let rate = (before - after) / before / (1000.0 * scene.time.dt_sub_s());
+        let rate = (before - after) / before / (1000.0 * scene.time.substep_s());
         println!(
             "walls {shift} m off the nodes: a bed {before:.5} m high sinks by {:.3} % a second",
             100.0 * rate

@@ -21,7 +21,7 @@ fn cloud<T: Real>() -> (Model<T>, State<T>) {
     assert!(model.viscous_loss > T::ZERO);
     let points = lattice([0.022, 0.023, 0.021], [0.042, 0.043, 0.039], 0.002, &mut dice);
     let mut state = State::new(&model, &Particles::at_rest(&points)).unwrap();
-    let places: Vec<_> = state.particles.living().collect();
+    let places: Vec<_> = state.particles.occupied().collect();
     for (g, l, _) in places {
         for k in 3..21 {
             let number = match k {
@@ -31,7 +31,7 @@ fn cloud<T: Real>() -> (Model<T>, State<T>) {
                 15..18 => -0.02 + 0.02 * dice.roll(),
                 _ => 0.01 * dice.roll(),
             };
-            row(&mut state.particles.groups[g], k)[l] = T::of(number);
+            row(&mut state.particles.groups[g], k)[l] = T::from_f64(number);
         }
     }
     (model, state)
@@ -41,7 +41,7 @@ fn cloud<T: Real>() -> (Model<T>, State<T>) {
 fn momenta<T: Real>(model: &Model<T>, state: &State<T>) -> ([f64; 6], [f64; 6]) {
     let (m, dx) = (model.mass.to_f64(), model.grid.dx);
     let (mut sum, mut size) = ([0.0; 6], [0.0; 6]);
-    for (g, l, _) in state.particles.living() {
+    for (g, l, _) in state.particles.occupied() {
         let group = &state.particles.groups[g];
         let (x, v) = (vec_of(&group.x, l).map(T::to_f64), vec_of(&group.v, l).map(T::to_f64));
         let c = mat_of(&group.c, l).map(|row| row.map(T::to_f64));
@@ -70,7 +70,7 @@ fn relative_mass_error<T: Real>() -> f64 {
     let (tiles, _) = to_tiles(&model, &state);
     let (nodes, _) = on_grid(&model, &far_away(), &state, &tiles);
     let on_grid: f64 = nodes.iter().flatten().map(|n| n[3].to_f64()).sum();
-    let in_particles = model.mass.to_f64() * state.particles.living().count() as f64;
+    let in_particles = model.mass.to_f64() * state.particles.occupied().count() as f64;
     (on_grid / in_particles - 1.0).abs()
 }
 
@@ -93,7 +93,7 @@ fn viscosity_slows_the_strain_rate_and_nothing_else() {
         let of = |(g, l, _): (usize, usize, u32)| -> f64 {
             vec_of(&state.particles.groups[g].v, l).iter().map(|v| v * v).sum()
         };
-        state.particles.living().map(of).sum::<f64>()
+        state.particles.occupied().map(of).sum::<f64>()
     };
     let (mut model, state) = cloud::<f64>();
     let viscous = energy(&model, state.clone());

@@ -12,7 +12,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
 use crate::mpm::Model;
-use crate::mpm::contact::Motion;
+use crate::mpm::contact::BodyState;
 use crate::mpm::g2p::TileToParticles;
 use crate::mpm::grid_update::UpdateNodes;
 use crate::mpm::layout::{BLOCK_NODES, Nodes, empty_tile};
@@ -117,31 +117,31 @@ fn awake(name: &str) -> Scene {
 fn empty_bench(size_m: [f64; 3]) -> Scene {
     let mut scene = awake("bench-small");
     scene.domain.size_m = size_m;
-    scene.container.clear();
+    scene.containers.clear();
     scene
 }
 
 /// An upright tool at rest.
-fn standing<T: Real>(position: [f64; 3]) -> Motion<T> {
+fn standing<T: Real>(position: [f64; 3]) -> BodyState<T> {
     let (zero, one) = (T::ZERO, T::ONE);
-    Motion {
+    BodyState {
         rotation: [[one, zero, zero], [zero, one, zero], [zero, zero, one]],
-        position: position.map(T::of),
+        position: position.map(T::from_f64),
         velocity: [zero; 3],
         angular_velocity: [zero; 3],
     }
 }
 
 /// A tool out of everybody's reach.
-fn far_away<T: Real>() -> Motion<T> {
+fn far_away<T: Real>() -> BodyState<T> {
     standing([10.0; 3])
 }
 
 /// The tool after a small change of position, of orientation (from the left), of velocity and of angular velocity.
-fn moved(tool: &Motion<f64>, d: &[f64]) -> Motion<f64> {
+fn moved(tool: &BodyState<f64>, d: &[f64]) -> BodyState<f64> {
     let turn = Rotation3::from_scaled_axis(Vector3::new(d[3], d[4], d[5])).into_inner();
     let rotation = turn * Matrix3::from_fn(|i, j| tool.rotation[i][j]);
-    Motion {
+    BodyState {
         rotation: std::array::from_fn(|i| std::array::from_fn(|j| rotation[(i, j)])),
         position: std::array::from_fn(|i| tool.position[i] + d[i]),
         velocity: std::array::from_fn(|i| tool.velocity[i] + d[6 + i]),
@@ -198,7 +198,7 @@ fn to_tiles<T: Real>(model: &Model<T>, state: &State<T>) -> (Vec<Tile<T>>, Vec<G
 /// Grid update of all node blocks: momentum and mass before, velocity after.
 fn on_grid<T: Real>(
     model: &Model<T>,
-    tool: &Motion<T>,
+    tool: &BodyState<T>,
     state: &State<T>,
     tiles: &[Tile<T>],
 ) -> (Vec<Nodes<T>>, Vec<Nodes<T>>) {
@@ -214,7 +214,7 @@ fn on_grid<T: Real>(
 /// Gather, contact at particles and advection of all blocks; strain and volume correction are left alone.
 fn to_particles<T: Real>(
     model: &Model<T>,
-    tool: &Motion<T>,
+    tool: &BodyState<T>,
     state: &State<T>,
     velocity: &[Nodes<T>],
 ) -> Vec<Group<T>> {
@@ -227,7 +227,7 @@ fn to_particles<T: Real>(
 }
 
 /// Advances by a number of substeps under an unchanging tool.
-fn advance<T: Real>(model: &Model<T>, tool: &Motion<T>, state: &mut State<T>, substeps: usize) {
+fn advance<T: Real>(model: &Model<T>, tool: &BodyState<T>, state: &mut State<T>, substeps: usize) {
     let mut workspace = Workspace::new();
     for _ in 0..substeps {
         workspace.substep(model, tool, state).unwrap();
@@ -248,7 +248,7 @@ fn settle(scene: &Scene, positions: &[[f64; 3]], substeps: usize) -> Vec<Settled
     let mut state = State::new(&model, &Particles::at_rest(positions)).unwrap();
     advance(&model, &far_away(), &mut state, substeps);
     let mut out = vec![Settled { x: [0.0; 3], stress: [0.0; 6] }; positions.len()];
-    for (g, l, id) in state.particles.living() {
+    for (g, l, id) in state.particles.occupied() {
         let group = &state.particles.groups[g];
         let (stress, _, _) = return_map(&model.material, group.strain_of(l), 0.0);
         out[id as usize] = Settled { x: vec_of(&group.x, l), stress };

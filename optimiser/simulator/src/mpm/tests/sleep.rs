@@ -1,11 +1,11 @@
 //! Powder that sleeps: what it changes, what wakes it, and that nobody else notices.
 
 use crate::mpm::Model;
-use crate::mpm::contact::Motion;
+use crate::mpm::contact::BodyState;
 use crate::mpm::particles::{Group, LANES, Particles};
 use crate::mpm::sleep;
 use crate::mpm::sort::sort;
-use crate::mpm::spare::Spare;
+use crate::mpm::spare::BufferPool;
 use crate::mpm::substep::{State, Workspace};
 use crate::mpm::tests::{Dice, advance, empty_bench, even_lattice, far_away, standing};
 
@@ -72,7 +72,7 @@ fn the_tool_wakes_what_it_comes_near_to() {
     let mut state = rested(&model, &bed(), 1500);
     let blocks = state.layout.blocks.len();
     // A bowl just above one end of the bed.
-    let tool: Motion<f64> = standing([0.0, 0.016, DEPTH_M + 0.020]);
+    let tool: BodyState<f64> = standing([0.0, 0.016, DEPTH_M + 0.020]);
     advance(&model, &tool, &mut state, 2);
     let woken = blocks - asleep(&state);
     assert!(woken > 0 && woken < blocks, "{woken} of {blocks}");
@@ -125,7 +125,7 @@ fn cotangents_of_sleepers_stay_and_those_of_others_are_what_they_are_without_the
     assert!(sleepers.iter().any(|asleep| *asleep));
     let mut dice = Dice::new(91);
     let mut bar = vec![Group::ZERO; state.particles.groups.len()];
-    for (g, l, _) in state.particles.living() {
+    for (g, l, _) in state.particles.occupied() {
         (0..22).for_each(|k| super::row(&mut bar[g], k)[l] = dice.roll());
     }
     let before = bar.clone();
@@ -157,14 +157,15 @@ fn a_sort_wakes_only_blocks_whose_particles_change() {
     let mut state = rested(&model, &bed(), 1500);
     let blocks = state.layout.blocks.len();
     let kept = |state: &State<f64>| {
-        let (particles, layout, order) = sort(&model.grid, &state.particles, &mut Spare::none()).unwrap();
-        let rest = sleep::sorted(state.rest(), &state.layout, &layout, &order, &particles.groups);
+        let (particles, layout, order) =
+            sort(&model.grid, &state.particles, &mut BufferPool::empty()).unwrap();
+        let rest = sleep::after_sort(state.rest(), &state.layout, &layout, &order, &particles.groups);
         // Sleepers are the particles that the sort puts there, in its order.
         let mut groups = particles.groups.clone();
         for (block, rest) in layout.blocks.iter().zip(&rest) {
-            rest.put_to(&mut groups[block.first_group..block.first_group + block.groups()]);
+            rest.restore_into(&mut groups[block.first_group..block.first_group + block.groups()]);
         }
-        for (g, l, _) in particles.living() {
+        for (g, l, _) in particles.occupied() {
             assert!(
                 groups[g]
                     .rows()

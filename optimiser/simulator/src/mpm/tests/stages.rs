@@ -1,12 +1,14 @@
 //! Material and contact, each alone.
 
 use super::{Dice, assert_slope_two, taylor_slope};
-use crate::mpm::contact::{Law, Motion, contact, contact_adjoint};
+use crate::mpm::contact::{BodyState, ContactParams, contact, contact_adjoint};
 use crate::mpm::material::{self, Material, is_mild, trial_strain, trial_strain_adjoint};
 use crate::mpm::principal::{self, eigen};
 use crate::real::Real;
 use crate::scene::Cuboid;
-use crate::shape::{Bowl, Capsule, HalfSpace, Ring, Shape, SignedDistance, Slab, Turned, with_solid};
+use crate::shape::{
+    AlignedBox, Bowl, Capsule, HalfSpace, OrientedBox, Shape, SignedDistance, Tube, with_solid,
+};
 use crate::small::{Mat3, Sym3, compose, full, inner, plus_diagonal, trace};
 
 /// Cotangents of a symmetric matrix are entries of the full one: off-diagonal entries count twice.
@@ -59,12 +61,12 @@ fn eigenvectors_diagonalise_to_rounding() {
     }
 }
 
-/// One strain well inside each branch: elastic, cone, tip.
+/// One strain well inside each branch: elastic, cone, apex.
 fn branches() -> [(&'static str, Sym3<f64>, f64); 3] {
     [
         ("elastic", [-0.031, -0.028, -0.034, 0.0021, -0.0013, 0.0008], 0.0),
         ("cone", [-0.031, 0.012, -0.024, 0.021, -0.013, 0.008], 0.004),
-        ("tip", [0.031, 0.012, 0.024, 0.021, -0.013, 0.008], 0.01),
+        ("apex", [0.031, 0.012, 0.024, 0.021, -0.013, 0.008], 0.01),
     ]
 }
 
@@ -86,9 +88,9 @@ fn return_map_has_taylor_slope_two_on_every_branch() {
             let s = stored(bar);
             let gradient = [s[0], s[1], s[2], s[3], s[4], s[5], q_bar];
             let x = [strain[0], strain[1], strain[2], strain[3], strain[4], strain[5], q];
-            // At the tip without cohesion the map is linear: the remainder is rounding.
-            let at_tip = name == "tip";
-            if at_tip {
+            // At the apex without cohesion the map is linear: the remainder is rounding.
+            let at_apex = name == "apex";
+            if at_apex {
                 for k in 0..7 {
                     let moved = |h: f64| {
                         let mut x = x;
@@ -96,7 +98,7 @@ fn return_map_has_taylor_slope_two_on_every_branch() {
                         f(&x)
                     };
                     let slope = (moved(1e-6) - moved(-1e-6)) / 2e-6;
-                    assert!((slope - gradient[k]).abs() < 1e-8, "tip {k}: {slope} {}", gradient[k]);
+                    assert!((slope - gradient[k]).abs() < 1e-8, "apex {k}: {slope} {}", gradient[k]);
                 }
             }
             assert_slope_two(name, taylor_slope(7, 3, 1e-4, &f, &x, &gradient));
@@ -105,20 +107,21 @@ fn return_map_has_taylor_slope_two_on_every_branch() {
 }
 
 /// Largest differences between the two return maps and their adjoints, relative to the strain, over random strains; and how
-/// many of them were on the cone and at the tip.
+/// many of them were on the cone and at the apex.
 fn differences<T: Real>(size: f64, cohesion: f64) -> ([f64; 2], [usize; 2]) {
     let m = Material::<T>::new(1.0, 0.2, 35f64.to_radians(), cohesion);
     let mut dice = Dice::new(31);
     let (mut worst, mut seen) = ([0.0_f64; 2], [0; 2]);
-    let narrow = |s: Sym3<f64>| s.map(T::of);
+    let narrow = |s: Sym3<f64>| s.map(T::from_f64);
     for case in 0..4000 {
         let mean = 2.0 * size * (dice.roll() - 0.3);
         let strain = plus_diagonal(dice.many::<6>(size), mean);
-        let (strain, q) = (narrow(strain), T::of(if case % 3 == 0 { size * dice.roll().abs() } else { 0.0 }));
+        let (strain, q) =
+            (narrow(strain), T::from_f64(if case % 3 == 0 { size * dice.roll().abs() } else { 0.0 }));
         if !is_mild(strain) || trace(strain).to_f64() < -1.5 {
             continue;
         }
-        let (a, b, c) = (narrow(dice.many(1.0)), narrow(dice.many(1.0)), T::of(dice.roll()));
+        let (a, b, c) = (narrow(dice.many(1.0)), narrow(dice.many(1.0)), T::from_f64(dice.roll()));
         let (tau, new, q_new) = material::return_map(&m, strain, q);
         let (want_tau, want_new, want_q) = principal::return_map(&m, strain, q);
         let (bar, q_bar) = material::return_map_adjoint(&m, strain, q, a, b, c);
@@ -234,15 +237,15 @@ fn the_strain_form_agrees_with_deformation_gradient_and_svd() {
             let t = eps.sum();
             let e = eps - Vector3::repeat(t / 3.0);
             let n = e.norm();
-            let (new, branch) = if t >= m.tip {
-                volume = t - m.tip;
-                (Vector3::repeat(m.tip / 3.0), 2)
-            } else if n + m.slope * (t - m.tip) <= 0.0 {
+            let (new, branch) = if t >= m.apex {
+                volume = t - m.apex;
+                (Vector3::repeat(m.apex / 3.0), 2)
+            } else if n + m.slope * (t - m.apex) <= 0.0 {
                 volume = 0.0;
                 (eps, 0)
             } else {
                 volume = 0.0;
-                (eps - e * ((n + m.slope * (t - m.tip)) / n), 1)
+                (eps - e * ((n + m.slope * (t - m.apex)) / n), 1)
             };
             seen[branch] += 1;
             f = u * Matrix3::from_diagonal(&new.map(f64::exp)) * v_t;
@@ -262,20 +265,20 @@ fn the_strain_form_agrees_with_deformation_gradient_and_svd() {
     }
 }
 
-fn turned() -> Turned<f64> {
+fn turned() -> OrientedBox<f64> {
     let cuboid =
         Cuboid { centre_m: [0.1, 0.2, -0.1], size_m: [0.9, 0.3, 0.7], rotation_deg: [25.0, -40.0, 110.0] };
-    Turned { centre: cuboid.centre_m, half: cuboid.size_m.map(|edge| 0.5 * edge), axes: cuboid.axes() }
+    OrientedBox { centre: cuboid.centre_m, half: cuboid.size_m.map(|edge| 0.5 * edge), axes: cuboid.axes() }
 }
 
 fn shapes() -> Vec<Shape<f64>> {
     vec![
         Shape::HalfSpace(HalfSpace),
-        Shape::Slab(Slab { centre: [0.1, -0.2, 0.05], half: [0.5, 0.4, 0.2] }),
+        Shape::AlignedBox(AlignedBox { centre: [0.1, -0.2, 0.05], half: [0.5, 0.4, 0.2] }),
         Shape::Bowl(Bowl { radius: 0.8, half: 0.12 }),
-        Shape::Ring(Ring { radius: 0.6, half_radial: 0.1, height: 0.2, half_axial: 0.5 }),
+        Shape::Tube(Tube { radius: 0.6, half_radial: 0.1, height: 0.2, half_axial: 0.5 }),
         Shape::Capsule(Capsule { from: [-0.3, 0.1, 0.0], along: [0.7, -0.2, 0.4], radius: 0.15 }),
-        Shape::Turned(turned()),
+        Shape::OrientedBox(turned()),
     ]
 }
 
@@ -307,11 +310,16 @@ fn normals_are_the_gradients_of_the_distances() {
 }
 
 /// Position, velocity, and all that moves the body, as one vector.
-fn contact_of<D: SignedDistance<f64>>(solid: &D, law: &Law<f64>, base: &Motion<f64>, x: &[f64]) -> [f64; 3] {
+fn contact_of<D: SignedDistance<f64>>(
+    solid: &D,
+    law: &ContactParams<f64>,
+    base: &BodyState<f64>,
+    x: &[f64],
+) -> [f64; 3] {
     use nalgebra::{Matrix3, Rotation3, Vector3};
     let turn = Rotation3::from_scaled_axis(Vector3::new(x[9], x[10], x[11])).into_inner();
     let rotation = turn * Matrix3::from_fn(|i, j| base.rotation[i][j]);
-    let body = Motion {
+    let body = BodyState {
         rotation: std::array::from_fn(|i| std::array::from_fn(|j| rotation[(i, j)])),
         position: [x[6], x[7], x[8]],
         velocity: [x[12], x[13], x[14]],
@@ -329,15 +337,15 @@ fn contact_has_taylor_slope_two_in_position_velocity_and_the_bodys_motion() {
         let mut checked = 0;
         while checked < 40 {
             let nodes = checked % 2 == 0;
-            let law = Law {
+            let law = ContactParams {
                 friction: 0.4,
                 band: 0.3,
-                growth: if nodes { 0.05 } else { 0.0 },
-                release: if nodes { 0.0 } else { 1.0 },
-                push_rate: if nodes { 0.0 } else { 2.0 },
-                push_limit: 0.7,
+                inflation: if nodes { 0.05 } else { 0.0 },
+                separation_factor: if nodes { 0.0 } else { 1.0 },
+                pushout_rate: if nodes { 0.0 } else { 2.0 },
+                max_pushout_speed: 0.7,
             };
-            let base = Motion {
+            let base = BodyState {
                 rotation: std::array::from_fn(|i| std::array::from_fn(|j| r[(i, j)])),
                 position: [0.1, 0.2, -0.1],
                 velocity: [0.0; 3],
@@ -358,7 +366,7 @@ fn contact_has_taylor_slope_two_in_position_velocity_and_the_bodys_motion() {
                     let v = contact_of(&solid, &law, &base, x);
                     v[0] * weight[0] + v[1] * weight[1] + v[2] * weight[2]
                 };
-                let body = Motion { velocity: [twist[0], twist[1], twist[2]], angular_velocity: [twist[3], twist[4], twist[5]], ..base };
+                let body = BodyState { velocity: [twist[0], twist[1], twist[2]], angular_velocity: [twist[3], twist[4], twist[5]], ..base };
                 let b = contact_adjoint(&solid, &body, &law, point, free, weight);
                 let gradient: Vec<f64> = b.x.into_iter().chain(b.v).chain(b.x.map(|x| -x)).chain(b.rotation)
                     .chain(b.velocity).chain(b.angular_velocity).collect();

@@ -3,7 +3,7 @@
 //! All numbers are scaled to order one, so that a random direction moves each of them by its own measure.
 
 use crate::mpm::Model;
-use crate::mpm::contact::{Motion, MotionBar};
+use crate::mpm::contact::{BodyState, BodyStateBar};
 use crate::mpm::g2p::TileToParticlesAdjoint;
 use crate::mpm::gather::{Gathered, Rows, Sent, gather, gather_gradient, gather_with_gradient};
 use crate::mpm::grid_update::UpdateNodesAdjoint;
@@ -11,8 +11,8 @@ use crate::mpm::layout::{BLOCK_NODES, Nodes, empty_tile, load_tile};
 use crate::mpm::material::Material;
 use crate::mpm::p2g::{ParticlesToTileAdjoint, affine, at_base};
 use crate::mpm::particles::{Group, LANES, Lanes, Particles};
-use crate::mpm::sort::{sort, unsort};
-use crate::mpm::spare::Spare;
+use crate::mpm::sort::{sort, sort_adjoint};
+use crate::mpm::spare::BufferPool;
 use crate::mpm::stencil::{Affine, Stencil, TILE_EDGE, TILE_LENGTH, Tile, scatter, weight_slopes, weights};
 use crate::mpm::stencil_positions::StencilPositions;
 use crate::mpm::substep::{State, Workspace};
@@ -52,12 +52,12 @@ fn numbers(particles: &Particles<f64>) -> Vec<f64> {
         let group: &Group<f64> = &particles.groups[g];
         group.rows().zip(SIZES).map(|(row, size)| row[l] / size).collect::<Vec<_>>()
     };
-    particles.living().flat_map(of).collect()
+    particles.occupied().flat_map(of).collect()
 }
 
 fn with_numbers(state: &State<f64>, x: &[f64]) -> State<f64> {
     let mut state = state.clone();
-    let places: Vec<_> = state.particles.living().collect();
+    let places: Vec<_> = state.particles.occupied().collect();
     for ((g, l, _), x) in places.into_iter().zip(x.chunks(22)) {
         for k in 0..22 {
             row(&mut state.particles.groups[g], k)[l] = x[k] * SIZES[k];
@@ -67,16 +67,16 @@ fn with_numbers(state: &State<f64>, x: &[f64]) -> State<f64> {
 }
 
 /// Derivative by [`numbers`] from cotangents; those of a strain count the off-diagonal entries once.
-fn gradient_of(particles: &Particles<f64>, bar: &[Group<f64>]) -> Vec<f64> {
+fn simulate_with_gradient(particles: &Particles<f64>, bar: &[Group<f64>]) -> Vec<f64> {
     let twice = |k: usize| if (18..21).contains(&k) { 2.0 } else { 1.0 };
     let of = |(g, l, _): (usize, usize, u32)| {
         let rows = bar[g].rows().enumerate();
         rows.map(|(k, row)| row[l] * SIZES[k] * twice(k)).collect::<Vec<_>>()
     };
-    particles.living().flat_map(of).collect()
+    particles.occupied().flat_map(of).collect()
 }
 
-fn tool_gradient(bar: &MotionBar) -> Vec<f64> {
+fn tool_gradient(bar: &BodyStateBar) -> Vec<f64> {
     let all = [bar.position, bar.rotation, bar.velocity, bar.angular_velocity].concat();
     scaled(&all, &TOOL_SIZES)
 }
@@ -94,12 +94,12 @@ impl Measure {
         let one = |(g, l, id): (usize, usize, u32)| -> f64 {
             groups[g].rows().zip(self.0[id as usize]).map(|(row, w)| w * row[l]).sum()
         };
-        ids.living().map(one).sum()
+        ids.occupied().map(one).sum()
     }
 
     fn cotangent(&self, ids: &Particles<f64>) -> Vec<Group<f64>> {
         let mut bar = vec![Group::ZERO; ids.groups.len()];
-        for (g, l, id) in ids.living() {
+        for (g, l, id) in ids.occupied() {
             for k in 0..22 {
                 let twice = if (18..21).contains(&k) { 0.5 } else { 1.0 };
                 row(&mut bar[g], k)[l] = twice * self.0[id as usize][k];
@@ -109,14 +109,14 @@ impl Measure {
     }
 }
 
-/// Strains well inside one branch of the return map each (elastic, cone, tip), and velocities at random.
+/// Strains well inside one branch of the return map each (elastic, cone, apex), and velocities at random.
 fn stir(state: &mut State<f64>, dice: &mut Dice) {
     const BRANCHES: [[f64; 6]; 3] = [
         [-0.031, -0.028, -0.034, 0.0021, -0.0013, 0.0008],
         [-0.031, 0.012, -0.024, 0.021, -0.013, 0.008],
         [0.031, 0.012, 0.024, 0.021, -0.013, 0.008],
     ];
-    let places: Vec<_> = state.particles.living().collect();
+    let places: Vec<_> = state.particles.occupied().collect();
     for (g, l, id) in places {
         let strain = BRANCHES[id as usize % 3];
         for k in 3..22 {
@@ -131,11 +131,11 @@ fn stir(state: &mut State<f64>, dice: &mut Dice) {
 }
 
 /// A bowl that pushes down and forward into stirred powder on the floor, tilted, turning.
-fn scooping() -> (Model<f64>, State<f64>, Motion<f64>) {
+fn scooping() -> (Model<f64>, State<f64>, BodyState<f64>) {
     let mut dice = Dice::new(71);
     let scene = empty_bench([0.064; 3]);
     let model = Model::<f64>::new(&scene);
-    let tool = Motion {
+    let tool = BodyState {
         velocity: [0.12, 0.03, -0.1],
         angular_velocity: [0.3, -2.0, 0.4],
         ..moved(
@@ -207,14 +207,14 @@ fn taken(tile: &Tile<f64>, x: Vec3<f64>, sent: &Affine<f64>) -> ([f64; 4], [[f64
 
 /// A group of particles at coordinates in a tile, and what they send.
 fn group_at<T: Real>(x: &[Vec3<f64>], sent: &[Affine<f64>]) -> (StencilPositions<T>, Sent<T>) {
-    let mut at = [Lanes([T::of(4.0); LANES]); 3];
+    let mut at = [Lanes([T::from_f64(4.0); LANES]); 3];
     let mut out = Sent::ZERO;
     for (l, (x, sent)) in x.iter().zip(sent).enumerate() {
         for c in 0..3 {
-            at[c][l] = T::of(x[c]);
-            out.base[c][l] = T::of(sent.p[c]);
+            at[c][l] = T::from_f64(x[c]);
+            out.base[c][l] = T::from_f64(sent.p[c]);
             for axis in 0..3 {
-                out.a_dx[3 * c + axis][l] = T::of(sent.steps[axis][c]);
+                out.a_dx[3 * c + axis][l] = T::from_f64(sent.steps[axis][c]);
             }
         }
     }
@@ -231,9 +231,9 @@ fn random_affine(dice: &mut Dice, mass: f64) -> Affine<f64> {
 /// Groups as they are: sorted, a few cells along z; with strayers; anywhere; and with lanes that hold nobody.
 fn positions_in_a_tile(which: usize, dice: &mut Dice) -> Vec<Vec3<f64>> {
     let spread = [[0.4, 0.4, 1.1], [1.2, 0.4, 1.1], [2.4, 2.4, 2.4]][which % 3];
-    let living = if which % 4 == 3 { 5 } else { LANES };
+    let occupied = if which % 4 == 3 { 5 } else { LANES };
     let mut out: Vec<Vec3<f64>> =
-        (0..living).map(|_| [0, 1, 2].map(|axis| 4.0 + spread[axis] * dice.roll())).collect();
+        (0..occupied).map(|_| [0, 1, 2].map(|axis| 4.0 + spread[axis] * dice.roll())).collect();
     out.sort_by(|a, b| a[2].total_cmp(&b[2]));
     out
 }
@@ -242,16 +242,19 @@ fn gathered_as_taken<T: Real>(rounding: f64) {
     const MASS: f64 = 0.7;
     let mut dice = Dice::new(51);
     for which in 0..60 {
-        let x: Vec<Vec3<f64>> =
-            positions_in_a_tile(which, &mut dice).into_iter().map(|x| x.map(|x| T::of(x).to_f64())).collect();
+        let x: Vec<Vec3<f64>> = positions_in_a_tile(which, &mut dice)
+            .into_iter()
+            .map(|x| x.map(|x| T::from_f64(x).to_f64()))
+            .collect();
         let sent: Vec<_> = x.iter().map(|_| random_affine(&mut dice, MASS)).collect();
         let tile = random_tile(&mut dice);
-        let narrow = tile.map(|node| node.map(T::of));
+        let narrow = tile.map(|node| node.map(T::from_f64));
         let (places, sends) = group_at::<T>(&x, &sent);
-        let (w, living) = (places.weights(), x.len());
-        let all = gather_with_gradient(&narrow, &places, &w, &sends, T::of(MASS), living, &mut Rows::new());
-        let plain = gather(&narrow, &places, &w, living);
-        let massless = gather_gradient(&narrow, &places, &w, &sends, living, &mut Rows::new());
+        let (w, occupied) = (places.weights(), x.len());
+        let all =
+            gather_with_gradient(&narrow, &places, &w, &sends, T::from_f64(MASS), occupied, &mut Rows::new());
+        let plain = gather(&narrow, &places, &w, occupied);
+        let massless = gather_gradient(&narrow, &places, &w, &sends, occupied, &mut Rows::new());
         let same = |got: T, want: f64, what: &str| {
             assert!((got.to_f64() - want).abs() < rounding, "{which}, {what}: {got} for {want}");
         };
@@ -275,7 +278,7 @@ fn gathered_as_taken<T: Real>(rounding: f64) {
             g.sum.iter().chain(&g.first).chain(&g.gradient).flat_map(|row| row.0).collect()
         };
         for (n, number) in [&all, &plain, &massless].into_iter().flat_map(rows).enumerate() {
-            assert!(n % LANES < living || number == T::ZERO, "{which}: {number} for nobody");
+            assert!(n % LANES < occupied || number == T::ZERO, "{which}: {number} for nobody");
         }
     }
 }
@@ -356,7 +359,7 @@ fn particle_to_grid_has_taylor_slope_two() {
     let momentum = 1.0 / (model.mass * SPEED);
     let nodes_bar =
         random_nodes(state.layout.nodes.len(), [momentum, momentum, momentum, 1.0 / model.mass], &mut dice);
-    let measure = Measure::random(state.particles.living().count(), 15..22, &mut dice);
+    let measure = Measure::random(state.particles.occupied().count(), 15..22, &mut dice);
     let f = |x: &[f64]| {
         let state = with_numbers(&state, x);
         let (tiles, output) = to_tiles(&model, &state);
@@ -374,7 +377,7 @@ fn particle_to_grid_has_taylor_slope_two() {
             bar: &mut bar[range],
         });
     }
-    let gradient = gradient_of(&state.particles, &bar);
+    let gradient = simulate_with_gradient(&state.particles, &bar);
     assert_gradient("particle to grid", 1e-3, &f, &numbers(&state.particles), &gradient);
 }
 
@@ -449,13 +452,13 @@ fn shared_out(state: &State<f64>, values: &[Nodes<f64>], reached: &[[f64; BLOCK_
 
 fn grid_adjoint(
     model: &Model<f64>,
-    tool: &Motion<f64>,
+    tool: &BodyState<f64>,
     state: &State<f64>,
     velocity_bar_tiles: &[Tile<f64>],
     momentum: &[Nodes<f64>],
-) -> (Vec<Nodes<f64>>, MotionBar) {
+) -> (Vec<Nodes<f64>>, BodyStateBar) {
     let mut bars = vec![[[0.0; 4]; BLOCK_NODES]; momentum.len()];
-    let mut total = MotionBar::default();
+    let mut total = BodyStateBar::default();
     for ((node, momentum), momentum_bar) in state.layout.nodes.iter().zip(momentum).zip(&mut bars) {
         total.add(&model.arch.dispatch(UpdateNodesAdjoint {
             model,
@@ -474,8 +477,8 @@ fn grid_to_particle_has_taylor_slope_two_in_positions_velocities_and_the_tools_m
     let (model, state, tool) = scooping();
     let mut dice = Dice::new(55);
     let velocity = random_nodes(state.layout.nodes.len(), [SPEED, SPEED, SPEED, 0.0], &mut dice);
-    let measure = Measure::random(state.particles.living().count(), 0..15, &mut dice);
-    let particles = 22 * state.particles.living().count();
+    let measure = Measure::random(state.particles.occupied().count(), 0..15, &mut dice);
+    let particles = 22 * state.particles.occupied().count();
     let nodes = velocity.as_flattened().as_flattened();
     let f = |x: &[f64]| {
         let state = with_numbers(&state, &x[..particles]);
@@ -487,7 +490,7 @@ fn grid_to_particle_has_taylor_slope_two_in_positions_velocities_and_the_tools_m
     };
     let mut bar = measure.cotangent(&state.particles);
     let mut tiles = vec![empty_tile(); state.layout.blocks.len()];
-    let mut tool_bar = MotionBar::default();
+    let mut tool_bar = BodyStateBar::default();
     for (block, tile_bar) in state.layout.blocks.iter().zip(&mut tiles) {
         let range = block.first_group..block.first_group + block.groups();
         let input = &state.particles.groups[range.clone()];
@@ -505,7 +508,7 @@ fn grid_to_particle_has_taylor_slope_two_in_positions_velocities_and_the_tools_m
     for g in &mut bar {
         *g = Group { x: g.x, ..Group::ZERO };
     }
-    let mut gradient = gradient_of(&state.particles, &bar);
+    let mut gradient = simulate_with_gradient(&state.particles, &bar);
     for node in &state.layout.nodes {
         // The fourth number at a node is no velocity.
         gradient.extend(
@@ -527,7 +530,7 @@ fn grid_to_particle_has_taylor_slope_two_in_positions_velocities_and_the_tools_m
 fn a_whole_substep_has_taylor_slope_two_in_the_state_and_the_tools_motion() {
     let (model, state, tool) = scooping();
     let mut dice = Dice::new(56);
-    let count = state.particles.living().count();
+    let count = state.particles.occupied().count();
     let measure = Measure::random(count, 0..22, &mut dice);
     let f = |x: &[f64]| {
         let mut state = with_numbers(&state, &x[..22 * count]);
@@ -539,9 +542,9 @@ fn a_whole_substep_has_taylor_slope_two_in_the_state_and_the_tools_motion() {
     let mut workspace = Workspace::new();
     workspace.substep(&model, &tool, &mut after).unwrap();
     let mut bar = measure.cotangent(&after.particles);
-    workspace.unsort(&after, &mut bar);
+    workspace.sort_adjoint(&after, &mut bar);
     let tool_bar = workspace.substep_adjoint(&model, &tool, &state, None, &mut bar);
-    let mut gradient = gradient_of(&state.particles, &bar);
+    let mut gradient = simulate_with_gradient(&state.particles, &bar);
     gradient.extend(tool_gradient(&tool_bar));
     let mut x = numbers(&state.particles);
     x.extend([0.0; 12]);
@@ -561,7 +564,7 @@ fn flying_cloud() -> (Model<f64>, State<f64>) {
     let points = lattice([0.014, 0.016, 0.018], [0.026, 0.028, 0.030], 0.003, &mut dice);
     let mut state = State::new(&model, &Particles::at_rest(&points)).unwrap();
     let middle = [0.020, 0.022, 0.024];
-    let places: Vec<_> = state.particles.living().collect();
+    let places: Vec<_> = state.particles.occupied().collect();
     for (g, l, _) in places {
         let group = &mut state.particles.groups[g];
         let arm = sub([group.x[0][l], group.x[1][l], group.x[2][l]], middle);
@@ -584,7 +587,7 @@ fn cotangents_survive_sorting() {
     const SUBSTEPS: usize = 60;
     let (model, first) = flying_cloud();
     let tool = far_away();
-    let count = first.particles.living().count();
+    let count = first.particles.occupied().count();
     let mut dice = Dice::new(57);
     let measure = Measure::random(count, 0..22, &mut dice);
     let mut workspace = Workspace::new();
@@ -604,7 +607,7 @@ fn cotangents_survive_sorting() {
     for substep in 0..SUBSTEPS {
         let groups = state.particles.groups.len();
         let order = if substep < 20 && substep % 2 == 1 {
-            let (_, _, order) = sort(&model.grid, &state.particles, &mut Spare::none()).unwrap();
+            let (_, _, order) = sort(&model.grid, &state.particles, &mut BufferPool::empty()).unwrap();
             own += usize::from(order.iter().enumerate().any(|(to, from)| to as u32 != *from));
             state = State::new(&model, &state.particles).unwrap();
             order
@@ -618,15 +621,15 @@ fn cotangents_survive_sorting() {
     let mut after = state;
     let mut bar = measure.cotangent(&after.particles);
     for (state, order, groups) in states.into_iter().rev() {
-        workspace.unsort(&after, &mut bar);
+        workspace.sort_adjoint(&after, &mut bar);
         workspace.substep_adjoint(&model, &tool, &state, None, &mut bar);
         if state.sorted_from.is_none() {
             let sorted = bar.clone();
-            unsort(&sorted, &order, groups, &mut bar);
+            sort_adjoint(&sorted, &order, groups, &mut bar);
         }
         after = state;
     }
-    let gradient = gradient_of(&first.particles, &bar);
+    let gradient = simulate_with_gradient(&first.particles, &bar);
     let x = numbers(&first.particles);
     let mut worst: f64 = 0.0;
     for direction in super::directions(x.len(), 5) {

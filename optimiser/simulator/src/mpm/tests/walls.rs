@@ -10,8 +10,8 @@ use crate::small::{dot, sub};
 /// A wall from x = `face` to `face + thickness` across the domain.
 fn with_wall(face: f64, thickness: f64, end: f64) -> Scene {
     let mut scene = awake("bench-small");
-    scene.container.truncate(1);
-    let c = &mut scene.container[0];
+    scene.containers.truncate(1);
+    let c = &mut scene.containers[0];
     c.wall_thickness_m = thickness;
     c.friction = 0.0;
     c.position_m = [0.5 * (face - 0.008), 0.016, 0.0];

@@ -4,7 +4,7 @@ use super::checker::{Checked, Checker, Range, container_paths};
 use crate::scene::figures::plain;
 use crate::scene::{
     Container, ContainerShape, Cuboid, Domain, Limits, MAX_CUBOIDS, Objective, Observation, Optimiser,
-    Powder, Scene, Skill, Time, Tool, ToolShape, Wanted,
+    Powder, Quantity, Scene, Skill, Time, Tool, ToolShape,
 };
 use powderline_shared::plan::{PERIOD_US_MAX, PERIOD_US_MIN};
 
@@ -18,7 +18,7 @@ pub(super) fn check(checker: &Checker<'_>, scene: &Scene) -> Checked {
     domain(checker, &scene.domain)?;
     powder(checker, &scene.powder)?;
     time(checker, &scene.time)?;
-    for (path, one) in container_paths(&scene.container).iter().zip(&scene.container) {
+    for (path, one) in container_paths(&scene.containers).iter().zip(&scene.containers) {
         container(checker, path, one, scene.domain.cell_m)?;
     }
     tool(checker, &scene.tool, scene.domain.cell_m)?;
@@ -161,7 +161,7 @@ fn limits(checker: &Checker<'_>, limits: &Limits) -> Checked {
 
 fn objective(checker: &Checker<'_>, objective: &Objective) -> Checked {
     checker.vector("objective.p_target_m", &objective.p_target_m, WORLD_M)?;
-    if let Wanted::MassKg(mass_kg) = objective.amount.wanted {
+    if let Quantity::MassKg(mass_kg) = objective.amount.wanted {
         checker.number("objective.amount.mass_kg", mass_kg, Range::above(0.0, 1e6))?;
     }
     checker.number("objective.amount.tolerance", objective.amount.tolerance, Range::closed(0.0, 1.0))?;

@@ -1,9 +1,9 @@
 //! Sizes that follow from the fields, and the places of containers, powder and tool at the start.
 
 use super::checker::{Checked, Checker, container_paths};
+use crate::scene::closest_match::did_you_mean;
 use crate::scene::error::MAX_NAME_CHARS;
 use crate::scene::figures::{about, at_most, list, plain};
-use crate::scene::nearest::did_you_mean;
 use crate::scene::solid::{Hull, TOUCH_M, Vec3, Wall};
 use crate::scene::tool_body::PlacedTool;
 use crate::scene::{BLOCK_CELLS, MAX_CELLS, MAX_CFL, MAX_PARTICLES, MAX_SUBSTEPS, MAX_VISCOUS_LOSS, Scene};
@@ -137,7 +137,7 @@ pub(super) fn check_powder_law(checker: &Checker<'_>, scene: &Scene) -> Checked 
 
 /// Containers: how many, their names, inside the domain, clear of each other.
 pub(super) fn check_containers(checker: &Checker<'_>, scene: &Scene) -> Checked {
-    let containers = &scene.container;
+    let containers = &scene.containers;
     if !(2..=16).contains(&containers.len()) {
         return Err(checker.invalid(
             "container",
@@ -161,7 +161,7 @@ pub(super) fn check_containers(checker: &Checker<'_>, scene: &Scene) -> Checked 
             &field("position_m"),
             &container.position_m,
             "the container",
-            |direction| outer.reach(direction),
+            |direction| outer.support(direction),
         )?;
         if let Some(other) = containers[..index].iter().find(|other| !outer.clear_of_hull(&other.outer())) {
             return Err(checker.invalid(
@@ -185,11 +185,11 @@ pub(super) fn inside_domain(
     field: &str,
     value: &[f64],
     what: &str,
-    reach: impl Fn(Vec3) -> f64,
+    support: impl Fn(Vec3) -> f64,
 ) -> Checked {
     for (direction, axis) in SIDES {
         let sign = direction[axis];
-        let side_m = sign * reach(direction);
+        let side_m = sign * support(direction);
         let size_m = scene.domain.size_m[axis];
         if !(-TOUCH_M..=size_m + TOUCH_M).contains(&side_m) {
             return Err(checker.invalid(
@@ -209,7 +209,7 @@ pub(super) fn inside_domain(
 
 /// Source, target, target point and amount.
 pub(super) fn check_objective(checker: &Checker<'_>, scene: &Scene) -> Checked {
-    use crate::scene::{Aim, Observation, Wanted};
+    use crate::scene::{Aim, Observation, Quantity};
     let objective = &scene.objective;
     named_container(checker, scene, "objective.source", &objective.source)?;
     named_container(checker, scene, "objective.target", &objective.target)?;
@@ -241,15 +241,15 @@ pub(super) fn check_objective(checker: &Checker<'_>, scene: &Scene) -> Checked {
         checker.count(field, particles, 1, u32::try_from(count).unwrap_or(u32::MAX))
     };
     match objective.amount.wanted {
-        Wanted::Particles(wanted) => particles("objective.amount.particles", wanted)?,
-        Wanted::MassKg(wanted_kg) if wanted_kg > whole_kg * (1.0 + 1e-9) => {
+        Quantity::Particles(wanted) => particles("objective.amount.particles", wanted)?,
+        Quantity::MassKg(wanted_kg) if wanted_kg > whole_kg * (1.0 + 1e-9) => {
             return Err(checker.invalid(
                 "objective.amount.mass_kg",
                 plain(wanted_kg),
                 format!("the scene holds no more than {} kg of powder", about(whole_kg, 4)),
             ));
         }
-        Wanted::MassKg(_) => {}
+        Quantity::MassKg(_) => {}
     }
     match objective.observation {
         Observation::Subsample { particles: size } => particles("objective.observation.particles", size),
@@ -263,12 +263,12 @@ pub(super) fn check_objective(checker: &Checker<'_>, scene: &Scene) -> Checked {
 }
 
 fn named_container(checker: &Checker<'_>, scene: &Scene, field: &str, name: &str) -> Checked {
-    if scene.container.iter().any(|container| container.name == name) {
+    if scene.containers.iter().any(|container| container.name == name) {
         return Ok(());
     }
     let known: Vec<String> =
-        scene.container.iter().map(|container| format!("{:?}", container.name)).collect();
-    let meant = did_you_mean(name, scene.container.iter().map(|container| container.name.as_str()));
+        scene.containers.iter().map(|container| format!("{:?}", container.name)).collect();
+    let meant = did_you_mean(name, scene.containers.iter().map(|container| container.name.as_str()));
     let shown: String = name.chars().take(MAX_NAME_CHARS).collect();
     Err(checker.invalid(
         field,
@@ -287,13 +287,13 @@ pub(super) fn check_powder(checker: &Checker<'_>, scene: &Scene) -> Checked {
     } else {
         ("powder.fill_max_m", powder.fill_max_m)
     };
-    inside_domain(checker, scene, field, &value, "the powder", |direction| fill.reach(direction))?;
+    inside_domain(checker, scene, field, &value, "the powder", |direction| fill.support(direction))?;
     let source = scene.source();
     if source.holds_box(powder.fill_min_m, powder.fill_max_m) {
         return Ok(());
     }
     let (floor_m, rim_m) = (source.position_m[2], source.position_m[2] + source.inner_height_m());
-    let reaches = |wall: &Wall| wall.beyond_m(|direction| fill.reach(direction));
+    let reaches = |wall: &Wall| wall.beyond_m(|direction| fill.support(direction));
     let walls = source.walls();
     let why = match walls.iter().max_by(|a, b| reaches(a).total_cmp(&reaches(b))) {
         Some(wall) if source.holds_heights(powder.fill_min_m[2], powder.fill_max_m[2]) => {
@@ -318,9 +318,9 @@ pub(super) fn check_start(checker: &Checker<'_>, scene: &Scene) -> Checked {
     let start = scene.tool.start_position_m;
     let tool = PlacedTool::new(scene, start, scene.tool.start_pitch_deg);
     let field = "tool.start_position_m";
-    inside_domain(checker, scene, field, &start, "the tool", |direction| tool.body_reach(direction))?;
+    inside_domain(checker, scene, field, &start, "the tool", |direction| tool.body_support(direction))?;
     inside_domain(checker, scene, field, &start, "the tool's handle", |direction| {
-        tool.handle_reach(direction)
+        tool.handle_support(direction)
     })?;
     let overlap = |what: String| {
         Err(checker.invalid(
@@ -333,7 +333,7 @@ pub(super) fn check_start(checker: &Checker<'_>, scene: &Scene) -> Checked {
     if !clears(&scene.powder.fill_box()) {
         return overlap("the powder".to_owned());
     }
-    for one in &scene.container {
+    for one in &scene.containers {
         if let Some(wall) = one.walls().iter().find(|wall| !wall.is_clear(clears)) {
             return overlap(format!("the {}", wall.name));
         }

@@ -45,7 +45,7 @@ impl Scene {
     }
 
     fn container_named(&self, name: &str) -> &Container {
-        self.container
+        self.containers
             .iter()
             .find(|container| container.name == name)
             .expect("a validated scene has its source and its target")

@@ -3,7 +3,7 @@
 use super::checker::{Checked, Checker};
 use super::layout::{AXIS_NAMES, inside_domain};
 use crate::scene::figures::{about, at_most, list, plain};
-use crate::scene::path::{Stage, pitches};
+use crate::scene::path::{SegmentEnvelope, pitches};
 use crate::scene::solid::{TOUCH_M, Vec3, Wall};
 use crate::scene::tool_body::PlacedTool;
 use crate::scene::{Profile, Scene};
@@ -33,7 +33,7 @@ fn check_workspace_box(checker: &Checker<'_>, scene: &Scene) -> Checked {
     ))
 }
 
-fn check_workspace(checker: &Checker<'_>, scene: &Scene, stage: &Stage) -> Checked {
+fn check_workspace(checker: &Checker<'_>, scene: &Scene, stage: &SegmentEnvelope) -> Checked {
     for origin in &stage.origins {
         for (axis, coordinate) in origin.iter().enumerate() {
             let (low, high) = (scene.limits.workspace_min_m[axis], scene.limits.workspace_max_m[axis]);
@@ -57,12 +57,12 @@ fn check_workspace(checker: &Checker<'_>, scene: &Scene, stage: &Stage) -> Check
 }
 
 /// The body only: what the handle meets outside the domain is none of the simulation's business.
-fn check_domain(checker: &Checker<'_>, scene: &Scene, stage: &Stage) -> Checked {
+fn check_domain(checker: &Checker<'_>, scene: &Scene, stage: &SegmentEnvelope) -> Checked {
     for origin in &stage.origins {
         for pitch_deg in pitches(stage.pitch_deg) {
             let tool = PlacedTool::new(scene, *origin, pitch_deg);
             inside_domain(checker, scene, stage.field, &stage.value, "the tool", |direction| {
-                tool.body_reach(direction)
+                tool.body_support(direction)
             })?;
         }
     }
@@ -75,7 +75,7 @@ fn check_floor(checker: &Checker<'_>, scene: &Scene) -> Checked {
     let start = tool.start_position_m;
     let scoop_pitch = [tool.start_pitch_deg - skill.scooping_angle_deg[1], tool.start_pitch_deg];
     let lowest_m = pitches(scoop_pitch)
-        .map(|pitch_deg| -PlacedTool::new(scene, start, pitch_deg).body_reach([0.0, 0.0, -1.0]))
+        .map(|pitch_deg| -PlacedTool::new(scene, start, pitch_deg).body_support([0.0, 0.0, -1.0]))
         .fold(f64::INFINITY, f64::min);
     let floor_m = scene.source().position_m[2];
     let room_m = lowest_m - skill.approach_m - floor_m;
@@ -140,7 +140,7 @@ fn deepest<'w>(
         let tool = PlacedTool::new(scene, origin, pitch_deg);
         walls
             .iter()
-            .filter_map(move |wall| Some((wall, wall.depth_m(|direction| tool.body_reach(direction))?)))
+            .filter_map(move |wall| Some((wall, wall.depth_m(|direction| tool.body_support(direction))?)))
     });
     hits.max_by(|(_, a), (_, b)| a.total_cmp(b))
 }

@@ -3,19 +3,19 @@
 //! Such a matrix satisfies `B^3 = m2 B + m3 I` with `m2 = tr(B^2)/2` and `m3 = det B` (Cayley-Hamilton), so a power series
 //! in `B` is `f0 I + f1 B + f2 B^2` with three numbers `f`, found by Horner's rule in two multiply-adds a power.
 
-use crate::real::{Real, Series};
+use crate::real::{Polynomial, Real};
 use crate::small::{Sym3, inner, trace};
 
 /// `B`, `B^2` and the two invariants.
 #[derive(Clone, Copy)]
-pub(crate) struct Powers<T> {
+pub(crate) struct CayleyHamilton<T> {
     pub(crate) b: Sym3<T>,
     pub(crate) b2: Sym3<T>,
     pub(crate) m2: T,
     pub(crate) m3: T,
 }
 
-impl<T: Real> Powers<T> {
+impl<T: Real> CayleyHamilton<T> {
     #[inline(always)]
     pub(crate) fn of(b: Sym3<T>) -> Self {
         let [xx, yy, zz, xy, xz, yz] = b;
@@ -28,7 +28,7 @@ impl<T: Real> Powers<T> {
             xy.mul_add(yz, -(xz * yy)),
             xy.mul_add(xz, -(yz * xx)),
         ];
-        let m2 = T::of(0.5) * (b2[0] + b2[1] + b2[2]);
+        let m2 = T::from_f64(0.5) * (b2[0] + b2[1] + b2[2]);
         // The cofactors of the first row are those of b2 - m2 I.
         let m3 = xx.mul_add(b2[0] - m2, xy.mul_add(b2[3], xz * b2[4]));
         Self { b, b2, m2, m3 }
@@ -91,23 +91,23 @@ macro_rules! downwards {
 
 /// The numbers of `x p(x)` at `B`, where `p` is the series.
 #[inline(always)]
-pub(crate) fn horner<T: Real>(p: &Series, m2: T, m3: T) -> [T; 3] {
+pub(crate) fn horner<T: Real>(p: &Polynomial, m2: T, m3: T) -> [T; 3] {
     let c = &p.coefficients;
-    let mut f = [T::of(c[p.terms - 1]), T::ZERO, T::ZERO];
-    downwards!(p.terms, k => f = [f[2].mul_add(m3, T::of(c[k])), f[2].mul_add(m2, f[0]), f[1]]);
+    let mut f = [T::from_f64(c[p.terms - 1]), T::ZERO, T::ZERO];
+    downwards!(p.terms, k => f = [f[2].mul_add(m3, T::from_f64(c[k])), f[2].mul_add(m2, f[0]), f[1]]);
     [f[2] * m3, f[2].mul_add(m2, f[0]), f[1]]
 }
 
 /// [`horner`], and the derivatives with respect to `m2` and `m3`.
 #[inline(always)]
-pub(crate) fn horner_with_slopes<T: Real>(p: &Series, m2: T, m3: T) -> ([T; 3], [[T; 3]; 2]) {
+pub(crate) fn horner_with_slopes<T: Real>(p: &Polynomial, m2: T, m3: T) -> ([T; 3], [[T; 3]; 2]) {
     let (c, zero) = (&p.coefficients, [T::ZERO; 3]);
-    let mut f = [T::of(c[p.terms - 1]), T::ZERO, T::ZERO];
+    let mut f = [T::from_f64(c[p.terms - 1]), T::ZERO, T::ZERO];
     let (mut by_m2, mut by_m3) = (zero, zero);
     downwards!(p.terms, k => {
         by_m2 = [by_m2[2] * m3, by_m2[2].mul_add(m2, by_m2[0] + f[2]), by_m2[1]];
         by_m3 = [by_m3[2].mul_add(m3, f[2]), by_m3[2].mul_add(m2, by_m3[0]), by_m3[1]];
-        f = [f[2].mul_add(m3, T::of(c[k])), f[2].mul_add(m2, f[0]), f[1]];
+        f = [f[2].mul_add(m3, T::from_f64(c[k])), f[2].mul_add(m2, f[0]), f[1]];
     });
     by_m2 = [by_m2[2] * m3, by_m2[2].mul_add(m2, by_m2[0] + f[2]), by_m2[1]];
     by_m3 = [by_m3[2].mul_add(m3, f[2]), by_m3[2].mul_add(m2, by_m3[0]), by_m3[1]];

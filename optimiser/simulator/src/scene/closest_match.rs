@@ -4,7 +4,7 @@
 const ALIKE: f64 = 0.7;
 
 /// The one of `known` that is most like `word`; none if nothing is like it.
-pub fn nearest<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+pub fn closest_match<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     let likeness = |candidate: &str| strsim::jaro(&word.to_lowercase(), &candidate.to_lowercase());
     let alike = known.into_iter().map(|candidate| (candidate, likeness(candidate)));
     let alike = alike.filter(|(_, likeness)| *likeness > ALIKE);
@@ -13,7 +13,7 @@ pub fn nearest<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> Opti
 
 /// The question that ends a refusal of `word`, after a semicolon; empty if nothing is like it.
 pub(super) fn did_you_mean<'a>(word: &str, known: impl IntoIterator<Item = &'a str>) -> String {
-    nearest(word, known).map_or_else(String::new, |meant| format!("; did you mean `{meant}`?"))
+    closest_match(word, known).map_or_else(String::new, |meant| format!("; did you mean `{meant}`?"))
 }
 
 #[cfg(test)]
@@ -24,7 +24,7 @@ mod tests {
     fn the_likest_word_is_meant_or_none() {
         let known = ["bench", "bench-small", "bench-fine"];
         for (word, meant) in [("bnch", "bench"), ("BENCH", "bench"), ("bench_smal", "bench-small")] {
-            assert_eq!(nearest(word, known), Some(meant), "{word}");
+            assert_eq!(closest_match(word, known), Some(meant), "{word}");
         }
         for word in ["", "x", "fine-bench", "kitchen sink"] {
             assert_eq!(did_you_mean(word, known), "", "{word}");
