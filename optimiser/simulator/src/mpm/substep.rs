@@ -283,10 +283,10 @@ impl<T: Real> Workspace<T> {
         self.timings.mark(Stage::GridToParticles);
         state.rest = rest;
         state.stale = seen.iter().any(|seen| !seen.inside) || state.age >= SORT_EVERY;
-        let freshened = state.sort_if_due(model, &mut self.spare);
+        let sorted = state.sort_if_due(model, &mut self.spare);
         sleep::fall_asleep(model, &state.layout, &state.particles.groups, &mut state.rest);
         self.timings.mark(Stage::Sort);
-        freshened
+        sorted
     }
 
     /// Material, scatter and grid update; leaves momentum and velocity in the workspace.
