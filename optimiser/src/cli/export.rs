@@ -247,7 +247,7 @@ impl ExportArgs {
 
     fn film<'a>(&self, task: &'a Task) -> Result<Film<'a>, CliError> {
         let every = f64::from(self.powder.every.unwrap_or(DEFAULT_EVERY));
-        Film::new(task, every * task.scene.time.control_period_s())
+        Film::new(task, every * task.scene.time.control_period_s(), |_| 0)
     }
 
     fn write_series(&self, format: Format, context: &mut Context<'_>) -> Result<(), CliError> {

@@ -222,6 +222,15 @@ impl Place {
     }
 }
 
+/// What is in a place.
+fn names(place: &Place) -> Vec<String> {
+    let entries = fs::read_dir(place.0.path()).unwrap();
+    let mut names: Vec<_> =
+        entries.map(|entry| entry.unwrap().file_name().to_string_lossy().into_owned()).collect();
+    names.sort();
+    names
+}
+
 /// The metrics without the wall times.
 fn metrics(folder: &str) -> Vec<Value> {
     let text = fs::read_to_string(Path::new(folder).join(METRICS)).unwrap();
@@ -421,6 +430,31 @@ fn what_cannot_be_done_is_refused_before_anything_runs() {
         let checked = optimise(&["check", &file]);
         assert_eq!(checked.code, 2);
         assert!(checked.err.contains(about) && checked.out.contains("cannot be done"), "{}", checked.err);
+    }
+}
+
+#[test]
+fn what_memory_does_not_hold_is_refused_before_anything_is_written() {
+    let place = Place::new();
+    let run = place.finished("run", 1);
+    let (plan, out) = (format!("{run}/skill.plan"), place.text("out"));
+    let (page, sentence) = (format!("{run}/report.html"), "a memory budget of 1 MiB is too little");
+    let export = |format| ["export", &plan, "--format", format, "--particles", "--out", &out];
+    for words in [
+        &["report", &run][..],
+        &["report", &plan, "--out", &out],
+        &["render", "--plan", &plan, "--out", &out],
+        &export("vtk"),
+        &export("ply"),
+        &export("csv"),
+        &export("mcap"),
+    ] {
+        let done = optimise(&[words, &["--memory", "1MiB"]].concat());
+        assert_sentence(&done, 2, sentence);
+        // A page holds the replay beside the simulation.
+        assert_eq!(done.err.contains("what is made of it"), words[0] == "report", "{}", done.err);
+        assert_eq!(names(&place), ["run"], "{words:?}");
+        assert!(!Path::new(&page).exists());
     }
 }
 

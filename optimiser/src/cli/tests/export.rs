@@ -20,14 +20,6 @@ fn export(plan: &str, format: &str, more: &[&str]) -> Done {
     optimise(&[&["export", plan, "--format", format], more].concat())
 }
 
-fn names(place: &Place) -> Vec<String> {
-    let entries = fs::read_dir(place.0.path()).unwrap();
-    let mut names: Vec<_> =
-        entries.map(|entry| entry.unwrap().file_name().to_string_lossy().into_owned()).collect();
-    names.sort();
-    names
-}
-
 // --- motions ---
 
 #[test]
