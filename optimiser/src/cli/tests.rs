@@ -254,6 +254,34 @@ fn assert_sentence(done: &Done, code: u8, about: &str) {
     assert!(done.out.is_empty(), "{}", done.out);
 }
 
+/// A writer whose reader went away.
+struct Closed;
+
+impl Write for Closed {
+    fn write(&mut self, _: &[u8]) -> io::Result<usize> {
+        Err(io::ErrorKind::BrokenPipe.into())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// That the command ends and says nothing where nobody reads standard output.
+fn assert_unread(arguments: &[&str]) {
+    let mut err = Vec::new();
+    let mut context = Context {
+        factory: &|_, _| unreachable!(),
+        interrupt: Interrupt::default(),
+        out: &mut Closed,
+        err: &mut err,
+        live: false,
+    };
+    let ended = execute(["optimise"].iter().chain(arguments), &mut context).unwrap_err();
+    assert_eq!((ended.code(), &ended), (141, &CliError::Unread), "{arguments:?}");
+    assert!(err.is_empty(), "{arguments:?}");
+}
+
 #[test]
 fn arguments_are_consistent() {
     use clap::CommandFactory;
