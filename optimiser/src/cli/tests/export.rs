@@ -50,6 +50,13 @@ fn what_was_written_is_said_in_json_too() {
     assert_eq!((&said["format"], &said["motion"]["ticks"]), (&"csv".into(), &100.into()));
     assert!(said["arm"]["limit_use"]["linear_velocity"].as_f64().is_some_and(|share| share <= 1.0), "{said}");
     assert!(said["powder"].is_null());
+    // Of the arm it says what a motion in JSON says, and more.
+    let motion: Value =
+        serde_json::from_str(&export(&plan, "json", &[&ARM[..], &["--out", "-"]].concat()).out).unwrap();
+    assert_eq!((&motion["arm"]["model"], &motion["arm"]["elbow_up"]), (&"ur5e".into(), &true.into()));
+    for (key, value) in motion["arm"].as_object().unwrap() {
+        assert_eq!(&said["arm"][key], value, "{key}");
+    }
     let both = export(&plan, "csv", &["--json", "--out", "-"]);
     assert!(both.code == 2 && both.err.contains("would both go to standard output"), "{}", both.err);
 }
