@@ -417,8 +417,15 @@ fn every_place_says_the_same_of_a_run_also_when_epochs_were_passed_over() {
     }
     let again = optimise(&["--resume", &folder]).out;
     let inspected = optimise(&["inspect", &format!("{folder}/skill.plan")]).out;
+    let written = std::time::UNIX_EPOCH + std::time::Duration::from_secs(1_700_000_000);
+    let plan = fs::File::options().write(true).open(format!("{folder}/skill.plan")).unwrap();
+    plan.set_modified(written).unwrap();
     assert_eq!(optimise(&["report", &folder]).code, 0);
     let page = String::from_utf8(bytes(&folder, "report.html")).unwrap();
+    assert!(
+        page.contains("<dt>Date</dt><dd>2023-11-14, 22:13 UTC</dd>"),
+        "the date that the plan was written"
+    );
     let curves = String::from_utf8(bytes(&folder, CURVES)).unwrap();
     let mass = powderline_simulator::scene::figures::mass(1e-3 * grams);
     for (name, text) in [("terminal", &again), ("inspect", &inspected), ("page", &page)] {
