@@ -127,7 +127,7 @@ fn node_blocks(scene: &Scene) -> usize {
     (edge + 2.0).powi(3).ceil() as usize
 }
 
-/// Estimates the need of a gradient for each of [`PASSES`], with so many threads.
+/// Estimates the need of a gradient for 1 to 4 passes over each substep, with so many threads.
 pub fn estimate_memory(scene: &Scene, precision: Precision, threads: usize) -> [MemoryEstimate; 4] {
     let sizes = Sizes::new(scene, precision, threads);
     PASSES.map(|passes| {

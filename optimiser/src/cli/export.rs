@@ -247,7 +247,7 @@ impl ExportArgs {
 
     fn film<'a>(&self, task: &'a Task) -> Result<Film<'a>, CliError> {
         let every = f64::from(self.powder.every.unwrap_or(DEFAULT_EVERY));
-        Film::new(task, every * task.scene.time.control_period_s())
+        Film::new(task, every * task.scene.time.control_period_s(), |_| 0)
     }
 
     fn write_series(&self, format: Format, context: &mut Context<'_>) -> Result<(), CliError> {
@@ -408,12 +408,11 @@ impl From<&Bench> for Frames {
     }
 }
 
-/// What the arm has to do.
+/// The arm, and what it has to do.
 #[derive(Debug, Serialize)]
 struct ArmUse {
-    model: &'static str,
-    reaches_forward: bool,
-    elbow_is_up: bool,
+    #[serde(flatten)]
+    arm: table::Arm,
     /// The joint that comes nearest to its speed, from 1.
     fastest_joint: usize,
     speed_rad_s: f64,
@@ -428,9 +427,7 @@ impl From<&ArmMotion> for ArmUse {
     fn from(arm: &ArmMotion) -> Self {
         let Figures { fastest_joint, speed_rad_s, singular_joint, margin, limit_use } = arm.figures;
         Self {
-            model: "UR5e",
-            reaches_forward: arm.model.posture.reaches_forward,
-            elbow_is_up: arm.model.posture.elbow_is_up(),
+            arm: table::Arm::from(&arm.model),
             fastest_joint,
             speed_rad_s,
             singular_joint,

@@ -24,11 +24,16 @@ pub(super) struct Film<'a> {
 }
 
 impl<'a> Film<'a> {
-    /// With frames about `period_s` apart: every so many control steps, every one at least.
+    /// With frames about `period_s` apart: every so many control steps, every one at least. `besides_bytes` is what is made of
+    /// such a bench beside the simulation. To be called before anything is written: it refuses what memory does not hold.
     ///
     /// # Errors
-    /// The skill is no motion.
-    pub(super) fn new(task: &'a Task, period_s: f64) -> Result<Self, CliError> {
+    /// The skill is no motion, or the memory will not do.
+    pub(super) fn new(
+        task: &'a Task,
+        period_s: f64,
+        besides_bytes: fn(&Bench) -> u64,
+    ) -> Result<Self, CliError> {
         let map = SkillMap::new(&task.scene);
         let start = *map.start_pose();
         let (anchor, controls, planned) = match &task.motion {
@@ -39,7 +44,9 @@ impl<'a> Film<'a> {
             }
         };
         let every = (period_s / task.scene.time.control_period_s()).round().max(1.0) as usize;
-        Ok(Self { task, anchor, controls, planned, every })
+        let film = Self { task, anchor, controls, planned, every };
+        check_memory(&task.scene, &task.settings, Workload::Single, besides_bytes(&film.bench()))?;
+        Ok(film)
     }
 
     /// Length of the motion, seconds.
@@ -54,14 +61,6 @@ impl<'a> Film<'a> {
         view::bench(scene, scene.particle_count(), self.controls.len() / self.every + 1, period_s)
     }
 
-    /// Whether memory will do for the simulation and so many bytes for what is made of it.
-    ///
-    /// # Errors
-    /// If not.
-    pub(super) fn check_memory(&self, besides_bytes: u64) -> Result<(), CliError> {
-        Ok(check_memory(&self.task.scene, &self.task.settings, Workload::Single, besides_bytes)?)
-    }
-
     /// Simulates, and shows every frame to the sink.
     ///
     /// # Errors
@@ -71,7 +70,6 @@ impl<'a> Film<'a> {
         sink: &mut (dyn Sink + Send),
         context: &mut Context<'_>,
     ) -> Result<Evaluation, CliError> {
-        self.check_memory(0)?;
         let Self { task, anchor, controls, planned, every } = self;
         let mut simulator = (context.factory)(&task.scene, &task.settings)?;
         let interrupt = context.interrupt.clone();

@@ -104,7 +104,7 @@ impl Both {
 pub(super) fn execute(arguments: &RenderArgs, context: &mut Context<'_>) -> Result<(), CliError> {
     let task = arguments.motion.task()?;
     // Every control step: what moment is nearest to the one that was asked for is seen then.
-    let film = Film::new(&task, 0.0)?;
+    let film = Film::new(&task, 0.0, |_| 0)?;
     let bench = film.bench();
     let (camera, look) = (arguments.camera(), arguments.look(&bench));
     let times = arguments.times(film.duration_s())?;

@@ -104,10 +104,8 @@ pub(super) fn execute(arguments: &ReportArgs, context: &mut Context<'_>) -> Resu
     };
     let mut replayed = None;
     if let Some(task) = task.filter(|_| !arguments.no_replay) {
-        let film = Film::new(&task, PERIOD_S)?;
-        let bench = film.bench();
-        film.check_memory(Recorder::most_bytes(&bench))?;
-        let mut recorder = Recorder::new(&bench);
+        let film = Film::new(&task, PERIOD_S, Recorder::most_bytes)?;
+        let mut recorder = Recorder::new(&film.bench());
         let found = film.shoot(&mut recorder, context)?;
         page.replay = recorder.into_replay();
         let amounts = Amounts::from(&task.scene);

@@ -222,6 +222,15 @@ impl Place {
     }
 }
 
+/// What is in a place.
+fn names(place: &Place) -> Vec<String> {
+    let entries = fs::read_dir(place.0.path()).unwrap();
+    let mut names: Vec<_> =
+        entries.map(|entry| entry.unwrap().file_name().to_string_lossy().into_owned()).collect();
+    names.sort();
+    names
+}
+
 /// The metrics without the wall times.
 fn metrics(folder: &str) -> Vec<Value> {
     let text = fs::read_to_string(Path::new(folder).join(METRICS)).unwrap();
@@ -243,6 +252,34 @@ fn assert_sentence(done: &Done, code: u8, about: &str) {
     assert_eq!(done.code, code, "{}", done.err);
     assert!(sentence.contains(about), "`{about}` in: {sentence}");
     assert!(done.out.is_empty(), "{}", done.out);
+}
+
+/// A writer whose reader went away.
+struct Closed;
+
+impl Write for Closed {
+    fn write(&mut self, _: &[u8]) -> io::Result<usize> {
+        Err(io::ErrorKind::BrokenPipe.into())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// That the command ends and says nothing where nobody reads standard output.
+fn assert_unread(arguments: &[&str]) {
+    let mut err = Vec::new();
+    let mut context = Context {
+        factory: &|_, _| unreachable!(),
+        interrupt: Interrupt::default(),
+        out: &mut Closed,
+        err: &mut err,
+        live: false,
+    };
+    let ended = execute(["optimise"].iter().chain(arguments), &mut context).unwrap_err();
+    assert_eq!((ended.code(), &ended), (141, &CliError::Unread), "{arguments:?}");
+    assert!(err.is_empty(), "{arguments:?}");
 }
 
 #[test]
@@ -380,8 +417,15 @@ fn every_place_says_the_same_of_a_run_also_when_epochs_were_passed_over() {
     }
     let again = optimise(&["--resume", &folder]).out;
     let inspected = optimise(&["inspect", &format!("{folder}/skill.plan")]).out;
+    let written = std::time::UNIX_EPOCH + std::time::Duration::from_secs(1_700_000_000);
+    let plan = fs::File::options().write(true).open(format!("{folder}/skill.plan")).unwrap();
+    plan.set_modified(written).unwrap();
     assert_eq!(optimise(&["report", &folder]).code, 0);
     let page = String::from_utf8(bytes(&folder, "report.html")).unwrap();
+    assert!(
+        page.contains("<dt>Date</dt><dd>2023-11-14, 22:13 UTC</dd>"),
+        "the date that the plan was written"
+    );
     let curves = String::from_utf8(bytes(&folder, CURVES)).unwrap();
     let mass = powderline_simulator::scene::figures::mass(1e-3 * grams);
     for (name, text) in [("terminal", &again), ("inspect", &inspected), ("page", &page)] {
@@ -421,6 +465,31 @@ fn what_cannot_be_done_is_refused_before_anything_runs() {
         let checked = optimise(&["check", &file]);
         assert_eq!(checked.code, 2);
         assert!(checked.err.contains(about) && checked.out.contains("cannot be done"), "{}", checked.err);
+    }
+}
+
+#[test]
+fn what_memory_does_not_hold_is_refused_before_anything_is_written() {
+    let place = Place::new();
+    let run = place.finished("run", 1);
+    let (plan, out) = (format!("{run}/skill.plan"), place.text("out"));
+    let (page, sentence) = (format!("{run}/report.html"), "a memory budget of 1 MiB is too little");
+    let export = |format| ["export", &plan, "--format", format, "--particles", "--out", &out];
+    for words in [
+        &["report", &run][..],
+        &["report", &plan, "--out", &out],
+        &["render", "--plan", &plan, "--out", &out],
+        &export("vtk"),
+        &export("ply"),
+        &export("csv"),
+        &export("mcap"),
+    ] {
+        let done = optimise(&[words, &["--memory", "1MiB"]].concat());
+        assert_sentence(&done, 2, sentence);
+        // A page holds the replay beside the simulation.
+        assert_eq!(done.err.contains("what is made of it"), words[0] == "report", "{}", done.err);
+        assert_eq!(names(&place), ["run"], "{words:?}");
+        assert!(!Path::new(&page).exists());
     }
 }
 

@@ -47,7 +47,7 @@ fn seeds() -> Vec<Vec<u8>> {
     let plain = |text: &str| -> String {
         text.lines().filter(|line| !line.starts_with('#')).map(|line| line.to_owned() + "\n").collect()
     };
-    let base = plain(include_str!("../../../optimiser/tests/scene/base.toml"));
+    let base = plain(include_str!("../../../optimiser/simulator/tests/scene/base.toml"));
     let scenes = EMBEDDED_SCENES.map(|(_, text)| plain(text));
     let values: Vec<&str> =
         scenes[1].lines().filter_map(|line| line.split_once(" = ")).map(|(_, value)| value).collect();

@@ -36,11 +36,11 @@ const SLOW: Reading = [1, 1];
 
 /// What the elementary functions of a type cost: operations, and how many of them are divisions and square roots.
 pub trait Elementary: Real {
-    /// Of [`Arithmetic::ln_1p`].
+    /// Of `ln(1 + x)`.
     const LN_1P: [u64; 2];
-    /// Of [`Arithmetic::exp_m1`].
+    /// Of `exp(x) - 1`.
     const EXP_M1: [u64; 2];
-    /// Of [`Arithmetic::nearest`].
+    /// Of the nearest integer.
     const NEAREST: [u64; 2] = [2, 0];
 }
 

@@ -8,7 +8,7 @@
 //!
 //! Kernels are written for one particle and looped over the lanes of a group; the loop is what becomes vector
 //! instructions, with the widest instruction set found at run time. Where a product and a sum are rounded once, the kernels
-//! say so ([`Arithmetic::mul_add`]), and nothing else is contracted: the bits are the same on every machine.
+//! say so (`mul_add`), and nothing else is contracted: the bits are the same on every machine.
 
 #![expect(
     clippy::needless_range_loop,

@@ -35,7 +35,8 @@ impl<T: Real> BufferPool<T> {
         take(&mut self.groups, count, Group::ZERO)
     }
 
-    /// The same, for what is no longer needed.
+    /// Makes `groups` `count` long. If it has no room for so many, a spare vector that has, or a new one, takes its place, and the
+    /// old one becomes spare. What is in it afterwards is not to be looked at.
     pub(crate) fn fit_groups(&mut self, groups: &mut Vec<Group<T>>, count: usize) {
         if groups.capacity() < count {
             let larger = self.acquire_groups(count);
@@ -44,7 +45,7 @@ impl<T: Real> BufferPool<T> {
         fit(groups, count, Group::ZERO);
     }
 
-    /// The same with what is on blocks of nodes.
+    /// The same for what is on blocks of nodes.
     pub(crate) fn fit_nodes(&mut self, nodes: &mut Vec<Nodes<T>>, count: usize) {
         const fn zero<T: Real>() -> Nodes<T> {
             [[T::ZERO; 4]; BLOCK_NODES]

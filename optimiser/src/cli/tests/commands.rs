@@ -91,33 +91,10 @@ fn what_is_no_mistyped_command_is_left_alone() {
     assert_eq!(mistyped(None), Ok(()));
 }
 
-/// A writer whose reader went away.
-struct Closed;
-
-impl Write for Closed {
-    fn write(&mut self, _: &[u8]) -> io::Result<usize> {
-        Err(io::ErrorKind::BrokenPipe.into())
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
-    }
-}
-
 #[test]
 fn where_nobody_reads_the_command_ends_and_says_nothing() {
     for arguments in [&["check"][..], &["check", "--json"], &["scenes"], &["completions", "zsh"]] {
-        let mut err = Vec::new();
-        let mut context = Context {
-            factory: &|_, _| unreachable!(),
-            interrupt: Interrupt::default(),
-            out: &mut Closed,
-            err: &mut err,
-            live: false,
-        };
-        let ended = execute(["optimise"].iter().chain(arguments), &mut context).unwrap_err();
-        assert_eq!((ended.code(), &ended), (141, &CliError::Unread), "{arguments:?}");
-        assert!(err.is_empty(), "{arguments:?}");
+        assert_unread(arguments);
     }
 }
 

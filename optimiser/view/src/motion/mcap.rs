@@ -99,10 +99,9 @@ impl<W: Write> Messages<W> {
     }
 
     fn write_metadata(&mut self, motion: &Motion) -> io::Result<()> {
-        let digest: String = motion.scene_digest.iter().map(|byte| format!("{byte:02x}")).collect();
         let metadata = [
             ("plan_hash", format!("{:016x}", motion.plan_hash)),
-            ("scene_digest", digest),
+            ("scene_digest", motion.digest_text()),
             ("optimiser_version", motion.version_text()),
             ("period_us", motion.period_us.to_string()),
         ];

@@ -98,6 +98,11 @@ impl Motion {
         format!("{major}.{minor}.{patch}")
     }
 
+    /// Digest of the scene, hexadecimal.
+    fn digest_text(&self) -> String {
+        self.scene_digest.iter().map(|byte| format!("{byte:02x}")).collect()
+    }
+
     fn period_s(&self) -> f64 {
         f64::from(self.period_us) / 1e6
     }

@@ -16,7 +16,6 @@ use std::io::{self, Write};
 
 use powderline_shared::arm::ArmModel;
 use powderline_shared::plan::StartPose;
-use powderline_shared::pose::Pose;
 use serde::ser::{Serialize, SerializeMap, Serializer};
 
 use super::Motion;
@@ -76,39 +75,45 @@ struct Document<'a> {
     motion: Columns<'a>,
 }
 
-#[derive(serde::Serialize)]
-struct Arm {
-    model: &'static str,
-    world_from_base: StartPose,
-    flange_from_tool: StartPose,
-    reaches_forward: bool,
-    elbow_up: bool,
-    wrist_positive: bool,
+/// An arm and how it stands, as JSON says it.
+#[derive(Clone, Copy, Debug, PartialEq, serde::Serialize)]
+pub struct Arm {
+    /// Name, as the command line takes it.
+    pub model: &'static str,
+    /// Base in the world: metres, unit quaternion (w, x, y, z).
+    pub world_from_base: StartPose,
+    /// Plan's tool frame in the flange, likewise.
+    pub flange_from_tool: StartPose,
+    /// Whether it reaches forward, not backward over its base.
+    pub reaches_forward: bool,
+    /// Whether its elbow is up, not down.
+    pub elbow_up: bool,
+    /// Whether the sine of joint 5 is positive.
+    pub wrist_positive: bool,
 }
 
 impl<'a> Document<'a> {
     fn new(motion: &'a Motion) -> Self {
         Self {
             plan_hash: format!("{:016x}", motion.plan_hash),
-            scene_digest: motion.scene_digest.iter().map(|byte| format!("{byte:02x}")).collect(),
+            scene_digest: motion.digest_text(),
             optimiser_version: motion.version_text(),
             period_s: motion.period_s(),
             steps: motion.last_tick(),
             translation_lsb_m: motion.lsb.translation_m(),
             rotation_lsb_rad: motion.lsb.rotation_rad(),
-            arm: motion.arm.as_ref().map(|arm| Arm::new(&arm.model)),
+            arm: motion.arm.as_ref().map(|arm| Arm::from(&arm.model)),
             motion: Columns(motion),
         }
     }
 }
 
-impl Arm {
-    fn new(model: &ArmModel) -> Self {
-        let pose = |pose: &Pose| StartPose::from(pose);
+impl From<&ArmModel> for Arm {
+    fn from(model: &ArmModel) -> Self {
         Self {
             model: "ur5e",
-            world_from_base: pose(&model.world_from_base),
-            flange_from_tool: pose(&model.flange_from_tool),
+            world_from_base: StartPose::from(&model.world_from_base),
+            flange_from_tool: StartPose::from(&model.flange_from_tool),
             reaches_forward: model.posture.reaches_forward,
             elbow_up: model.posture.elbow_is_up(),
             wrist_positive: model.posture.wrist_positive,
