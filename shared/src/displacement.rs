@@ -20,71 +20,13 @@ use core::fmt;
 use nalgebra::{UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
+pub use crate::pose::Displacement;
 use crate::pose::{Pose, exp_so3, log_so3, norm, renormalised};
 
 /// Largest LSB that is accepted: 1 mm, 1 mrad.
 pub const LSB_MAX: u32 = 1_000_000;
 
 const NANO_PER_UNIT: f64 = 1e9;
-
-/// Control of one step: translation and rotation vector, both in world axes.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Displacement {
-    /// Translation, metres.
-    pub translation_m: [f64; 3],
-    /// Rotation vector (axis times angle), radians.
-    pub rotation_rad: [f64; 3],
-}
-
-impl Displacement {
-    /// Translation as a vector, metres.
-    #[must_use]
-    pub fn translation(&self) -> Vector3<f64> {
-        Vector3::from(self.translation_m)
-    }
-
-    /// Rotation vector, radians.
-    #[must_use]
-    pub fn rotation(&self) -> Vector3<f64> {
-        Vector3::from(self.rotation_rad)
-    }
-
-    /// The six numbers in the order of [`Axis::ALL`].
-    #[must_use]
-    pub fn components(&self) -> [f64; 6] {
-        let [x, y, z] = self.translation_m;
-        let [rx, ry, rz] = self.rotation_rad;
-        [x, y, z, rx, ry, rz]
-    }
-}
-
-impl From<[f64; 6]> for Displacement {
-    /// From the six numbers in the order of [`Axis::ALL`].
-    fn from([x, y, z, rx, ry, rz]: [f64; 6]) -> Self {
-        Self { translation_m: [x, y, z], rotation_rad: [rx, ry, rz] }
-    }
-}
-
-impl Pose {
-    /// The pose after a displacement in world axes: (p + dp, exp(dr) R).
-    #[must_use]
-    pub fn displaced(&self, displacement: &Displacement) -> Self {
-        Self {
-            position_m: self.position_m + displacement.translation(),
-            orientation: renormalised(exp_so3(&displacement.rotation()) * self.orientation),
-        }
-    }
-
-    /// The displacement in world axes that takes `self` to `next`, inverse of [`Pose::displaced`].
-    #[must_use]
-    pub fn displacement_to(&self, next: &Self) -> Displacement {
-        let rotation = log_so3(&(next.orientation * self.orientation.inverse()));
-        Displacement {
-            translation_m: (next.position_m - self.position_m).into(),
-            rotation_rad: rotation.into(),
-        }
-    }
-}
 
 /// One of the six numbers of a displacement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

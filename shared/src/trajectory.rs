@@ -269,7 +269,7 @@ impl<'a> Words<'a> {
             return Err(TrajectoryError::NotUnit { line, norm });
         }
         let pose = StartPose { position_m: [x, y, z], orientation_wxyz: [qw, qx, qy, qz] };
-        Ok(Sample { tick, pose: Pose::from(&pose) })
+        Ok(Sample { tick, pose: pose.pose() })
     }
 
     fn coordinate(&mut self, field: &'static str) -> Result<f64, TrajectoryError> {

@@ -8,7 +8,6 @@ use powderline_shared::plan::{
     Crc32, FORMAT_VERSION, MAX_STEPS, PlanError, PlanHeader, PlanReader, PlanSummary, PlanWriter, Precision,
     SliceSink, StartPose, Version, WriteError,
 };
-use powderline_shared::pose::Pose;
 use proptest::prelude::*;
 
 const GOLDEN: &[u8] = include_bytes!("golden/plan-v1.plan");
@@ -109,7 +108,7 @@ fn the_end_is_where_the_steps_lead() {
     let end = plan.end_setpoint();
     assert_eq!(plan.setpoints().last(), Some(end));
     assert_eq!(end.tick, STEPS);
-    assert_eq!(plan.end_pose(), pose_at(&Pose::from(&header(STEPS).start), end, Lsb::default()));
+    assert_eq!(plan.end_pose(), pose_at(&header(STEPS).start.pose(), end, Lsb::default()));
     assert!((plan.end_pose().position_m.x - 0.2).abs() < 0.5e-7 * 1.001);
 }
 

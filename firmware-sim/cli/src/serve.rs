@@ -33,7 +33,7 @@ const REOPEN_US: u64 = 250_000;
 pub fn bench_start() -> Pose {
     let (sine, cosine) = (START_PITCH_RAD / 2.0).sin_cos();
     let orientation_wxyz = [cosine, 0.0, sine, 0.0];
-    Pose::from(&StartPose { position_m: [0.0455, 0.048, 0.066], orientation_wxyz })
+    StartPose { position_m: [0.0455, 0.048, 0.066], orientation_wxyz }.pose()
 }
 
 const START_PITCH_RAD: f64 = 80.0 / 180.0 * std::f64::consts::PI;

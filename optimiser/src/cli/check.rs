@@ -9,7 +9,7 @@ use serde::Serialize;
 use super::CliError;
 use crate::report::{
     amounts::{Amounts, percent},
-    words::grouped,
+    words::{grouped, hex},
 };
 use powderline_shared::plan::Precision;
 use powderline_simulator::memory::{MemoryEstimate, estimate_memory};
@@ -106,7 +106,7 @@ impl CheckReport {
         let threads = std::thread::available_parallelism().map_or(1, usize::from);
         Self {
             scene: scene.name.clone(),
-            digest: scene.digest().iter().map(|byte| format!("{byte:02x}")).collect(),
+            digest: hex(&scene.digest()),
             particles: scene.particle_count(),
             amounts: scene.into(),
             tool_capacity: scene.tool_capacity(),

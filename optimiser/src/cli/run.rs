@@ -377,7 +377,7 @@ impl Run {
         if json {
             context.json(&Report { folder: self.folder.path(), plan: path, finding: &finding })?;
         } else {
-            write!(context.out, "\n{}", finding.text(&self.record))?;
+            write!(context.out, "\n{}", finding.text(self.record.skills()))?;
             writeln!(context.out, "\nThe curves are in {}.", self.folder.file(CURVES).display())?;
             write!(context.out, "{}", next::play(&path))?;
         }

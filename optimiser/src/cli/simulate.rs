@@ -93,7 +93,7 @@ struct PlanReport {
 /// One sentence; also when a plan's loss or indicator is not reproduced exactly.
 pub(super) fn execute(arguments: &SimulateArgs, context: &mut Context<'_>) -> Result<(), CliError> {
     let task = arguments.motion.task()?;
-    let report = task.simulate(context)?;
+    let report = Report::of(&task, context)?;
     if arguments.json {
         context.json(&report)?;
     } else {
@@ -107,10 +107,10 @@ pub(super) fn execute(arguments: &SimulateArgs, context: &mut Context<'_>) -> Re
     }
 }
 
-impl Task {
-    fn simulate(&self, context: &mut Context<'_>) -> Result<Report, CliError> {
-        check_memory(&self.scene, &self.settings, Workload::Single, 0)?;
-        let mut simulator = (context.factory)(&self.scene, &self.settings)?;
+impl Report {
+    fn of(task: &Task, context: &mut Context<'_>) -> Result<Self, CliError> {
+        check_memory(&task.scene, &task.settings, Workload::Single, 0)?;
+        let mut simulator = (context.factory)(&task.scene, &task.settings)?;
         let interrupt = context.interrupt.clone();
         let mut progress = Progress::new(context.err, context.live);
         progress.begin("simulating", 0, &[]);
@@ -118,7 +118,7 @@ impl Task {
             progress.tick(done, total);
             !interrupt.is_requested()
         };
-        let result = match &self.motion {
+        let result = match &task.motion {
             Motion::Skill(theta) => simulator.evaluate(theta, false, &mut tick),
             Motion::Plan { controls, .. } => simulator.simulate(controls, &mut tick),
             Motion::Executed { executed, .. } => {
@@ -127,11 +127,11 @@ impl Task {
         };
         progress.clear();
         let seconds = progress.seconds();
-        Ok(self.report(&result?, seconds))
+        Ok(Self::new(task, &result?, seconds))
     }
 
-    fn report(&self, found: &Evaluation, seconds: f64) -> Report {
-        let (theta, plan, executed) = match &self.motion {
+    fn new(task: &Task, found: &Evaluation, seconds: f64) -> Self {
+        let (theta, plan, executed) = match &task.motion {
             Motion::Skill(theta) => (*theta, None, None),
             Motion::Plan { header, content_hash, .. } => {
                 let reproduced = found.loss.to_bits() == header.predicted_loss.to_bits()
@@ -143,14 +143,14 @@ impl Task {
                 (header.theta, Some(plan), Some(executed.report.clone()))
             }
         };
-        let amounts = Amounts::from(&self.scene);
+        let amounts = Amounts::from(&task.scene);
         let outcome = Outcome::of_evaluation(&amounts, found);
-        Report {
-            scene: self.scene.name.clone(),
-            scene_digest: hex(&self.scene.digest()),
-            collision: self.collision().map(CollisionReport::from),
-            seed: self.settings.seed,
-            precision: precision_name(self.settings.precision),
+        Self {
+            scene: task.scene.name.clone(),
+            scene_digest: hex(&task.scene.digest()),
+            collision: task.collision().map(CollisionReport::from),
+            seed: task.settings.seed,
+            precision: precision_name(task.settings.precision),
             theta,
             loss: found.loss,
             indicator: found.indicator,

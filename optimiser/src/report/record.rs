@@ -113,6 +113,13 @@ impl RunRecord {
         Ok(())
     }
 
+    /// The skill parameters at the first epoch and those of the plan, in physical units; those of theta = 0 where there are none.
+    pub fn skills(&self) -> [[f64; 5]; 2] {
+        let first = self.epochs.first().map(|epoch| epoch.record.theta);
+        let plan = self.shipped.map(|plan| plan.theta);
+        [first, plan].map(|theta| self.map.parameters(&theta.unwrap_or_default()))
+    }
+
     /// What was found; nothing before the first epoch.
     pub fn finding(&self) -> Option<Finding> {
         Finding::new(&RunSoFar {

@@ -3,7 +3,6 @@
 use super::{
     amounts::percent,
     finding::{Finding, Outcome},
-    record::RunRecord,
     words::parameter,
 };
 use powderline_shared::plan::SKILL_PARAMETERS;
@@ -82,14 +81,12 @@ impl Finding {
         groups.into_iter().map(sentence).collect()
     }
 
-    /// The result as paragraphs, what was asked for first, then one line per skill parameter.
-    pub fn text(&self, run: &RunRecord) -> String {
+    /// The result as paragraphs, what was asked for first, then one line per skill parameter: those at the first epoch and
+    /// those of the plan, in physical units.
+    pub fn text(&self, skills: [[f64; 5]; 2]) -> String {
         let mut text = String::new();
-        let first = run.epochs.first().map(|epoch| epoch.record.theta);
-        let skills = [first, run.shipped.map(|plan| plan.theta)];
         // Writing to a string does not fail.
-        let _ =
-            self.write_text(&mut text, skills.map(|theta| run.map.parameters(&theta.unwrap_or_default())));
+        let _ = self.write_text(&mut text, skills);
         text
     }
 
@@ -161,7 +158,7 @@ mod tests {
     #[test]
     fn what_was_asked_for_is_said_first() {
         let (finding, run) = found([100, 1190, 1000], None, 1198);
-        let text = finding.text(&run);
+        let text = finding.text(run.skills());
         assert!(
             text.starts_with(
                 "The plan brings 9.584 g (1,198 particles) of the 9.6 g wanted: 0.17 % too little, within the tolerance of 2 %.\n\
@@ -178,7 +175,7 @@ mod tests {
     #[test]
     fn a_miss_reads_like_one_and_says_what_could_help() {
         let (finding, run) = found([1199, 1100, 1201], Some("the tool's handle would pass through it"), 1100);
-        let text = finding.text(&run);
+        let text = finding.text(run.skills());
         assert!(
             text.contains("of the 9.6 g wanted: 8.3 % too little, more than the tolerance of 2 %.\n"),
             "{text}"

@@ -63,12 +63,13 @@ impl From<&Pose> for StartPose {
     }
 }
 
-impl From<&StartPose> for Pose {
+impl StartPose {
     /// Takes the stored numbers as they are, so that the same bits come out on every machine.
-    fn from(start: &StartPose) -> Self {
-        let [w, x, y, z] = start.orientation_wxyz;
-        Self {
-            position_m: Vector3::from(start.position_m),
+    #[must_use]
+    pub fn pose(&self) -> Pose {
+        let [w, x, y, z] = self.orientation_wxyz;
+        Pose {
+            position_m: Vector3::from(self.position_m),
             orientation: UnitQuaternion::new_unchecked(Quaternion::new(w, x, y, z)),
         }
     }
@@ -115,7 +116,7 @@ impl PlanHeader {
     /// The anchor X0.
     #[must_use]
     pub fn start_pose(&self) -> Pose {
-        Pose::from(&self.start)
+        self.start.pose()
     }
 
     /// Checks that every number can be meant.

@@ -62,7 +62,7 @@ impl FromArmRecord {
             Self::Opened { session } => Some(FromArm::Opened { session }),
             Self::Refused { session, reason } => Some(FromArm::Refused { session, reason }),
             Self::Anchored { session, pose } => {
-                is_pose(&pose).then(|| FromArm::Anchored { session, pose: Pose::from(&pose) })
+                is_pose(&pose).then(|| FromArm::Anchored { session, pose: pose.pose() })
             }
         }
     }

@@ -38,7 +38,7 @@ pub fn limits() -> Limits {
 /// Where moves start.
 #[must_use]
 pub fn start() -> Pose {
-    Pose::from(&StartPose { position_m: [0.3, 0.2, 0.4], orientation_wxyz: [0.8, 0.0, 0.6, 0.0] })
+    StartPose { position_m: [0.3, 0.2, 0.4], orientation_wxyz: [0.8, 0.0, 0.6, 0.0] }.pose()
 }
 
 /// One to three moves, each of 0.3 to 0.9 s.

@@ -166,7 +166,7 @@ struct Echo {
 impl Echo {
     fn new(plan: &PlanReader<'_>) -> Self {
         Self {
-            start: Pose::from(&StartPose::from(&plan.header().start_pose())),
+            start: StartPose::from(&plan.header().start_pose()).pose(),
             end_tick: plan.header().step_count,
             state: State::SwitchOnDisabled,
             session: NO_SESSION,
