@@ -11,7 +11,7 @@ use std::fmt::Write as _;
 use nalgebra::Vector3;
 use powderline_shared::plan::Precision;
 use powderline_shared::pose::Pose;
-use powderline_simulator::rollout::{Simulator, SimulatorSettings};
+use powderline_simulator::rollout::{ParticleSimulator, Simulator, SimulatorSettings};
 use powderline_simulator::scene::{ContainerShape, Scene, ToolShape};
 use powderline_simulator::skill::{SegmentKind, SkillMap, Theta};
 

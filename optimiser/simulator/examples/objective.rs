@@ -2,7 +2,7 @@
 //!
 //! How high the powder is on average, which the scene's own loss does not ask for.
 
-use powderline_simulator::rollout::{Simulator, SimulatorSettings};
+use powderline_simulator::rollout::{ParticleSimulator, Simulator, SimulatorSettings};
 use powderline_simulator::scene::Scene;
 use powderline_simulator::skill::SkillMap;
 

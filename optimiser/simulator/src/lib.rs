@@ -34,8 +34,8 @@
 //! # }
 //! ```
 //!
-//! More in `examples/`: a whole skill (`rollout`), the gradient beside a difference (`gradient`), a bench built in code
-//! (`scene_in_code`), a custom tool shape (`tool_of_cuboids`), a custom loss (`objective`), every grain on its way (`grains`).
+//! More in [`examples`]: a whole skill, the gradient beside a difference, a bench built in code, a custom tool shape, a custom
+//! loss, every grain on its way.
 //!
 //! # Data flow
 //!
@@ -51,6 +51,8 @@
 //! from states that were kept and, where memory is short, computed again ([`memory`]).
 //!
 //! # Where each equation lives
+//!
+//! Files are those of the source, below `src/`; what the modules say of themselves is not repeated here.
 //!
 //! | What | Where | Source |
 //! |---|---|---|
@@ -68,7 +70,7 @@
 //!
 //! # Extending
 //!
-//! - **A loss**: no change here; give a function to [`rollout::Simulator::gradient_of_custom_loss`].
+//! - **A loss**: no change here; give a function to [`rollout::ParticleSimulator::gradient_of_custom_loss`].
 //! - **A tool shape**: no change here either, if it can be put together from cuboids: [`scene::ToolShape::Cuboids`]. One that is round:
 //!   a variant of [`scene::ToolShape`] with its fields' ranges in `scene/validate/fields.rs`; its signed distance in
 //!   `shape` (written once: the same code gives normal and curvature); its place in the list of `mpm/obstacle.rs`. The compiler names the
@@ -94,3 +96,43 @@ pub mod skill;
 mod small;
 
 pub use real::Real;
+
+/// The programs in `examples/`: `cargo run --release -p powderline-simulator --example NAME`.
+///
+/// # A whole skill: `rollout`
+///
+/// ```ignore
+#[cfg_attr(doc, doc = include_str!("../examples/rollout.rs"))]
+/// ```
+///
+/// # The gradient beside a difference: `gradient`
+///
+/// ```ignore
+#[cfg_attr(doc, doc = include_str!("../examples/gradient.rs"))]
+/// ```
+///
+/// # A bench built in code: `scene_in_code`
+///
+/// ```ignore
+#[cfg_attr(doc, doc = include_str!("../examples/scene_in_code.rs"))]
+/// ```
+///
+/// # A custom tool shape: `tool_of_cuboids`
+///
+/// ```ignore
+#[cfg_attr(doc, doc = include_str!("../examples/tool_of_cuboids.rs"))]
+/// ```
+///
+/// # A custom loss: `objective`
+///
+/// ```ignore
+#[cfg_attr(doc, doc = include_str!("../examples/objective.rs"))]
+/// ```
+///
+/// # Every grain on its way: `grains`
+///
+/// ```ignore
+#[cfg_attr(doc, doc = include_str!("../examples/grains.rs"))]
+/// ```
+#[cfg(doc)]
+pub mod examples {}

@@ -133,7 +133,7 @@ impl Context<'_> {
 /// The whole program: parses the arguments, runs the command, prints the error if there is one.
 pub fn main() -> ExitCode {
     let mut context = Context {
-        factory: &boxed_simulator,
+        factory: &|scene, settings| Ok(boxed_simulator(scene, settings)?),
         interrupt: Interrupt::install(),
         out: &mut io::stdout(),
         err: &mut io::stderr(),

@@ -1,4 +1,30 @@
-//! What the optimiser asks of a simulator.
+//! Motions of the tool, what the powder makes of them, and the derivative of that.
+//!
+//! [`boxed_simulator`] gives the simulator of a scene in the precision that the settings ask for, [`Simulator::new`] one whose
+//! precision is known when compiling. Both are asked through [`Evaluate`] and [`ParticleSimulator`]:
+//!
+//! | Wanted | Method |
+//! |---|---|
+//! | the loss of a skill, its gradient by the five parameters | [`Evaluate::evaluate`] |
+//! | of several skills, side by side | [`Evaluate::evaluate_all`] |
+//! | the loss of any motion of the tool | [`Evaluate::simulate`] |
+//! | its derivative by every displacement | [`Evaluate::simulate_with_gradient`] |
+//! | the same of a loss of one's own | [`ParticleSimulator::gradient_of_custom_loss`] |
+//! | every grain on the way, and where it ends | [`Evaluate::record`] |
+//! | the grains at the end alone | [`ParticleSimulator::final_positions_m`] |
+//!
+//! A motion is a list of displacements, one for each control step, of any length: an empty one leaves the powder as it has
+//! settled, a longer one than the scene's horizon is simulated to its end. Everything "at the end" is at the end of the motion
+//! given. The motion is taken as it is: neither limits nor walls in the tool's way are looked at
+//! ([`crate::skill::SkillMap::check_limits`], [`crate::skill::collision`]). Before the motion the powder settles for
+//! `time.settle_s` with the tool at its start; that is done once for all motions.
+//!
+//! # What a gradient is good for
+//!
+//! The adjoint is exact: the derivative of the very numbers that the forward pass computes. But the motion of single grains
+//! is chaotic, and the longer the motion, the shorter the range in which that derivative says anything: over some 50 control steps
+//! a difference of 1e-4 agrees with it, over a whole scoop only one of 1e-10 does, in `f64`; in `f32` cotangents of early steps are then off by
+//! rounding alone. [`gradcheck`] and `optimise gradcheck` compare it with differences, for any half-step.
 
 mod branches;
 pub mod gradcheck;
@@ -29,11 +55,11 @@ pub struct Evaluation {
     pub loss: f64,
     /// Target count minus the particles inside the target container at the end.
     pub indicator: i64,
-    /// Particles inside the target container at the end.
+    /// Particles in the target at the end, [`Destination::Target`]; [`Scene::particle_mass_kg`] each.
     pub transported: u32,
-    /// Particles inside no container and not on the tool at the end.
+    /// [`Destination::Spilled`] at the end.
     pub spilled: u32,
-    /// Particles on the tool at the end.
+    /// [`Destination::Tool`] at the end.
     pub on_tool: u32,
     /// Derivative of the loss with respect to theta, when asked for.
     pub gradient: Option<Theta>,
@@ -70,7 +96,7 @@ impl From<Control> for DisplacementGradient {
 /// derivative with respect to each position.
 pub type LossFn<'a> = &'a (dyn Fn(&[[f64; 3]]) -> (f64, Vec<[f64; 3]>) + Sync);
 
-/// Called now and then with work units done and in total; `false` stops the rollout with [`RolloutError::Stopped`].
+/// Called at least once per control step with work units done and in total; `false` stops the rollout with [`RolloutError::Stopped`].
 pub type Progress<'a> = &'a mut (dyn FnMut(u64, u64) -> bool + Send);
 
 /// Powder and tool at one moment of a motion.
@@ -96,7 +122,8 @@ pub struct Recording<'a> {
     pub anchor: &'a Pose,
     /// What it does.
     pub controls: &'a [Displacement],
-    /// Control steps from one snapshot to the next, at least one; the first is that of the beginning.
+    /// Control steps from one snapshot to the next; 0 counts as 1. The first shows the settled powder before the motion, the last
+    /// is the last whole multiple of these steps: the end of the motion, if its length is one.
     pub every: usize,
 }
 
@@ -220,7 +247,7 @@ pub trait Evaluate {
         (0..).zip(thetas).map(one).collect()
     }
 
-    /// Loss of a given control sequence (that of a quantised plan), without gradient.
+    /// Loss of a motion that begins at the scene's start pose: of a skill's controls, of a quantised plan's, or any other.
     ///
     /// # Errors
     /// See [`RolloutError`].
@@ -230,7 +257,8 @@ pub trait Evaluate {
         progress: Progress<'_>,
     ) -> Result<Evaluation, RolloutError>;
 
-    /// Loss of a given control sequence, and its derivative with respect to each displacement.
+    /// The same, and the derivative of the loss with respect to each displacement, the others held. See [what it is good
+    /// for](self#what-a-gradient-is-good-for).
     ///
     /// # Errors
     /// See [`RolloutError`].
@@ -240,7 +268,8 @@ pub trait Evaluate {
         progress: Progress<'_>,
     ) -> Result<(Evaluation, Vec<DisplacementGradient>), RolloutError>;
 
-    /// Loss of a given control sequence for a tool that begins at `anchor` and not at the scene's start pose.
+    /// The same as [`Self::simulate`] for a tool that begins at `anchor` and not at the scene's start pose. Nothing is asked of the
+    /// anchor: a tool that begins within the powder pushes it out while it settles.
     ///
     /// # Errors
     /// See [`RolloutError`].
@@ -251,7 +280,7 @@ pub trait Evaluate {
         progress: Progress<'_>,
     ) -> Result<Evaluation, RolloutError>;
 
-    /// The same, with snapshots on the way; and where each particle is in the end, in the order of the packing.
+    /// [`Self::simulate_from`] with snapshots on the way; and where each particle is in the end, in the order of the packing.
     ///
     /// # Errors
     /// See [`RolloutError`].
@@ -263,16 +292,41 @@ pub trait Evaluate {
     ) -> Result<(Evaluation, Vec<Destination>), RolloutError>;
 }
 
+/// A simulator whose particles can be asked for: what [`boxed_simulator`] gives.
+pub trait ParticleSimulator: Evaluate {
+    /// Positions (m) at the end of a motion that begins at the scene's start pose, in the order of the packing.
+    ///
+    /// # Errors
+    /// See [`RolloutError`].
+    fn final_positions_m(
+        &mut self,
+        controls: &[Displacement],
+        progress: Progress<'_>,
+    ) -> Result<Vec<[f64; 3]>, RolloutError>;
+
+    /// A custom loss at the end of such a motion, and its derivative with respect to each displacement, the others held: per
+    /// metre and per radian, whatever the loss's own unit is.
+    ///
+    /// # Errors
+    /// See [`RolloutError`].
+    fn gradient_of_custom_loss(
+        &mut self,
+        controls: &[Displacement],
+        loss: LossFn<'_>,
+        progress: Progress<'_>,
+    ) -> Result<(f64, Vec<DisplacementGradient>), RolloutError>;
+}
+
 /// How a scene is simulated. Nothing here but seed and precision changes a bit of the result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SimulatorSettings {
-    /// Seed of the packing.
+    /// Seed of the packing; 1 by default. The scene's own `powder.seed` is not looked at.
     pub seed: u64,
-    /// Number format of the powder's state.
+    /// Number format of the powder's state; `f32` by default.
     pub precision: Precision,
-    /// Threads; as many as the machine has processors when not given.
+    /// Threads; by default as many as the machine has processors.
     pub threads: Option<usize>,
-    /// Most memory that the process may take, bytes; checkpoints are chosen to fit.
+    /// Most memory that the process may take, bytes; checkpoints are chosen to fit. 1 GiB by default.
     pub memory_bytes: u64,
 }
 
@@ -309,14 +363,15 @@ pub fn check_memory(
     Err(RolloutError::Memory { given, least, work, besides: besides_bytes > 0, threads })
 }
 
-/// The simulator of a validated scene, in the precision of the settings.
+/// The simulator of a validated scene, in the precision of the settings. What a scene that was not validated does is not defined, a
+/// panic included.
 ///
 /// # Errors
 /// See [`Simulator::new`].
 pub fn boxed_simulator(
     scene: &Scene,
     settings: &SimulatorSettings,
-) -> Result<Box<dyn Evaluate>, RolloutError> {
+) -> Result<Box<dyn ParticleSimulator>, RolloutError> {
     Ok(match settings.precision {
         Precision::F32 => Box::new(Simulator::<f32>::new(scene, settings)?),
         Precision::F64 => Box::new(Simulator::<f64>::new(scene, settings)?),

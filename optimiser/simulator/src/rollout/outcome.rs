@@ -6,13 +6,15 @@ use powderline_shared::pose::Pose;
 /// Where a particle is when all is over.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Destination {
-    /// In the source, or in a container that is neither source nor target.
+    /// In or above the source or another container that is not the target, walls included; or above the target's rim, as
+    /// the top of a heap in a full one.
     Remained,
-    /// In the target.
+    /// In the target: between its inner walls, above its floor and below its rim. Comes first.
     Target,
-    /// On the tool.
+    /// On the tool: in the ball around a bowl's inside, in the box around a scoop's or around cuboids, with as much room above as below. Powder
+    /// around a tool that still stands in the bed counts, too. Comes second.
     Tool,
-    /// In no container and not on the tool.
+    /// Above no container and not on the tool.
     Spilled,
 }
 

@@ -16,8 +16,8 @@ use crate::rollout::branches::{self, Batch, Worker};
 use crate::rollout::path::{Trajectory, resting};
 use crate::rollout::schedule::{Action, advances, schedule};
 use crate::rollout::{
-    Destination, DisplacementGradient, Evaluate, Evaluation, LossFn, Observer, Progress, Recording,
-    RolloutError, SimulatorSettings, Snapshot, loss, outcome, thread_pool,
+    Destination, DisplacementGradient, Evaluate, Evaluation, LossFn, Observer, ParticleSimulator, Progress,
+    Recording, RolloutError, SimulatorSettings, Snapshot, loss, outcome, thread_pool,
 };
 use crate::scene::Scene;
 use crate::skill::{Control, SkillMap, Theta};
@@ -208,21 +208,6 @@ impl<T: Real> Simulator<T> {
         self.in_pool_for(loss, |r| r.gradient(&from.state, &path, reserved_bytes), progress)
     }
 
-    /// A custom loss after the given controls, and its derivative with respect to each displacement, the others held.
-    ///
-    /// # Errors
-    /// See [`RolloutError`].
-    pub fn gradient_of_custom_loss(
-        &mut self,
-        controls: &[Displacement],
-        loss: LossFn<'_>,
-        progress: Progress<'_>,
-    ) -> Result<(f64, Vec<DisplacementGradient>), RolloutError> {
-        let start = self.initial_state(progress)?;
-        let (evaluation, bars) = self.control_gradient_of(Some(loss), &start, controls, progress)?;
-        Ok((evaluation.loss, bars.into_iter().map(DisplacementGradient::from).collect()))
-    }
-
     /// Evaluations after each of several control sequences of one length, side by side.
     pub(crate) fn evaluate_motions(
         &mut self,
@@ -312,18 +297,27 @@ impl<T: Real> Simulator<T> {
         };
         in_first(&self.pool, || job(&mut rollout))
     }
+}
 
-    /// Positions (m) after the given controls, in the order of the packing.
-    ///
-    /// # Errors
-    /// See [`RolloutError`].
-    pub fn final_positions_m(
+impl<T: Real> ParticleSimulator for Simulator<T> {
+    fn final_positions_m(
         &mut self,
         controls: &[Displacement],
         progress: Progress<'_>,
     ) -> Result<Vec<[f64; 3]>, RolloutError> {
         let start = self.initial_state(progress)?;
         Ok(self.advanced(&start, controls, progress)?.state.particles.positions_by_id())
+    }
+
+    fn gradient_of_custom_loss(
+        &mut self,
+        controls: &[Displacement],
+        loss: LossFn<'_>,
+        progress: Progress<'_>,
+    ) -> Result<(f64, Vec<DisplacementGradient>), RolloutError> {
+        let start = self.initial_state(progress)?;
+        let (evaluation, bars) = self.control_gradient_of(Some(loss), &start, controls, progress)?;
+        Ok((evaluation.loss, bars.into_iter().map(DisplacementGradient::from).collect()))
     }
 }
 

@@ -3,8 +3,8 @@
 use powderline_shared::{displacement::Displacement, plan::Precision};
 
 use crate::rollout::{
-    DisplacementGradient, Evaluate, Recording, RolloutError, Simulator, SimulatorSettings, Snapshot,
-    gradcheck,
+    DisplacementGradient, Evaluate, ParticleSimulator, Recording, RolloutError, Simulator, SimulatorSettings,
+    Snapshot, gradcheck,
 };
 use crate::scene::{Aim, Cuboid, Scene, ToolShape};
 use crate::skill::{SkillMap, Theta};

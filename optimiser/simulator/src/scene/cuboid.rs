@@ -11,8 +11,8 @@ pub struct Cuboid {
     pub centre_m: [f64; 3],
     /// Edges along its own x, y, z, metres; each half a cell to 1.
     pub size_m: [f64; 3],
-    /// Roll, pitch and yaw, degrees: turned about the tool's x, then its y, then its z axis; each -360 to 360, zero if
-    /// not given.
+    /// Roll, pitch and yaw, degrees, right-handed: turned about the tool's x, then its y, then its z axis, `Rz Ry Rx`; each -360
+    /// to 360, zero if not given.
     #[serde(default)]
     pub rotation_deg: [f64; 3],
 }

@@ -1,8 +1,32 @@
 //! The description of a bench: what `scene.toml` holds, with SI units in the key names.
 //!
 //! A [`Scene`] that came out of [`Scene::load`] or [`Scene::from_toml`] is valid: every number lies in the
-//! range documented at its field and the fields agree with each other. World frame: z up, floor at z = 0, the
-//! simulated volume is `[0, domain.size_m]`. `scenes/bench.toml` is the commented example.
+//! range documented at its field and the fields agree with each other. One that is built or changed in code is checked by
+//! [`Scene::validate`]. World frame: z up, floor at z = 0, the simulated volume is `[0, domain.size_m]`.
+//!
+//! Four scenes come along:
+//!
+//! | Name | Powder | Cell | Tool |
+//! |---|---|---|---|
+//! | `bench` | 12 g out of one open box into another | 4 mm | bowl, radius 16 mm |
+//! | `bench-small` | the same with a quarter of the particles, for tests | 4 mm | bowl, radius 10 mm |
+//! | `bench-fine` | `bench-small` on cells of half the size | 2 mm | bowl, radius 10 mm |
+//! | `vial` | 1 g of a light powder into a vial | 3 mm | box scoop |
+//!
+//! To build one in code, load the one that is nearest, change its fields, and validate it; every field is public. Some
+//! advice:
+//! - What is to be resolved (a wall, a heap, the inside of a tool) should be four cells wide or high; a slope of a heap that is
+//!   two cells high means nothing.
+//! - Faces of containers lie best on grid nodes (multiples of the cell) or midway; [`Scene::warnings`] names those that do not.
+//! - A finer cell needs more substeps: [`Scene::cfl_number`] must be at most [`MAX_CFL`], and viscosity takes at most
+//!   [`MAX_VISCOUS_LOSS`].
+//! - A core advances 10 to 20 million particles by a substep in a second; a gradient costs about five times as much.
+//!
+//! # The scene `bench`
+//!
+//! ```toml
+#![doc = include_str!("../../scenes/bench.toml")]
+//! ```
 
 mod amount;
 mod canonical;
@@ -84,8 +108,9 @@ pub struct Domain {
     /// Width over which contact with tool and containers fades out beyond a surface, in cells; 0.01 to 2,
     /// typically 0.25.
     pub contact_band_cells: f64,
-    /// Powder that stays slower than this is put to sleep and no longer computed, m/s; 0 to 0.01, typically 0.0002;
-    /// 0: never.
+    /// Blocks of powder (4 x 4 x 4 cells) that stay slower than this for 0.03 s fall asleep: their particles stay as they are, at
+    /// rest to within this speed, and cost nothing. They wake when the tool comes within two cells, a node of theirs moves or a
+    /// particle arrives. m/s; 0 to 0.01, typically 0.0002; 0: never.
     pub sleep_speed_m_s: f64,
 }
 
@@ -99,7 +124,8 @@ pub struct Powder {
     pub fill_max_m: [f64; 3],
     /// Particles per grid cell of powder; 1 to 64, typically 8.
     pub particles_per_cell: u32,
-    /// Seed of the initial packing; 0 to 2^64 - 1.
+    /// What programs take for the seed of [`crate::rollout::SimulatorSettings`] if they are given none; a simulator takes that one alone. 0 to
+    /// 2^64 - 1.
     pub seed: u64,
     /// Young's modulus, pascal; 100 to 1e9, typically 1e4. Real grains are stiffer; the CFL number limits it.
     pub youngs_modulus_pa: f64,
@@ -107,7 +133,9 @@ pub struct Powder {
     pub poissons_ratio: f64,
     /// Bulk density, kg/m^3; 10 to 25,000, typically 1000.
     pub density_kg_m3: f64,
-    /// Angle of internal friction, degrees; 0 to 60, typically 35.
+    /// Angle of internal friction `phi`, degrees; 0 to 60, typically 35. The yield surface is a Drucker-Prager cone through the
+    /// triaxial compression corners of Mohr-Coulomb's, `|s| = sqrt(2/3) 6 sin(phi)/(3 - sin(phi)) p` with the mean stress `p` and the
+    /// deviator's norm `|s|`. In other states of stress the cone is the stronger one: in plane strain 35 degrees act as 55.
     pub friction_angle_deg: f64,
     /// Mohr-Coulomb cohesion, pascal; 0 (dry sand) to 1e5, for cohesive powder about 50. Needs a friction angle.
     pub cohesion_pa: f64,
@@ -140,13 +168,14 @@ pub struct Container {
     /// Name, 1 to 64 printable characters, unique in the scene; `objective` refers to it.
     pub name: String,
     /// Centre of the inner floor, metres, world frame. The container's floor plate lies below it, one wall
-    /// thickness thick.
+    /// thickness thick: a container that stands on the domain's floor has z = `wall_thickness_m`.
     pub position_m: [f64; 3],
     /// Rotation about the vertical, degrees, counter-clockwise from above; -360 to 360.
     pub yaw_deg: f64,
     /// Thickness of walls and floor, metres; half a cell to 1, typically one cell.
     pub wall_thickness_m: f64,
-    /// Coulomb friction of walls and floor, dimensionless; 0 to 2, typically 0.4.
+    /// Coulomb friction of walls and floor, dimensionless; 0 to 2, typically 0.4. A heap keeps its foot only on a floor whose
+    /// friction is about that of the powder, the tangent of its angle, or more.
     pub friction: f64,
     /// Shape and inner dimensions.
     pub shape: ContainerShape,
@@ -179,11 +208,12 @@ pub struct Tool {
     /// Shape and inner dimensions.
     pub shape: ToolShape,
     /// Thickness of the tool's walls, outside the inner dimensions, metres; half a cell to 1, typically one
-    /// cell.
+    /// cell. Cuboids have sizes of their own: there it only moves the handle's end into the rear wall.
     pub wall_thickness_m: f64,
     /// Coulomb friction of the tool, dimensionless; 0 to 2, typically 0.4.
     pub friction: f64,
-    /// Start position of the tool's origin, metres, world frame.
+    /// Start position of the tool's origin, metres, world frame. The tool, as its convex hull, must be clear of the powder
+    /// there, and `skill.approach_m` above it.
     pub start_position_m: [f64; 3],
     /// Start pitch, degrees: how far the opening is tilted from straight up towards the scooping direction;
     /// -90 to 90, typically 80.
@@ -206,7 +236,15 @@ pub enum ToolShape {
         /// Inner length (x), width (y) and height (z), metres; each one cell to 1.
         inner_size_m: [f64; 3],
     },
-    /// Any shape that can be put together from cuboids.
+    /// Any shape that can be put together from cuboids, in the tool's frame: origin where the opening's middle should be, what holds
+    /// powder below it (z < 0), lip towards +x. Tool and powder turn about the origin. Here a plate that leans outwards by 30 degrees:
+    ///
+    /// ```
+    /// # use powderline_simulator::scene::{Cuboid, ToolShape};
+    /// let blade = Cuboid { centre_m: [0.0, 0.0, -0.005], size_m: [0.020, 0.012, 0.002], rotation_deg: [0.0; 3] };
+    /// let rim = Cuboid { centre_m: [0.0, 0.008, -0.003], size_m: [0.020, 0.002, 0.005], rotation_deg: [-30.0, 0.0, 0.0] };
+    /// let shape = ToolShape::Cuboids { cuboid: vec![blade, rim] };
+    /// ```
     Cuboids {
         /// The cuboids, 1 to [`MAX_CUBOIDS`]; they may overlap.
         cuboid: Vec<Cuboid>,
@@ -217,7 +255,7 @@ pub enum ToolShape {
 pub const MAX_CUBOIDS: usize = 64;
 
 /// Straight round rod (capsule) that starts at the tool's rear rim and runs along -x, raised by `rise_deg`
-/// towards +z.
+/// towards +z. Behind cuboids it starts at z = 0, as far back as they reach.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Handle {
@@ -234,7 +272,8 @@ pub struct Handle {
 ///
 /// The motion: straight down by `approach_m` + depth; pitch back by the scooping angle while moving `sweep_m`
 /// forward; straight up by the lift; forward by the transport displacement; pitch forward by the pouring
-/// angle; rest until the horizon.
+/// angle; rest until the horizon. It is that of the tool's origin, about which the tool is pitched: in the end the pitch is
+/// the start's - scooping angle + pouring angle, and the origin has gone sweep + transport forward.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Skill {
@@ -315,9 +354,11 @@ pub struct Objective {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Aim {
-    /// The wanted amount at `p_target_m`, and the rest no nearer than the source.
+    /// The wanted amount at `p_target_m`, and the rest where it came from. With the distances `d_i` of the particles from
+    /// `p_target_m`, n wanted ones, and the distance `D` of the nearest point inside the source: the sum of `d_i` over the n
+    /// nearest, plus the sum of `max(0, D - d_i)` over all others.
     Amount,
-    /// All powder at `p_target_m`, as in the paper: as much as can be had, whatever amount is wanted.
+    /// All powder at `p_target_m`, as in the paper: as much as can be had, whatever amount is wanted. The sum of all `d_i`.
     All,
 }
 

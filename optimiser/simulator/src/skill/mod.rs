@@ -172,6 +172,15 @@ impl SkillMap {
         self.physical(theta)
     }
 
+    /// The theta of five parameters in metres and radians, inverse of [`Self::parameters`]; 0 for one that the scene fixes.
+    /// Beyond [-1, 1] where they lie beyond the scene's bounds.
+    pub fn theta(&self, parameters: &[f64; 5]) -> Theta {
+        std::array::from_fn(|k| {
+            let [low, high] = self.bounds[k];
+            if low >= high { 0.0 } else { (2.0 * parameters[k] - low - high) / (high - low) }
+        })
+    }
+
     /// The segments' places in time; the tool rests from the end of the last one.
     pub fn segments(&self, theta: &Theta) -> Vec<SegmentSpan> {
         self.schedule(theta)

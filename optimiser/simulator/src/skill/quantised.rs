@@ -90,7 +90,8 @@ impl SkillMap {
     }
 
     /// Checks every corner of theta's range. Travels and, with minimum jerk, durations grow with theta, and each
-    /// coordinate of the path is largest and smallest at corners: what holds there holds for all skills.
+    /// coordinate of the path is largest and smallest at corners: what holds there holds for all skills. Limits alone: for walls in the
+    /// tool's way see [`super::colliding_skill`].
     ///
     /// # Errors
     /// [`SkillError::Corner`] with what is wrong at the first corner that is not a motion within the limits.

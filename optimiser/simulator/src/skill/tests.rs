@@ -424,3 +424,11 @@ fn peaks(steps: &[[f64; 3]]) -> [f64; 3] {
         rates.iter().map(|rate| norm(rate)).fold(0.0, f64::max)
     })
 }
+
+#[test]
+fn theta_is_found_from_metres_and_radians() {
+    let map = SkillMap::new(&Scene::load("bench").unwrap());
+    let theta = [0.3, -0.7, 1.0, -1.0, 0.0];
+    let found = map.theta(&map.parameters(&theta));
+    assert!(theta.iter().zip(found).all(|(a, b)| (a - b).abs() < 1e-12), "{found:?}");
+}
