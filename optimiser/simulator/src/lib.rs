@@ -19,7 +19,7 @@
 //! let scene = Scene::load("bench-small")?;
 //! let mut simulator = boxed_simulator(&scene, &SimulatorSettings::default())?;
 //!
-//! // Five skill parameters, each from -1 to 1, become a displacement of the tool for each control step.
+//! // Five parameters, each from -1 to 1, become one displacement of the tool per control step.
 //! let skill = SkillMap::new(&scene).controls(&[0.3, 0.0, 0.0, 0.0, 0.3])?;
 //! let controls: Vec<_> = skill.into_iter().take(60).collect();
 //!
@@ -40,11 +40,12 @@
 //! # Data flow
 //!
 //! ```text
-//! scene.toml -> scene::Scene -> skill::SkillMap --- theta -> displacements --+
-//!                    |                                                       v
-//!                    +-> packing, shapes, material -> rollout::Simulator -> Evaluation, gradient
-//!                                                          |
-//!                                                  mpm: p2g -> grid_update -> g2p, and back
+//! scene.toml -> scene::Scene -> skill::SkillMap -- theta -> displacements --+
+//!                    |                                                      v
+//!                    +-> packing, shapes, material -----------> rollout::Simulator
+//!                                                                |         ^
+//!                       Evaluation, gradient <-------------------+         |
+//!                                          mpm: p2g -> grid_update -> g2p, and back
 //! ```
 //!
 //! A control step is one displacement of the tool in world axes (metres, radians), cut into substeps. The adjoint goes back over them,
