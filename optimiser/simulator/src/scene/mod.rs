@@ -6,12 +6,12 @@
 //!
 //! Four scenes come along:
 //!
-//! | Name | Powder | Cell | Tool |
-//! |---|---|---|---|
-//! | `bench` | 12 g out of one open box into another | 4 mm | bowl, radius 16 mm |
-//! | `bench-small` | the same with a quarter of the particles, for tests | 4 mm | bowl, radius 10 mm |
-//! | `bench-fine` | `bench-small` on cells of half the size | 2 mm | bowl, radius 10 mm |
-//! | `vial` | 1 g of a light powder into a vial | 3 mm | box scoop |
+//! | Name | Particles | Cell | Tool, inside | Wanted | What it is |
+//! |---|---|---|---|---|---|
+//! | `bench` | 11,264 of 8 mg | 4 mm | bowl, radius 16 mm | 9.6 g | the default: from one open box into another |
+//! | `bench-small` | 2,772 of 8 mg | 4 mm | bowl, radius 10 mm | 1.6 g | a smaller one, for tests |
+//! | `bench-fine` | 90,112 of 1 mg | 2 mm | bowl, radius 16 mm | 9.6 g | `bench`, cells half as wide |
+//! | `vial` | 7,168 of 2.092 mg | 3 mm | box scoop, 18 x 15 x 10.5 mm | 1 g | light powder into a vial |
 //!
 //! To build one in code, load the one that is nearest, change its fields, and validate it; every field is public. Some
 //! advice:

@@ -1,6 +1,7 @@
 //! The scenes that come with the program.
 
-use powderline_simulator::scene::{EMBEDDED_SCENES, Scene};
+use powderline_simulator::scene::figures::{about, grouped, mass};
+use powderline_simulator::scene::{EMBEDDED_SCENES, Scene, ToolShape};
 
 #[test]
 fn shipped_scenes_are_valid_and_round_trip() {
@@ -23,4 +24,32 @@ fn figures_of_the_shipped_scenes() {
     assert_eq!(figures("bench-small"), (2_772, [44, 16, 32], [15, 8, 12], 200));
     assert_eq!(figures("bench-fine"), (90_112, [128, 48, 104], [36, 16, 30], 9_600));
     assert_eq!(figures("vial"), (7_168, [55, 22, 42], [18, 10, 15], 478));
+}
+
+#[test]
+fn the_documentation_tells_the_shipped_scenes_as_they_are() {
+    let told = include_str!("../../src/scene/mod.rs").lines().filter(|line| line.starts_with("//! | `"));
+    let told: Vec<&str> = told.collect();
+    assert_eq!(told.len(), EMBEDDED_SCENES.len());
+    for (row, (name, text)) in told.iter().zip(EMBEDDED_SCENES) {
+        let scene = Scene::load(name).unwrap();
+        let mm = |metres: f64| about(1e3 * metres, 6);
+        let tool = match &scene.tool.shape {
+            ToolShape::Bowl { inner_radius_m } => format!("bowl, radius {} mm", mm(*inner_radius_m)),
+            ToolShape::BoxScoop { inner_size_m } => {
+                format!("box scoop, {} mm", inner_size_m.map(mm).join(" x "))
+            }
+            ToolShape::Cuboids { cuboid } => format!("{} cuboids", cuboid.len()),
+        };
+        let particles = grouped(scene.particle_count() as i64);
+        let is = format!(
+            "//! | `{name}` | {particles} of {} | {} mm | {tool} | {} | ",
+            mass(scene.particle_mass_kg()),
+            mm(scene.domain.cell_m),
+            mass(scene.target_mass_kg())
+        );
+        assert!(row.starts_with(&is), "{row}\nbut it is\n{is}");
+        // So do their own remarks.
+        assert!(text.contains(&format!("{particles} particles")), "{name}");
+    }
 }
