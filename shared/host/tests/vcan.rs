@@ -68,7 +68,7 @@ fn is_quiet(wire: &mut SocketCan) -> bool {
 }
 
 #[test]
-#[ignore = "needs a kernel with CAN"]
+#[ignore = "needs a kernel with CAN: run by tests/run inside tests/tools/with-vcan"]
 fn vcan_frames_pass_both_ways_and_their_own_are_not_received() {
     let vcan = Vcan::new("plcan0", 16);
     let mut here = SocketCan::open(vcan.0, Dialect::Classic).unwrap();
@@ -89,7 +89,7 @@ fn vcan_frames_pass_both_ways_and_their_own_are_not_received() {
 }
 
 #[test]
-#[ignore = "needs a kernel with CAN"]
+#[ignore = "needs a kernel with CAN: run by tests/run inside tests/tools/with-vcan"]
 fn vcan_the_stamp_is_the_time_of_arrival_not_of_reading() {
     let vcan = Vcan::new("plcan1", 16);
     let mut here = SocketCan::open(vcan.0, Dialect::Classic).unwrap();
@@ -101,7 +101,7 @@ fn vcan_the_stamp_is_the_time_of_arrival_not_of_reading() {
 }
 
 #[test]
-#[ignore = "needs a kernel with CAN"]
+#[ignore = "needs a kernel with CAN: run by tests/run inside tests/tools/with-vcan"]
 fn vcan_fd_carries_64_bytes_and_takes_classic_frames_too() {
     let vcan = Vcan::new("plcan2", 72);
     let mut here = SocketCan::open(vcan.0, Dialect::Fd).unwrap();
@@ -127,7 +127,7 @@ fn vcan_fd_carries_64_bytes_and_takes_classic_frames_too() {
 }
 
 #[test]
-#[ignore = "needs a kernel with CAN"]
+#[ignore = "needs a kernel with CAN: run by tests/run inside tests/tools/with-vcan"]
 fn vcan_what_a_wire_never_carries_is_refused_before_it_is_sent() {
     let vcan = Vcan::new("plcan3", 72);
     let mut classic = SocketCan::open(vcan.0, Dialect::Classic).unwrap();
@@ -147,7 +147,7 @@ fn vcan_what_a_wire_never_carries_is_refused_before_it_is_sent() {
 }
 
 #[test]
-#[ignore = "needs a kernel with CAN"]
+#[ignore = "needs a kernel with CAN: run by tests/run inside tests/tools/with-vcan"]
 fn vcan_extended_and_remote_frames_never_become_frames() {
     let vcan = Vcan::new("plcan4", 72);
     let mut here = SocketCan::open(vcan.0, Dialect::Fd).unwrap();
@@ -169,7 +169,7 @@ fn vcan_extended_and_remote_frames_never_become_frames() {
 }
 
 #[test]
-#[ignore = "needs a kernel with CAN"]
+#[ignore = "needs a kernel with CAN: run by tests/run inside tests/tools/with-vcan"]
 fn vcan_error_frames_become_events() {
     let vcan = Vcan::new("plcan5", 16);
     let mut here = SocketCan::open(vcan.0, Dialect::Classic).unwrap();
@@ -189,7 +189,7 @@ fn vcan_error_frames_become_events() {
 }
 
 #[test]
-#[ignore = "needs a kernel with CAN"]
+#[ignore = "needs a kernel with CAN: run by tests/run inside tests/tools/with-vcan"]
 fn vcan_an_interface_that_goes_down_says_so_and_works_again_when_it_is_up() {
     let vcan = Vcan::new("plcan6", 16);
     let mut here = SocketCan::open(vcan.0, Dialect::Classic).unwrap();
@@ -212,7 +212,7 @@ fn vcan_an_interface_that_goes_down_says_so_and_works_again_when_it_is_up() {
 }
 
 #[test]
-#[ignore = "needs a kernel with CAN"]
+#[ignore = "needs a kernel with CAN: run by tests/run inside tests/tools/with-vcan"]
 fn vcan_an_interface_that_is_removed_is_gone() {
     let vcan = Vcan::new("plcan7", 16);
     let mut here = SocketCan::open(vcan.0, Dialect::Classic).unwrap();
@@ -225,7 +225,7 @@ fn vcan_an_interface_that_is_removed_is_gone() {
 }
 
 #[test]
-#[ignore = "needs a kernel with CAN"]
+#[ignore = "needs a kernel with CAN: run by tests/run inside tests/tools/with-vcan"]
 fn vcan_an_interface_that_cannot_be_used_is_refused_in_one_sentence() {
     let vcan = Vcan::new("plcan8", 16);
     for (interface, dialect, words) in [
@@ -239,7 +239,7 @@ fn vcan_an_interface_that_cannot_be_used_is_refused_in_one_sentence() {
 }
 
 #[test]
-#[ignore = "needs a kernel with CAN"]
+#[ignore = "needs a kernel with CAN: run by tests/run inside tests/tools/with-vcan"]
 fn vcan_a_full_queue_is_busy_and_drains() {
     // A pair of virtual interfaces with a queue of ten frames that a token bucket empties at 500 kbit/s, as a bus would.
     ip("link add dev plvx0 type vxcan peer name plvx1");
@@ -263,7 +263,7 @@ fn vcan_a_full_queue_is_busy_and_drains() {
 }
 
 #[test]
-#[ignore = "needs a kernel with CAN"]
+#[ignore = "needs a kernel with CAN: run by tests/run inside tests/tools/with-vcan"]
 fn vcan_has_no_bit_rate() {
     let vcan = Vcan::new("plcan9", 72);
     let found = Interface::query(vcan.0).unwrap();
@@ -333,7 +333,7 @@ fn interfaces() -> BTreeSet<String> {
 }
 
 #[test]
-#[ignore = "needs a kernel with CAN"]
+#[ignore = "needs a kernel with CAN: run by tests/run inside tests/tools/with-vcan"]
 fn vcan_a_true_controller_has_a_bit_rate_and_reports_its_state() {
     let mut controller = Slcan::new(500_000);
     let name = controller.interface.clone();
