@@ -96,7 +96,7 @@ impl From<Control> for DisplacementGradient {
 /// derivative with respect to each position.
 pub type LossFn<'a> = &'a (dyn Fn(&[[f64; 3]]) -> (f64, Vec<[f64; 3]>) + Sync);
 
-/// Called at least once per control step with work units done and in total; `false` stops the rollout with [`RolloutError::Stopped`].
+/// Called on the way with work units done and in total; `false` stops the rollout with [`RolloutError::Stopped`].
 pub type Progress<'a> = &'a mut (dyn FnMut(u64, u64) -> bool + Send);
 
 /// Powder and tool at one moment of a motion.

@@ -27,7 +27,7 @@ type Point = [f64; 3];
 
 /// What the tool carries at most, kilogram: the largest heap at rest of which no flank is steeper than the friction angle, over any edge that
 /// powder can leave by, at the best pitch that the skill allows. An estimate from geometry alone. A simulated tool of cuboids with
-/// low rims has carried up to twice as much, since the yield cone is stronger than its angle says in plane strain.
+/// low rims has carried up to twice as much.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Capacity {
