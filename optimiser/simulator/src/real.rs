@@ -31,13 +31,13 @@ impl Polynomial {
 }
 
 /// `f32` or `f64`, which the simulator computes in. Not to be implemented elsewhere.
-pub trait Real: Arithmetic {}
+pub trait Real: RealOps {}
 
 impl Real for f32 {}
 impl Real for f64 {}
 
 /// What a [`Real`] can do. Every method is branch-free, so that loops over lanes vectorise.
-pub trait Arithmetic:
+pub trait RealOps:
     Copy
     + Default
     + Debug
@@ -111,7 +111,7 @@ pub trait Arithmetic:
     }
 }
 
-impl Arithmetic for f32 {
+impl RealOps for f32 {
     const ZERO: Self = 0.0;
     const ONE: Self = 1.0;
     const TINY: Self = 1e-36;
@@ -203,7 +203,7 @@ impl Arithmetic for f32 {
     }
 }
 
-impl Arithmetic for f64 {
+impl RealOps for f64 {
     const ZERO: Self = 0.0;
     const ONE: Self = 1.0;
     const TINY: Self = 1e-290;
@@ -336,7 +336,7 @@ impl Arithmetic for f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::Arithmetic;
+    use super::RealOps;
 
     fn samples() -> impl Iterator<Item = f64> {
         let small = (0..4000).map(|i| (f64::from(i) - 2000.0) * 4.9e-4);
@@ -350,24 +350,24 @@ mod tests {
         for x in samples() {
             if x > -1.0 {
                 let want = x.ln_1p();
-                assert!((Arithmetic::ln_1p(x) - want).abs() <= 4.5e-16 * want.abs(), "ln_1p({x})");
+                assert!((RealOps::ln_1p(x) - want).abs() <= 4.5e-16 * want.abs(), "ln_1p({x})");
                 let narrow = x as f32;
                 let want = f64::from(narrow).ln_1p();
                 assert!(
-                    (f64::from(Arithmetic::ln_1p(narrow)) - want).abs() <= 2.4e-7 * want.abs(),
+                    (f64::from(RealOps::ln_1p(narrow)) - want).abs() <= 2.4e-7 * want.abs(),
                     "ln_1p({narrow})"
                 );
             }
             let want = x.exp_m1();
             assert!(
-                (Arithmetic::exp_m1(x) - want).abs() <= 7e-16 * want.abs(),
+                (RealOps::exp_m1(x) - want).abs() <= 7e-16 * want.abs(),
                 "exp_m1({x}) {} {want}",
-                Arithmetic::exp_m1(x)
+                RealOps::exp_m1(x)
             );
             let narrow = x as f32;
             let want = f64::from(narrow).exp_m1();
             assert!(
-                (f64::from(Arithmetic::exp_m1(narrow)) - want).abs() <= 3.6e-7 * want.abs(),
+                (f64::from(RealOps::exp_m1(narrow)) - want).abs() <= 3.6e-7 * want.abs(),
                 "exp_m1({narrow})"
             );
         }
@@ -397,8 +397,8 @@ mod tests {
     #[test]
     fn what_is_not_a_strain_gives_nan() {
         for x in [-1.0, -2.0, f64::NEG_INFINITY, f64::NAN] {
-            assert!(Arithmetic::ln_1p(x).is_nan() && Arithmetic::ln_1p(x as f32).is_nan());
+            assert!(RealOps::ln_1p(x).is_nan() && RealOps::ln_1p(x as f32).is_nan());
         }
-        assert!(Arithmetic::exp_m1(f64::NAN).is_nan() && Arithmetic::exp_m1(f32::NAN).is_nan());
+        assert!(RealOps::exp_m1(f64::NAN).is_nan() && RealOps::exp_m1(f32::NAN).is_nan());
     }
 }

@@ -1,7 +1,7 @@
 //! A scene as pictures, pages and exports show it.
 
-use nalgebra::{Isometry3, UnitQuaternion, Vector3};
-use powderline_simulator::scene::{Container, ContainerShape, Cuboid, Scene, Tool, ToolShape};
+use nalgebra::{Isometry3, Vector3};
+use powderline_simulator::scene::{Container, ContainerShape, Scene, Tool, ToolShape};
 use powderline_view::{Bench, Role, mesh::Mesh};
 
 /// What stands and moves in a scene, for so many particles and frames.
@@ -44,21 +44,16 @@ fn tool(tool: &Tool) -> Mesh {
         ToolShape::BoxScoop { inner_size_m } => {
             Mesh::box_scoop(*inner_size_m, tool.wall_thickness_m).and(handle)
         }
-        ToolShape::Cuboids { cuboid } => cuboid.iter().map(drawn_cuboid).fold(handle, Mesh::and),
+        ToolShape::Cuboids { cuboid } => {
+            cuboid.iter().map(|block| Mesh::cuboid(block.corners_m())).fold(handle, Mesh::and)
+        }
     }
-}
-
-fn drawn_cuboid(cuboid: &Cuboid) -> Mesh {
-    let [roll, pitch, yaw] = cuboid.rotation_deg.map(f64::to_radians);
-    let turn = UnitQuaternion::from_euler_angles(roll, pitch, yaw);
-    let half = cuboid.size_m.map(|edge| 0.5 * edge);
-    Mesh::block(half.map(|x| -x), half).moved(&Isometry3::from_parts(cuboid.centre_m.into(), turn))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use powderline_simulator::scene::EMBEDDED_SCENES;
+    use powderline_simulator::scene::{Cuboid, EMBEDDED_SCENES};
 
     #[test]
     fn cuboids_are_drawn_where_they_stand() {
@@ -72,11 +67,11 @@ mod tests {
         scene.tool.shape = ToolShape::Cuboids { cuboid: vec![one] };
         let drawn = bench(&scene, 1, 1, 0.01).tool;
         assert_ne!(drawn.points_m, handle.points_m);
-        for corner in one.corners_m() {
-            let near = |point: &&[f64; 3]| (0..3).all(|i| (point[i] - corner[i]).abs() < 1e-12);
-            assert!(drawn.points_m.iter().any(|point| near(&point)), "{corner:?}");
-        }
-        assert_eq!(drawn.points_m.len(), 8 + Mesh::capsule([0.0; 3], [1.0; 3], 0.1).points_m.len());
+        let rod = Mesh::capsule([0.0; 3], [1.0; 3], 0.1).points_m.len();
+        assert_eq!(drawn.points_m[rod..], one.corners_m());
+        // Its corners are joined as its edges are: the faces enclose it, seen from outside.
+        let volume_m3 = Mesh::cuboid(one.corners_m()).volume_m3();
+        assert!((volume_m3 / (0.02 * 0.03 * 0.004) - 1.0).abs() < 1e-9, "{volume_m3}");
     }
 
     #[test]

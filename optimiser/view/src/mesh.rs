@@ -41,10 +41,16 @@ impl Mesh {
     pub fn block(low: [f64; 3], high: [f64; 3]) -> Self {
         let corner =
             |index: usize| [0, 1, 2].map(|axis| if index >> axis & 1 == 0 { low[axis] } else { high[axis] });
-        // Corner i has the high x if bit 0 is set, the high y if bit 1 is, the high z if bit 2 is.
+        Self::cuboid(std::array::from_fn(corner))
+    }
+
+    /// Box with these corners: corner i has the high x if bit 0 is set, the high y if bit 1 is, the high z if bit 2 is,
+    /// along its own axes.
+    #[must_use]
+    pub fn cuboid(corners_m: [[f64; 3]; 8]) -> Self {
         let faces = [[0, 4, 6, 2], [1, 3, 7, 5], [0, 1, 5, 4], [2, 6, 7, 3], [0, 2, 3, 1], [4, 5, 7, 6]];
         let triangles = faces.iter().flat_map(|[a, b, c, d]| [[*a, *b, *c], [*a, *c, *d]]).collect();
-        Self { points_m: (0..8).map(corner).collect(), triangles }
+        Self { points_m: corners_m.into(), triangles }
     }
 
     /// Box without a lid: inner dimensions, origin at the centre of the inner floor, walls and floor outside them.

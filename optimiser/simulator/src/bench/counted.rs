@@ -11,7 +11,7 @@ use std::fmt;
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub, SubAssign};
 
 use crate::mpm::timings::Reading;
-use crate::real::{Arithmetic, Polynomial, Real};
+use crate::real::{Polynomial, Real, RealOps};
 
 thread_local! {
     static DONE: Cell<Reading> = const { Cell::new([0; 2]) };
@@ -108,7 +108,7 @@ impl<T: Real> SubAssign for Counted<T> {
 
 impl<T: Elementary> Real for Counted<T> {}
 
-impl<T: Elementary> Arithmetic for Counted<T> {
+impl<T: Elementary> RealOps for Counted<T> {
     const ZERO: Self = Self(T::ZERO);
     const ONE: Self = Self(T::ONE);
     const TINY: Self = Self(T::TINY);
@@ -183,8 +183,7 @@ mod tests {
     /// Operators in the text of a function of `real.rs`, constants like `1.0 / 6.0` and comments left out.
     fn operators(type_name: &str, function: &str) -> Reading {
         let text = include_str!("../real.rs");
-        let (_, text) =
-            text.split_once(&format!("impl Arithmetic for {type_name} ")).expect("implementation");
+        let (_, text) = text.split_once(&format!("impl RealOps for {type_name} ")).expect("implementation");
         let (_, text) = text.split_once(&format!("fn {function}(")).expect("function");
         let (body, _) = text.split_once("\n    }\n").expect("end of the function");
         let lines = body.lines().filter(|line| !line.trim_start().starts_with("//"));
@@ -243,8 +242,8 @@ mod tests {
         for x in [0.3f32, -0.01, 1e-7, 2.5] {
             let y = Counted(x);
             assert_eq!(((y * y + y) / (y - Counted(3.0))).0.to_bits(), ((x * x + x) / (x - 3.0)).to_bits());
-            assert_eq!(y.ln_1p().0.to_bits(), Arithmetic::ln_1p(x).to_bits());
-            assert_eq!(y.exp_m1().sqrt().0.to_bits(), Arithmetic::exp_m1(x).sqrt().to_bits());
+            assert_eq!(y.ln_1p().0.to_bits(), RealOps::ln_1p(x).to_bits());
+            assert_eq!(y.exp_m1().sqrt().0.to_bits(), RealOps::exp_m1(x).sqrt().to_bits());
         }
     }
 }

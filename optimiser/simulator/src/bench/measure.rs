@@ -612,7 +612,7 @@ fn whole(
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::real::{Arithmetic, Polynomial};
+    use crate::real::{Polynomial, RealOps};
 
     #[test]
     #[expect(clippy::float_cmp, reason = "halves of whole numbers")]

@@ -3,7 +3,7 @@
 use std::ops::{Deref, DerefMut};
 use std::sync::Arc;
 
-use crate::real::{Arithmetic, Real};
+use crate::real::{Real, RealOps};
 use crate::small::{Mat3, Sym3, Vec3};
 
 /// Particles in a group. A loop over the lanes of a group is what the compiler turns into vector instructions.
@@ -164,7 +164,7 @@ impl<T: Real> Particles<T> {
     fn by_id(&self, rows: impl Fn(&Group<T>) -> &[Lanes<T>; 3]) -> Vec<[f64; 3]> {
         let mut out = vec![[0.0; 3]; self.occupied().count()];
         for (g, l, id) in self.occupied() {
-            out[id as usize] = vec_of(rows(&self.groups[g]), l).map(Arithmetic::to_f64);
+            out[id as usize] = vec_of(rows(&self.groups[g]), l).map(RealOps::to_f64);
         }
         out
     }

@@ -3,7 +3,7 @@
 use crate::mpm::layout::{BLOCK_NODES, Block, Grid, Layout, NO_BLOCK, NodeBlock, neighbour_offsets};
 use crate::mpm::particles::{EMPTY_LANE, Group, LANES, Lanes, Particles, vec_of};
 use crate::mpm::spare::{BufferPool, fit};
-use crate::real::{Arithmetic, Real};
+use crate::real::{Real, RealOps};
 
 /// A particle that is no longer anywhere on the grid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -20,7 +20,7 @@ pub(crate) fn sort<T: Real>(
 ) -> Result<(Particles<T>, Layout, Vec<u32>), EscapedParticle> {
     let mut keys = Vec::with_capacity(old.groups.len() * LANES);
     for (g, lane, particle) in old.occupied() {
-        let x = vec_of(&old.groups[g].x, lane).map(Arithmetic::to_f64);
+        let x = vec_of(&old.groups[g].x, lane).map(RealOps::to_f64);
         let key = grid.key(x).ok_or(EscapedParticle { particle })?;
         keys.push(u64::from(key) << 32 | (g * LANES + lane) as u64);
     }

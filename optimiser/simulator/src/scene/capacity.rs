@@ -141,8 +141,7 @@ impl ToolShape {
             // Over one of the cuboids and within none.
             Self::Cuboids { cuboid } => {
                 let mut spans = cuboid.iter().filter_map(|cuboid| cuboid.heights_m(x, y));
-                let is_over = spans.clone().any(|[low, _]| low < z);
-                is_over && spans.all(|[low, high]| z < low || z > high)
+                spans.any(|[low, _]| low < z) && self.is_open_at([x, y, z])
             }
         }
     }

@@ -1,6 +1,7 @@
 //! Rectangular blocks, of which a tool can be built.
 
 use super::solid::{Vec3, dot};
+use nalgebra::Rotation3;
 use serde::{Deserialize, Serialize};
 
 /// A rectangular block of a tool, in the tool's frame.
@@ -20,15 +21,12 @@ pub struct Cuboid {
 impl Cuboid {
     /// The cuboid's own x, y, z in the tool's frame.
     pub(crate) fn axes(&self) -> [Vec3; 3] {
-        let [(sr, cr), (sp, cp), (sy, cy)] = self.rotation_deg.map(|deg| libm::sincos(deg.to_radians()));
-        [
-            [cy * cp, sy * cp, -sp],
-            [cy * sp * sr - sy * cr, sy * sp * sr + cy * cr, cp * sr],
-            [cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr],
-        ]
+        let [roll, pitch, yaw] = self.rotation_deg.map(f64::to_radians);
+        Rotation3::from_euler_angles(roll, pitch, yaw).into_inner().into()
     }
 
-    /// Its eight corners, tool frame, metres.
+    /// Its eight corners, tool frame, metres: corner i has the high x of the cuboid's own axes if bit 0 is
+    /// set, the high y if bit 1 is, the high z if bit 2 is.
     pub fn corners_m(&self) -> [Vec3; 8] {
         let axes = self.axes();
         std::array::from_fn(|corner| {

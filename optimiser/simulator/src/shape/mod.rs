@@ -6,7 +6,7 @@
 
 use core::ops::{Add, Mul, Neg, Sub};
 
-use crate::real::{Arithmetic, Real};
+use crate::real::{Real, RealOps};
 use crate::small::{Mat3, Vec3, three};
 
 /// What a signed distance may do with its numbers.
@@ -43,7 +43,7 @@ impl<T: Real> Scalar<T> for T {
     }
     #[inline(always)]
     fn sqrt(self) -> Self {
-        Arithmetic::sqrt(self)
+        RealOps::sqrt(self)
     }
     #[inline(always)]
     fn recip(self) -> Self {
