@@ -1,13 +1,16 @@
-//! Differentiable powder simulation: how much powder a spoon moved along a path carries from one container to another, and
-//! the exact derivative of the loss with respect to every displacement of the path.
+//! Differentiable powder simulation: how much powder a spoon moved along a path carries from one
+//! container to another, and the exact derivative of the loss with respect to every displacement of
+//! the path.
 //!
-//! The powder is a continuum, moved by the moving least squares material point method (MLS-MPM) with Drucker-Prager
-//! plasticity, in contact with rigid containers and a rigid tool by Coulomb friction. Every stage of a substep has its adjoint beside
-//! it, tested by Taylor slopes. The same scene, seed and precision give the same bits on any machine, for any number of threads
-//! and any memory budget.
+//! The powder is a continuum, moved by the moving least squares material point method (MLS-MPM)
+//! with Drucker-Prager plasticity, in contact with rigid containers and a rigid tool by Coulomb
+//! friction. Every stage of a substep has its adjoint beside it, tested by Taylor slopes. The same
+//! scene, seed and precision give the same bits on any machine, for any number of threads and any
+//! memory budget.
 //!
-//! "The paper" is here Wei, Yang, Lai and Ji 2025, "Differentiable Skill Optimisation for Powder Manipulation in Laboratory
-//! Automation", [arXiv 2510.01438](https://arxiv.org/abs/2510.01438): the five skill parameters, the loss and the search come from there.
+//! "The paper" is here Wei, Yang, Lai and Ji 2025, "Differentiable Skill Optimisation for Powder
+//! Manipulation in Laboratory Automation", [arXiv 2510.01438](https://arxiv.org/abs/2510.01438):
+//! the five skill parameters, the loss and the search come from there.
 //!
 //! ```
 //! use powderline_simulator::rollout::{SimulatorSettings, boxed_simulator};
@@ -34,8 +37,8 @@
 //! # }
 //! ```
 //!
-//! More in [`examples`]: a whole skill, the gradient beside a difference, a bench built in code, a custom tool shape, a custom
-//! loss, every grain on its way.
+//! More in [`examples`]: a whole skill, the gradient beside a difference, a bench built in code, a
+//! custom tool shape, a custom loss, every grain on its way.
 //!
 //! # Data flow
 //!
@@ -48,8 +51,9 @@
 //!                                          mpm: p2g -> grid_update -> g2p, and back
 //! ```
 //!
-//! A control step is one displacement of the tool in world axes (metres, radians), cut into substeps. The adjoint goes back over them,
-//! from states that were kept and, where memory is short, computed again ([`memory`]).
+//! A control step is one displacement of the tool in world axes (metres, radians), cut into
+//! substeps. The adjoint goes back over them, from states that were kept and, where memory is
+//! short, computed again ([`memory`]).
 //!
 //! # Where each equation lives
 //!
@@ -67,24 +71,30 @@
 //! | the skill | `skill` | the paper's five parameters; minimum jerk |
 //! | what a tool holds, heaped | `scene/capacity.rs` | the friction angle over every edge |
 //!
-//! Units are SI, and stand in the names of fields: `cell_m`, `density_kg_m3`. World frame: z up, the floor at z = 0.
+//! Units are SI, and stand in the names of fields: `cell_m`, `density_kg_m3`. World frame: z up,
+//! the floor at z = 0.
 //!
 //! # Extending
 //!
-//! - **A loss**: no change here; give a function to [`rollout::ParticleSimulator::gradient_of_custom_loss`].
-//! - **A tool shape**: no change here either, if it can be put together from cuboids: [`scene::ToolShape::Cuboids`]. One that is round:
-//!   a variant of [`scene::ToolShape`] with its fields' ranges in `scene/validate/fields.rs`; its signed distance in
-//!   `shape` (written once: the same code gives normal and curvature); its place in the list of `mpm/obstacle.rs`. The compiler names the
-//!   other places: what it holds (`scene/capacity.rs`), where it reaches (`scene/tool_body.rs`), what lies on it (`rollout/outcome.rs`).
-//! - **A material**: `mpm/material.rs` has the return map and its adjoint side by side; `mpm/tests/` holds both to a Taylor slope
-//!   of 2 and to the closed forms of the element tests. What a run was simulated with is [`mpm::PHYSICS_VERSION`]: raise it.
+//! - **A loss**: no change here; give a function to
+//!   [`rollout::ParticleSimulator::gradient_of_custom_loss`].
+//! - **A tool shape**: no change here either, if it can be put together from cuboids:
+//!   [`scene::ToolShape::Cuboids`]. One that is round: a variant of [`scene::ToolShape`] with its
+//!   fields' ranges in `scene/validate/fields.rs`; its signed distance in `shape` (written once:
+//!   the same code gives normal and curvature); its place in the list of `mpm/obstacle.rs`. The
+//!   compiler names the other places: what it holds (`scene/capacity.rs`), where it reaches
+//!   (`scene/tool_body.rs`), what lies on it (`rollout/outcome.rs`).
+//! - **A material**: `mpm/material.rs` has the return map and its adjoint side by side;
+//!   `mpm/tests/` holds both to a Taylor slope of 2 and to the closed forms of the element tests.
+//!   What a run was simulated with is [`mpm::PHYSICS_VERSION`]: raise it.
 //!
 //! # Features, versions
 //!
-//! No features. Semantic versioning: errors, results and choices that will grow are `#[non_exhaustive]`. The shapes of a
-//! scene and its aim are not, so that whoever draws or converts them hears of a new one from the compiler; a new one is a
-//! breaking change. Of dependencies, `nalgebra`'s vectors appear in [`powderline_shared::pose`] and `serde`'s traits are
-//! implemented, both on purpose; no other's types are in the interface.
+//! No features. Semantic versioning: errors, results and choices that will grow are
+//! `#[non_exhaustive]`. The shapes of a scene and its aim are not, so that whoever draws or
+//! converts them hears of a new one from the compiler; a new one is a breaking change. Of
+//! dependencies, `nalgebra`'s vectors appear in [`powderline_shared::pose`] and `serde`'s traits
+//! are implemented, both on purpose; no other's types are in the interface.
 
 pub mod bench;
 pub mod memory;

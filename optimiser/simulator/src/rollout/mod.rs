@@ -1,7 +1,8 @@
 //! Motions of the tool, what the powder makes of them, and the derivative of that.
 //!
-//! [`boxed_simulator`] gives the simulator of a scene in the precision that the settings ask for, [`Simulator::new`] one whose
-//! precision is known when compiling. Both are asked through [`Evaluate`] and [`ParticleSimulator`]:
+//! [`boxed_simulator`] gives the simulator of a scene in the precision that the settings ask for,
+//! [`Simulator::new`] one whose precision is known when compiling. Both are asked through
+//! [`Evaluate`] and [`ParticleSimulator`]:
 //!
 //! | Wanted | Method |
 //! |---|---|
@@ -13,18 +14,21 @@
 //! | every grain on the way, and where it ends | [`Evaluate::record`] |
 //! | the grains at the end alone | [`ParticleSimulator::final_positions_m`] |
 //!
-//! A motion is a list of displacements, one for each control step, of any length: an empty one leaves the powder as it has
-//! settled, a longer one than the scene's horizon is simulated to its end. Everything "at the end" is at the end of the motion
-//! given. The motion is taken as it is: neither limits nor walls in the tool's way are looked at
-//! ([`crate::skill::SkillMap::check_limits`], [`crate::skill::collision`]). Before the motion the powder settles for
-//! `time.settle_s` with the tool at its start; that is done once for all motions.
+//! A motion is a list of displacements, one for each control step, of any length: an empty one
+//! leaves the powder as it has settled, a longer one than the scene's horizon is simulated to its
+//! end. Everything "at the end" is at the end of the motion given. The motion is taken as it is:
+//! neither limits nor walls in the tool's way are looked at
+//! ([`crate::skill::SkillMap::check_limits`], [`crate::skill::collision`]). Before the motion the
+//! powder settles for `time.settle_s` with the tool at its start; that is done once for all
+//! motions.
 //!
 //! # What a gradient is good for
 //!
-//! The adjoint is exact: the derivative of the very numbers that the forward pass computes. But the motion
-//! of single grains is chaotic, so that it says little beyond small steps. `optimise gradcheck bench-small`
-//! ([`gradcheck`]) compares it with central differences over half-steps from 1e-3 to 1e-7 in theta. The largest
-//! relative error of a component, at its best half-step:
+//! The adjoint is exact: the derivative of the very numbers that the forward pass computes. But the
+//! motion of single grains is chaotic, so that it says little beyond small steps.
+//! `optimise gradcheck bench-small` ([`gradcheck`]) compares it with central differences over
+//! half-steps from 1e-3 to 1e-7 in theta. The largest relative error of a component, at its best
+//! half-step:
 //!
 //! | Control steps | `f64` | `f32`, where rounding drowns such differences |
 //! |---|---|---|
@@ -32,8 +36,8 @@
 //! | 100 to 200 | 1.4e-7 | 0.96 |
 //! | 0 to 330, the whole skill | 1.2e-3 | 1.7e-2 |
 //!
-//! Over steps that a search might take the slope is another: with differences over half-steps of 0.1 the whole
-//! skill's gradient has a cosine of 0.14 (`f64`).
+//! Over steps that a search might take the slope is another: with differences over half-steps of
+//! 0.1 the whole skill's gradient has a cosine of 0.14 (`f64`).
 
 mod branches;
 pub mod gradcheck;
@@ -74,14 +78,15 @@ pub struct Evaluation {
     pub gradient: Option<Theta>,
 }
 
-/// Derivative of the loss with respect to one displacement of a control sequence, the others held, in the world
-/// frame: what [`Displacement`] has in metres and in radians, this has per metre and per radian.
+/// Derivative of the loss with respect to one displacement of a control sequence, the others held,
+/// in the world frame: what [`Displacement`] has in metres and in radians, this has per metre and
+/// per radian.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct DisplacementGradient {
     /// Metres of loss per metre of each component of the translation.
     pub per_metre: [f64; 3],
-    /// Metres of loss per radian of each component of the rotation vector, as it stands in the displacement: about the
-    /// world's axes, whatever way the tool is turned.
+    /// Metres of loss per radian of each component of the rotation vector, as it stands in the
+    /// displacement: about the world's axes, whatever way the tool is turned.
     pub per_radian: [f64; 3],
 }
 
@@ -101,11 +106,12 @@ impl From<Control> for DisplacementGradient {
     }
 }
 
-/// A custom loss: takes the particle positions at the end of a motion (m, in packing order), returns the loss and its
-/// derivative with respect to each position.
+/// A custom loss: takes the particle positions at the end of a motion (m, in packing order),
+/// returns the loss and its derivative with respect to each position.
 pub type LossFn<'a> = &'a (dyn Fn(&[[f64; 3]]) -> (f64, Vec<[f64; 3]>) + Sync);
 
-/// Called on the way with work units done and in total; `false` stops the rollout with [`RolloutError::Stopped`].
+/// Called on the way with work units done and in total; `false` stops the rollout with
+/// [`RolloutError::Stopped`].
 pub type Progress<'a> = &'a mut (dyn FnMut(u64, u64) -> bool + Send);
 
 /// Powder and tool at one moment of a motion.
@@ -131,8 +137,9 @@ pub struct Recording<'a> {
     pub anchor: &'a Pose,
     /// What it does.
     pub controls: &'a [Displacement],
-    /// Control steps from one snapshot to the next; 0 counts as 1. The first shows the settled powder before the motion, the last
-    /// is the last whole multiple of these steps: the end of the motion, if its length is one.
+    /// Control steps from one snapshot to the next; 0 counts as 1. The first shows the settled
+    /// powder before the motion, the last is the last whole multiple of these steps: the end of the
+    /// motion, if its length is one.
     pub every: usize,
 }
 
@@ -159,7 +166,8 @@ pub enum RolloutError {
     },
     /// A particle left the simulated volume.
     #[error(
-        "particle {particle} left the simulated volume in control step {step}, substep {substep}: a larger domain or more substeps would hold it"
+        "particle {particle} left the simulated volume in control step {step}, substep {substep}: \
+         a larger domain or more substeps would hold it"
     )]
     Escaped {
         /// Control step.
@@ -256,7 +264,8 @@ pub trait Evaluate {
         (0..).zip(thetas).map(one).collect()
     }
 
-    /// Loss of a motion that begins at the scene's start pose: of a skill's controls, of a quantised plan's, or any other.
+    /// Loss of a motion that begins at the scene's start pose: of a skill's controls, of a
+    /// quantised plan's, or any other.
     ///
     /// # Errors
     /// See [`RolloutError`].
@@ -266,8 +275,8 @@ pub trait Evaluate {
         progress: Progress<'_>,
     ) -> Result<Evaluation, RolloutError>;
 
-    /// The same, and the derivative of the loss with respect to each displacement, the others held. See [what it is good
-    /// for](self#what-a-gradient-is-good-for).
+    /// The same, and the derivative of the loss with respect to each displacement, the others held.
+    /// See [what it is good for](self#what-a-gradient-is-good-for).
     ///
     /// # Errors
     /// See [`RolloutError`].
@@ -277,8 +286,9 @@ pub trait Evaluate {
         progress: Progress<'_>,
     ) -> Result<(Evaluation, Vec<DisplacementGradient>), RolloutError>;
 
-    /// The same as [`Self::simulate`] for a tool that begins at `anchor` and not at the scene's start pose. Nothing is asked of the
-    /// anchor: a tool that begins within the powder pushes it out while it settles.
+    /// The same as [`Self::simulate`] for a tool that begins at `anchor` and not at the scene's
+    /// start pose. Nothing is asked of the anchor: a tool that begins within the powder pushes it
+    /// out while it settles.
     ///
     /// # Errors
     /// See [`RolloutError`].
@@ -289,7 +299,8 @@ pub trait Evaluate {
         progress: Progress<'_>,
     ) -> Result<Evaluation, RolloutError>;
 
-    /// [`Self::simulate_from`] with snapshots on the way; and where each particle is in the end, in the order of the packing.
+    /// [`Self::simulate_from`] with snapshots on the way; and where each particle is in the end, in
+    /// the order of the packing.
     ///
     /// # Errors
     /// See [`RolloutError`].
@@ -303,7 +314,8 @@ pub trait Evaluate {
 
 /// A simulator whose particles can be asked for: what [`boxed_simulator`] gives.
 pub trait ParticleSimulator: Evaluate {
-    /// Positions (m) at the end of a motion that begins at the scene's start pose, in the order of the packing.
+    /// Positions (m) at the end of a motion that begins at the scene's start pose, in the order of
+    /// the packing.
     ///
     /// # Errors
     /// See [`RolloutError`].
@@ -313,8 +325,8 @@ pub trait ParticleSimulator: Evaluate {
         progress: Progress<'_>,
     ) -> Result<Vec<[f64; 3]>, RolloutError>;
 
-    /// A custom loss at the end of such a motion, and its derivative with respect to each displacement, the others held: per
-    /// metre and per radian, whatever the loss's own unit is.
+    /// A custom loss at the end of such a motion, and its derivative with respect to each
+    /// displacement, the others held: per metre and per radian, whatever the loss's own unit is.
     ///
     /// # Errors
     /// See [`RolloutError`].
@@ -353,8 +365,8 @@ impl SimulatorSettings {
     }
 }
 
-/// Checks that the memory budget suffices for `work` (gradients in reasonable time), with `besides_bytes` left for its
-/// output.
+/// Checks that the memory budget suffices for `work` (gradients in reasonable time), with
+/// `besides_bytes` left for its output.
 ///
 /// # Errors
 /// [`RolloutError::Memory`] if not.
@@ -372,8 +384,8 @@ pub fn check_memory(
     Err(RolloutError::Memory { given, least, work, besides: besides_bytes > 0, threads })
 }
 
-/// The simulator of a validated scene, in the precision of the settings. What a scene that was not validated does is not defined, a
-/// panic included.
+/// The simulator of a validated scene, in the precision of the settings. What a scene that was not
+/// validated does is not defined, a panic included.
 ///
 /// # Errors
 /// See [`Simulator::new`].

@@ -6,13 +6,14 @@ use powderline_shared::pose::Pose;
 /// Where a particle is when all is over.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Destination {
-    /// In or above the source or another container that is not the target, walls included; or above the target's rim, as
-    /// the top of a heap in a full one.
+    /// In or above the source or another container that is not the target, walls included; or above
+    /// the target's rim, as the top of a heap in a full one.
     Remained,
     /// In the target: between its inner walls, above its floor and below its rim. Comes first.
     Target,
-    /// On the tool: in the ball around a bowl's inside, in the box around a scoop's or around cuboids, with as much room above as below. Powder
-    /// around a tool that still stands in the bed counts, too. Comes second.
+    /// On the tool: in the ball around a bowl's inside, in the box around a scoop's or around
+    /// cuboids, with as much room above as below. Powder around a tool that still stands in the bed
+    /// counts, too. Comes second.
     Tool,
     /// Above no container and not on the tool.
     Spilled,
@@ -72,8 +73,8 @@ fn above(c: &Container, p: &[f64; 3], walls: f64) -> bool {
     }
 }
 
-/// Between the container's walls and below its rim. A particle may stand in a wall's surface by a fraction of
-/// the wall thickness, as contact is soft.
+/// Between the container's walls and below its rim. A particle may stand in a wall's surface by a
+/// fraction of the wall thickness, as contact is soft.
 fn inside(c: &Container, p: &[f64; 3]) -> bool {
     let z = c.local_m(p)[2];
     above(c, p, 0.25) && z >= -0.25 * c.wall_thickness_m && z <= c.inner_height_m()

@@ -6,9 +6,10 @@
 //! | phi, angle of repose, taken as the angle of internal friction | `repose_rad` |
 //! | h(x, y), highest surface that stays on the tool | `surface_m` |
 //!
-//! `h(x, y) = min over the edge e of (z_e + tan(phi) |(x, y) - (x_e, y_e)|)`: from no edge over which powder could leave does it
-//! rise more steeply than phi. The edge of a bowl is its rim; that of a scoop its rim and the front of its floor; that of cuboids
-//! the border of what they cover, seen from above. Level powder is the same with phi = 0.
+//! `h(x, y) = min over the edge e of (z_e + tan(phi) |(x, y) - (x_e, y_e)|)`: from no edge over
+//! which powder could leave does it rise more steeply than phi. The edge of a bowl is its rim; that
+//! of a scoop its rim and the front of its floor; that of cuboids the border of what they cover,
+//! seen from above. Level powder is the same with phi = 0.
 
 use super::{Cuboid, Scene, ToolShape};
 use serde::Serialize;
@@ -25,9 +26,10 @@ const PITCH_STEP_RAD: f64 = 0.035;
 /// Point in the tool's frame: origin at the middle of the opening, +z out of it, +x towards the lip.
 type Point = [f64; 3];
 
-/// What the tool carries at most, kilogram: the largest heap at rest of which no flank is steeper than the friction angle, over any edge that
-/// powder can leave by, at the best pitch that the skill allows. An estimate from geometry alone. A simulated tool of cuboids with
-/// low rims has carried up to twice as much.
+/// What the tool carries at most, kilogram: the largest heap at rest of which no flank is steeper
+/// than the friction angle, over any edge that powder can leave by, at the best pitch that the
+/// skill allows. An estimate from geometry alone. A simulated tool of cuboids with low rims has
+/// carried up to twice as much.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[non_exhaustive]
 pub struct Capacity {
@@ -224,7 +226,8 @@ mod tests {
         shape.heaped_m3(&shape.edge(), pitch_rad, repose_rad)
     }
 
-    /// The closed forms: a hemisphere and a cone; a wedge on the floor of a scoop whose walls are higher than it.
+    /// The closed forms: a hemisphere and a cone; a wedge on the floor of a scoop whose walls are
+    /// higher than it.
     #[test]
     fn heaps_have_the_volume_of_the_textbook() {
         let phi = 35f64.to_radians();
@@ -245,7 +248,8 @@ mod tests {
         assert!((leaning / steep - 1.0).abs() < 0.08, "{leaning} {steep}");
     }
 
-    /// A scoop of cuboids holds what the same scoop of walls does, and the rims' own width of heap besides.
+    /// A scoop of cuboids holds what the same scoop of walls does, and the rims' own width of heap
+    /// besides.
     #[test]
     fn blocks_hold_what_they_enclose() {
         let phi = 35f64.to_radians();

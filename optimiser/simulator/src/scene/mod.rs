@@ -1,26 +1,29 @@
 //! The description of a bench: what `scene.toml` holds, with SI units in the key names.
 //!
-//! A [`Scene`] that came out of [`Scene::load`] or [`Scene::from_toml`] is valid: every number lies in the
-//! range documented at its field and the fields agree with each other. One that is built or changed in code is checked by
-//! [`Scene::validate`]. World frame: z up, floor at z = 0, the simulated volume is `[0, domain.size_m]`.
+//! A [`Scene`] that came out of [`Scene::load`] or [`Scene::from_toml`] is valid: every number lies
+//! in the range documented at its field and the fields agree with each other. One that is built or
+//! changed in code is checked by [`Scene::validate`]. World frame: z up, floor at z = 0, the
+//! simulated volume is `[0, domain.size_m]`.
 //!
 //! Four scenes come along:
 //!
 //! | Name | Particles | Cell | Tool, inside | Wanted | What it is |
 //! |---|---|---|---|---|---|
-//! | `bench` | 11,264 of 8 mg | 4 mm | bowl, radius 16 mm | 9.6 g | the default: from one open box into another |
+//! | `bench` | 11,264 of 8 mg | 4 mm | bowl, radius 16 mm | 9.6 g | the default, box to box |
 //! | `bench-small` | 2,772 of 8 mg | 4 mm | bowl, radius 10 mm | 1.6 g | a smaller one, for tests |
 //! | `bench-fine` | 90,112 of 1 mg | 2 mm | bowl, radius 16 mm | 9.6 g | `bench`, cells half as wide |
 //! | `vial` | 7,168 of 2.092 mg | 3 mm | box scoop, 18 x 15 x 10.5 mm | 1 g | light powder into a vial |
 //!
-//! To build one in code, load the one that is nearest, change its fields, and validate it; every field is public. Some
-//! advice:
-//! - What is to be resolved (a wall, a heap, the inside of a tool) should be four cells wide or high; a slope of a heap that is
-//!   two cells high means nothing.
-//! - Faces of containers lie best on grid nodes (multiples of the cell) or midway; [`Scene::warnings`] names those that do not.
-//! - A finer cell needs more substeps: [`Scene::cfl_number`] must be at most [`MAX_CFL`], and viscosity takes at most
-//!   [`MAX_VISCOUS_LOSS`].
-//! - A core advances 10 to 20 million particles by a substep in a second; a gradient costs about five times as much.
+//! To build one in code, load the one that is nearest, change its fields, and validate it; every
+//! field is public. Some advice:
+//! - What is to be resolved (a wall, a heap, the inside of a tool) should be four cells wide or
+//!   high; a slope of a heap that is two cells high means nothing.
+//! - Faces of containers lie best on grid nodes (multiples of the cell) or midway;
+//!   [`Scene::warnings`] names those that do not.
+//! - A finer cell needs more substeps: [`Scene::cfl_number`] must be at most [`MAX_CFL`], and
+//!   viscosity takes at most [`MAX_VISCOUS_LOSS`].
+//! - A core advances 10 to 20 million particles by a substep in a second; a gradient costs about
+//!   five times as much.
 //!
 //! # The scene `bench`
 //!
@@ -105,12 +108,13 @@ pub struct Domain {
     pub gravity_m_s2: [f64; 3],
     /// Coulomb friction of the domain's floor and walls, dimensionless; 0 to 2, typically 0.4.
     pub friction: f64,
-    /// Width over which contact with tool and containers fades out beyond a surface, in cells; 0.01 to 2,
-    /// typically 0.25.
+    /// Width over which contact with tool and containers fades out beyond a surface, in cells; 0.01
+    /// to 2, typically 0.25.
     pub contact_band_cells: f64,
-    /// Blocks of powder (4 x 4 x 4 cells) that stay slower than this for 0.03 s fall asleep: their particles stay as they are, at
-    /// rest to within this speed, and cost nothing. They wake when the tool comes within two cells, a node of theirs moves or a
-    /// particle arrives. m/s; 0 to 0.01, typically 0.0002; 0: never.
+    /// Blocks of powder (4 x 4 x 4 cells) that stay slower than this for 0.03 s fall asleep: their
+    /// particles stay as they are, at rest to within this speed, and cost nothing. They wake when
+    /// the tool comes within two cells, a node of theirs moves or a particle arrives. m/s; 0 to
+    /// 0.01, typically 0.0002; 0: never.
     pub sleep_speed_m_s: f64,
 }
 
@@ -124,24 +128,28 @@ pub struct Powder {
     pub fill_max_m: [f64; 3],
     /// Particles per grid cell of powder; 1 to 64, typically 8.
     pub particles_per_cell: u32,
-    /// What programs take for the seed of [`crate::rollout::SimulatorSettings`] if they are given none; a simulator takes that one alone. 0 to
-    /// 2^64 - 1.
+    /// What programs take for the seed of [`crate::rollout::SimulatorSettings`] if they are given
+    /// none; a simulator takes that one alone. 0 to 2^64 - 1.
     pub seed: u64,
-    /// Young's modulus, pascal; 100 to 1e9, typically 1e4. Real grains are stiffer; the CFL number limits it.
+    /// Young's modulus, pascal; 100 to 1e9, typically 1e4. Real grains are stiffer; the CFL number
+    /// limits it.
     pub youngs_modulus_pa: f64,
     /// Poisson's ratio, dimensionless; 0 to 0.49, typically 0.2.
     pub poissons_ratio: f64,
     /// Bulk density, kg/m^3; 10 to 25,000, typically 1000.
     pub density_kg_m3: f64,
-    /// Angle of internal friction `phi`, degrees; 0 to 60, typically 35. The yield surface is a Drucker-Prager cone through the
-    /// triaxial compression corners of Mohr-Coulomb's, `|s| = sqrt(2/3) 6 sin(phi)/(3 - sin(phi)) p` with the mean stress `p` and the
-    /// deviator's norm `|s|`. In other states of stress the cone is the stronger one: in plane strain 35 degrees act as 55.
+    /// Angle of internal friction `phi`, degrees; 0 to 60, typically 35. The yield surface is a
+    /// Drucker-Prager cone through the triaxial compression corners of Mohr-Coulomb's,
+    /// `|s| = sqrt(2/3) 6 sin(phi)/(3 - sin(phi)) p` with the mean stress `p` and the deviator's
+    /// norm `|s|`. In other states of stress the cone is the stronger one: in plane strain 35
+    /// degrees act as 55.
     pub friction_angle_deg: f64,
-    /// Mohr-Coulomb cohesion, pascal; 0 (dry sand) to 1e5, for cohesive powder about 50. Needs a friction angle.
+    /// Mohr-Coulomb cohesion, pascal; 0 (dry sand) to 1e5, for cohesive powder about 50. Needs a
+    /// friction angle.
     pub cohesion_pa: f64,
-    /// Shear viscosity of the flowing powder, Pa s; 0 to 100, typically 0.08. Besides being physical it keeps
-    /// single grains on the surface from amplifying the smallest disturbance, without which gradients of long
-    /// motions are noise.
+    /// Shear viscosity of the flowing powder, Pa s; 0 to 100, typically 0.08. Besides being
+    /// physical it keeps single grains on the surface from amplifying the smallest disturbance,
+    /// without which gradients of long motions are noise.
     pub viscosity_pa_s: f64,
 }
 
@@ -156,8 +164,8 @@ pub struct Time {
     pub substeps: u32,
     /// Control steps in the whole motion; 1 to 100,000, typically 500. The longest skill must fit in.
     pub horizon_steps: u32,
-    /// Time the powder is given to settle, tool at rest at its start pose, before the motion starts, seconds;
-    /// 0 to 60, typically 0.2.
+    /// Time the powder is given to settle, tool at rest at its start pose, before the motion
+    /// starts, seconds; 0 to 60, typically 0.2.
     pub settle_s: f64,
 }
 
@@ -167,15 +175,17 @@ pub struct Time {
 pub struct Container {
     /// Name, 1 to 64 printable characters, unique in the scene; `objective` refers to it.
     pub name: String,
-    /// Centre of the inner floor, metres, world frame. The container's floor plate lies below it, one wall
-    /// thickness thick: a container that stands on the domain's floor has z = `wall_thickness_m`.
+    /// Centre of the inner floor, metres, world frame. The container's floor plate lies below it,
+    /// one wall thickness thick: a container that stands on the domain's floor has z =
+    /// `wall_thickness_m`.
     pub position_m: [f64; 3],
     /// Rotation about the vertical, degrees, counter-clockwise from above; -360 to 360.
     pub yaw_deg: f64,
     /// Thickness of walls and floor, metres; half a cell to 1, typically one cell.
     pub wall_thickness_m: f64,
-    /// Coulomb friction of walls and floor, dimensionless; 0 to 2, typically 0.4. A heap keeps its foot only on a floor whose
-    /// friction is about that of the powder, the tangent of its angle, or more.
+    /// Coulomb friction of walls and floor, dimensionless; 0 to 2, typically 0.4. A heap keeps its
+    /// foot only on a floor whose friction is about that of the powder, the tangent of its angle,
+    /// or more.
     pub friction: f64,
     /// Shape and inner dimensions.
     pub shape: ContainerShape,
@@ -187,8 +197,8 @@ pub struct Container {
 pub enum ContainerShape {
     /// Rectangular box.
     Box {
-        /// Inner length (x), width (y) and height (z) in the container's own frame, metres; each one cell to
-        /// 10.
+        /// Inner length (x), width (y) and height (z) in the container's own frame, metres; each
+        /// one cell to 10.
         inner_size_m: [f64; 3],
     },
     /// Upright round cylinder.
@@ -207,16 +217,17 @@ pub enum ContainerShape {
 pub struct Tool {
     /// Shape and inner dimensions.
     pub shape: ToolShape,
-    /// Thickness of the tool's walls, outside the inner dimensions, metres; half a cell to 1, typically one
-    /// cell. Cuboids have sizes of their own: there it only moves the handle's end into the rear wall.
+    /// Thickness of the tool's walls, outside the inner dimensions, metres; half a cell to 1,
+    /// typically one cell. Cuboids have sizes of their own: there it only moves the handle's end
+    /// into the rear wall.
     pub wall_thickness_m: f64,
     /// Coulomb friction of the tool, dimensionless; 0 to 2, typically 0.4.
     pub friction: f64,
-    /// Start position of the tool's origin, metres, world frame. The tool, as its convex hull, must be clear of the powder
-    /// there, and `skill.approach_m` above it.
+    /// Start position of the tool's origin, metres, world frame. The tool, as its convex hull, must
+    /// be clear of the powder there, and `skill.approach_m` above it.
     pub start_position_m: [f64; 3],
-    /// Start pitch, degrees: how far the opening is tilted from straight up towards the scooping direction;
-    /// -90 to 90, typically 80.
+    /// Start pitch, degrees: how far the opening is tilted from straight up towards the scooping
+    /// direction; -90 to 90, typically 80.
     pub start_pitch_deg: f64,
     /// Rod that joins the tool to the arm.
     pub handle: Handle,
@@ -236,13 +247,22 @@ pub enum ToolShape {
         /// Inner length (x), width (y) and height (z), metres; each one cell to 1.
         inner_size_m: [f64; 3],
     },
-    /// Any shape that can be put together from cuboids, in the tool's frame: origin where the opening's middle should be, what holds
-    /// powder below it (z < 0), lip towards +x. Tool and powder turn about the origin. Here a plate that leans outwards by 30 degrees:
+    /// Any shape that can be put together from cuboids, in the tool's frame: origin where the
+    /// opening's middle should be, what holds powder below it (z < 0), lip towards +x. Tool and
+    /// powder turn about the origin. Here a plate that leans outwards by 30 degrees:
     ///
     /// ```
     /// # use powderline_simulator::scene::{Cuboid, ToolShape};
-    /// let blade = Cuboid { centre_m: [0.0, 0.0, -0.005], size_m: [0.020, 0.012, 0.002], rotation_deg: [0.0; 3] };
-    /// let rim = Cuboid { centre_m: [0.0, 0.008, -0.003], size_m: [0.020, 0.002, 0.005], rotation_deg: [-30.0, 0.0, 0.0] };
+    /// let blade = Cuboid {
+    ///     centre_m: [0.0, 0.0, -0.005],
+    ///     size_m: [0.020, 0.012, 0.002],
+    ///     rotation_deg: [0.0; 3],
+    /// };
+    /// let rim = Cuboid {
+    ///     centre_m: [0.0, 0.008, -0.003],
+    ///     size_m: [0.020, 0.002, 0.005],
+    ///     rotation_deg: [-30.0, 0.0, 0.0],
+    /// };
     /// let shape = ToolShape::Cuboids { cuboid: vec![blade, rim] };
     /// ```
     Cuboids {
@@ -254,8 +274,8 @@ pub enum ToolShape {
 /// Most cuboids of one tool.
 pub const MAX_CUBOIDS: usize = 64;
 
-/// Straight round rod (capsule) that starts at the tool's rear rim and runs along -x, raised by `rise_deg`
-/// towards +z. Behind cuboids it starts at z = 0, as far back as they reach.
+/// Straight round rod (capsule) that starts at the tool's rear rim and runs along -x, raised by
+/// `rise_deg` towards +z. Behind cuboids it starts at z = 0, as far back as they reach.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Handle {
@@ -263,17 +283,19 @@ pub struct Handle {
     pub length_m: f64,
     /// Radius, metres; a quarter of a cell to 0.1, typically one cell.
     pub radius_m: f64,
-    /// Angle between the rod and the tool's -x axis, degrees, positive towards +z; -90 to 90, typically 85.
+    /// Angle between the rod and the tool's -x axis, degrees, positive towards +z; -90 to 90,
+    /// typically 85.
     pub rise_deg: f64,
 }
 
 /// Theta in [-1, 1]^5 maps affinely to these bounds (low at -1, high at +1); low equal to high fixes a
 /// parameter.
 ///
-/// The motion: straight down by `approach_m` + depth; pitch back by the scooping angle while moving `sweep_m`
-/// forward; straight up by the lift; forward by the transport displacement; pitch forward by the pouring
-/// angle; rest until the horizon. It is that of the tool's origin, about which the tool is pitched: in the end the pitch is
-/// the start's - scooping angle + pouring angle, and the origin has gone sweep + transport forward.
+/// The motion: straight down by `approach_m` + depth; pitch back by the scooping angle while moving
+/// `sweep_m` forward; straight up by the lift; forward by the transport displacement; pitch forward
+/// by the pouring angle; rest until the horizon. It is that of the tool's origin, about which the
+/// tool is pitched: in the end the pitch is the start's - scooping angle + pouring angle, and the
+/// origin has gone sweep + transport forward.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Skill {
@@ -291,13 +313,13 @@ pub struct Skill {
     pub initial_theta: [[f64; 2]; 5],
     /// Horizontal direction of scooping and transport, degrees counter-clockwise from +x; -360 to 360.
     pub heading_deg: f64,
-    /// Downward travel from the start pose until the tool's lowest point meets the powder's surface, before
-    /// the scooping depth, metres; 0.0001 to 1, typically 0.02.
+    /// Downward travel from the start pose until the tool's lowest point meets the powder's
+    /// surface, before the scooping depth, metres; 0.0001 to 1, typically 0.02.
     pub approach_m: f64,
     /// Forward travel during the scoop segment, metres; 0 to 1, typically 0.016.
     pub sweep_m: f64,
-    /// Mean linear speed of each translating segment, m/s; 0.001 to 5, typically 0.14. With `minimum_jerk` the
-    /// peak is 1.875 times as high.
+    /// Mean linear speed of each translating segment, m/s; 0.001 to 5, typically 0.14. With
+    /// `minimum_jerk` the peak is 1.875 times as high.
     pub linear_speed_m_s: f64,
     /// Mean angular speed of the scoop and pour segments, rad/s; 0.01 to 50, typically 1.5. With
     /// `minimum_jerk` the peak is 1.875 times as high.
@@ -313,7 +335,8 @@ pub struct Skill {
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum Timing {
-    /// Every segment is rounded to whole control steps, as in the paper; the gradient takes the count as fixed.
+    /// Every segment is rounded to whole control steps, as in the paper; the gradient takes the
+    /// count as fixed.
     Rounded,
     /// Segments end at exact times and the motion is sampled at every control step.
     Continuous,
@@ -354,11 +377,13 @@ pub struct Objective {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Aim {
-    /// The wanted amount at `p_target_m`, and the rest where it came from. With the distances `d_i` of the particles from
-    /// `p_target_m`, n wanted ones, and the distance `D` of the nearest point inside the source: the sum of `d_i` over the n
-    /// nearest, plus the sum of `max(0, D - d_i)` over all others.
+    /// The wanted amount at `p_target_m`, and the rest where it came from. With the distances `d_i`
+    /// of the particles from `p_target_m`, n wanted ones, and the distance `D` of the nearest point
+    /// inside the source: the sum of `d_i` over the n nearest, plus the sum of `max(0, D - d_i)`
+    /// over all others.
     Amount,
-    /// All powder at `p_target_m`, as in the paper: as much as can be had, whatever amount is wanted. The sum of all `d_i`.
+    /// All powder at `p_target_m`, as in the paper: as much as can be had, whatever amount is
+    /// wanted. The sum of all `d_i`.
     All,
 }
 
@@ -404,12 +429,13 @@ pub struct Optimiser {
     pub learning_rate: f64,
     /// RMSprop's decay of the squared gradient, dimensionless; 0 to below 1, in the paper 0.9.
     pub beta: f64,
-    /// RMSprop's guard against division by zero, in units of the gradient; above 0, up to 1, typically 1e-8.
+    /// RMSprop's guard against division by zero, in units of the gradient; above 0, up to 1,
+    /// typically 1e-8.
     pub epsilon: f64,
     /// What the updates go by.
     pub gradient: GradientEstimator,
-    /// Half-step of the central differences that `mixed` compares the adjoint with, in units of theta; above 0, up to
-    /// 0.5, typically 0.1: far enough for single grains to average out.
+    /// Half-step of the central differences that `mixed` compares the adjoint with, in units of
+    /// theta; above 0, up to 0.5, typically 0.1: far enough for single grains to average out.
     pub difference_half_step: f64,
 }
 

@@ -89,12 +89,14 @@ impl SkillMap {
         Ok(checker.peak_use())
     }
 
-    /// Checks every corner of theta's range. Travels and, with minimum jerk, durations grow with theta, and each
-    /// coordinate of the path is largest and smallest at corners: what holds there holds for all skills. Limits alone: for walls in the
-    /// tool's way see [`super::colliding_skill`].
+    /// Checks every corner of theta's range. Travels and, with minimum jerk, durations grow with
+    /// theta, and each coordinate of the path is largest and smallest at corners: what holds there
+    /// holds for all skills. Limits alone: for walls in the tool's way see
+    /// [`super::colliding_skill`].
     ///
     /// # Errors
-    /// [`SkillError::Corner`] with what is wrong at the first corner that is not a motion within the limits.
+    /// [`SkillError::Corner`] with what is wrong at the first corner that is not a motion within
+    /// the limits.
     pub fn check_all_corners(&self) -> Result<(), SkillError> {
         for corner in 0..32u32 {
             let theta = std::array::from_fn(|k| if corner >> k & 1 == 0 { -1.0 } else { 1.0 });

@@ -61,7 +61,8 @@ fn theta() -> impl Strategy<Value = Theta> {
     prop::array::uniform5(-1.0..=1.0f64)
 }
 
-/// Sum of the controls from the start: displacement of the origin and (the axis never turning) rotation vector.
+/// Sum of the controls from the start: displacement of the origin and (the axis never turning)
+/// rotation vector.
 fn total(controls: &[Control]) -> Control {
     controls.iter().fold([0.0; 6], |sum, step| std::array::from_fn(|k| sum[k] + step[k]))
 }
@@ -273,8 +274,9 @@ fn taylor_remainder_of_the_smooth_mapping_falls_with_slope_two() {
     }
 }
 
-/// Constant speed makes the mapping piecewise linear but for the scoop's duration, rounded timing linear as long as
-/// no count flips: the remainder, rather than falling with slope 2, is next to nothing.
+/// Constant speed makes the mapping piecewise linear but for the scoop's duration, rounded timing
+/// linear as long as no count flips: the remainder, rather than falling with slope 2, is next to
+/// nothing.
 #[test]
 fn taylor_remainder_of_the_piecewise_linear_mappings_is_second_order_or_rounding() {
     let (theta, direction) = ([0.1, -0.2, 0.3, 0.15, -0.4], [0.5, -0.7, 0.3, 0.6, 0.4]);
@@ -334,13 +336,17 @@ proptest! {
     }
 
     #[test]
-    fn composed_controls_end_at_the_pose_that_the_parameters_say(theta in theta(), heading_deg in -180.0..180.0f64) {
+    fn composed_controls_end_at_the_pose_that_the_parameters_say(
+        theta in theta(),
+        heading_deg in -180.0..180.0f64,
+    ) {
         for (timing, profile) in KINDS {
             let skill = Skill { heading_deg, ..skill(timing, profile) };
             let map = SkillMap::from_parts(&skill, &time(), &limits(), &tool());
             let [depth, scoop, lift, transport, pour] = map.parameters(&theta);
             let controls = map.control_vectors(&theta).unwrap();
-            let end = controls.iter().fold(*map.start_pose(), |pose, control| pose.displaced(&Displacement::from(*control)));
+            let moved = |pose: Pose, control: &Control| pose.displaced(&Displacement::from(*control));
+            let end = controls.iter().fold(*map.start_pose(), moved);
             // In the tool's words: the same place, the opening tilted by start pitch - scoop + pour.
             let heading = exp_so3(&[0.0, 0.0, heading_deg.to_radians()].into());
             let pitch = 30f64.to_radians() - scoop + pour;
@@ -355,7 +361,10 @@ proptest! {
     }
 
     #[test]
-    fn quantised_motion_is_within_half_an_lsb_everywhere(theta in theta(), heading_deg in -180.0..180.0f64) {
+    fn quantised_motion_is_within_half_an_lsb_everywhere(
+        theta in theta(),
+        heading_deg in -180.0..180.0f64,
+    ) {
         for (timing, profile) in KINDS {
             let skill = Skill { heading_deg, ..skill(timing, profile) };
             let map = SkillMap::from_parts(&skill, &time(), &limits(), &tool());
@@ -384,13 +393,13 @@ proptest! {
             let slow = Time { horizon_steps: 4000, ..time() };
             let map = SkillMap::from_parts(&skill, &slow, &limits(), &tool());
             let controls = map.control_vectors(&theta).unwrap();
-            prop_assert!(map.check_limits(&QuantisedControls::new(&map.controls(&theta).unwrap()).unwrap()).is_ok());
+            let quantised = QuantisedControls::new(&map.controls(&theta).unwrap()).unwrap();
+            prop_assert!(map.check_limits(&quantised).is_ok());
             let (translation, rotation): (Vec<[f64; 3]>, Vec<[f64; 3]>) =
                 controls.iter().map(|c| ([c[0], c[1], c[2]], [c[3], c[4], c[5]])).unzip();
-            let limits = limits();
-            let linear = [limits.linear_velocity_m_s, limits.linear_acceleration_m_s2, limits.linear_jerk_m_s3];
-            let angular =
-                [limits.angular_velocity_rad_s, limits.angular_acceleration_rad_s2, limits.angular_jerk_rad_s3];
+            let l = limits();
+            let linear = [l.linear_velocity_m_s, l.linear_acceleration_m_s2, l.linear_jerk_m_s3];
+            let angular = [l.angular_velocity_rad_s, l.angular_acceleration_rad_s2, l.angular_jerk_rad_s3];
             for (steps, limits) in [(translation, linear), (rotation, angular)] {
                 for (peak, limit) in peaks(&steps).into_iter().zip(limits) {
                     prop_assert!(peak <= limit * (1.0 + 1e-9), "{timing:?} {peak} {limit}");
@@ -400,12 +409,18 @@ proptest! {
     }
 
     #[test]
-    fn pull_back_is_the_transpose_of_the_jacobian(theta in theta(), direction in theta(), seed in any::<u64>()) {
+    fn pull_back_is_the_transpose_of_the_jacobian(
+        theta in theta(),
+        direction in theta(),
+        seed in any::<u64>(),
+    ) {
         let at = map(Timing::Continuous, Profile::MinimumJerk).linearise(&theta).unwrap();
-        let bars: Vec<Control> =
-            (0..at.controls.len() as u64).map(|i| std::array::from_fn(|k| libm::sin((seed % 1000) as f64 + 0.7 * i as f64 + 1.9 * k as f64))).collect();
+        let phase = (seed % 1000) as f64;
+        let bar = |i: usize| std::array::from_fn(|k| libm::sin(phase + 0.7 * i as f64 + 1.9 * k as f64));
+        let bars: Vec<Control> = (0..at.controls.len()).map(bar).collect();
         let pushed: f64 = at.jacobian.iter().zip(&bars).map(|(jacobian, bar)| {
-            (0..6).map(|row| bar[row] * (0..5).map(|k| jacobian[row][k] * direction[k]).sum::<f64>()).sum::<f64>()
+            let along = |row: usize| (0..5).map(|k| jacobian[row][k] * direction[k]).sum::<f64>();
+            (0..6).map(|row| bar[row] * along(row)).sum::<f64>()
         }).sum();
         let pulled: f64 = at.pull_back(&bars).iter().zip(direction).map(|(bar, d)| bar * d).sum();
         prop_assert!(close(pushed, pulled, 1e-12 * (1.0 + pushed.abs())));

@@ -9,14 +9,17 @@ use super::{Container, Scene, SceneError};
 use checker::Checker;
 
 impl Scene {
-    /// Checks every field's range and the rules between fields; the first thing wrong is returned. `file` stands for the scene in
-    /// messages.
+    /// Checks every field's range and the rules between fields; the first thing wrong is returned.
+    /// `file` stands for the scene in messages.
     ///
-    /// The rules between fields, in this order: cells and particles within [`super::MAX_CELLS`] and [`super::MAX_PARTICLES`]; substeps of a rollout within
-    /// [`super::MAX_SUBSTEPS`]; CFL number and viscous loss; cohesion needs friction; containers within the domain and clear of
-    /// each other, names unique; source and target among them, the target point within the domain, no more wanted than there is; the powder
-    /// within the source; the tool at its start within domain and workspace, clear of containers and powder, its deepest scoop above the
-    /// source's floor; every skill within domain and workspace, its longest within the horizon, its speeds within the limits.
+    /// The rules between fields, in this order: cells and particles within [`super::MAX_CELLS`] and
+    /// [`super::MAX_PARTICLES`]; substeps of a rollout within [`super::MAX_SUBSTEPS`]; CFL number
+    /// and viscous loss; cohesion needs friction; containers within the domain and clear of each
+    /// other, names unique; source and target among them, the target point within the domain, no
+    /// more wanted than there is; the powder within the source; the tool at its start within domain
+    /// and workspace, clear of containers and powder, its deepest scoop above the source's floor;
+    /// every skill within domain and workspace, its longest within the horizon, its speeds within
+    /// the limits.
     ///
     /// # Errors
     /// [`SceneError::Invalid`] with the field, its value and what would be right.
