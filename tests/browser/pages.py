@@ -54,6 +54,16 @@ return [...document.querySelectorAll('.table')].filter((table) => table.scrollWi
   .map((table) => table.getAttribute('aria-label'));
 """
 
+# Tables of many columns of which no row has two numbers side by side, or a row begins at the very edge.
+STACKED = """
+const at = (element) => element.getBoundingClientRect();
+return [...document.querySelectorAll('.table.wide')].filter((table) => {
+  const rows = [...table.querySelectorAll('tbody tr')].map((row) => [...row.querySelectorAll('[data-name]')]);
+  const isWrapped = (cells) => new Set(cells.map((cell) => Math.round(at(cell).top))).size < cells.length;
+  return !rows.some(isWrapped) || rows.some(([first]) => at(first).left < at(table).left + 8);
+}).map((table) => table.getAttribute('aria-label'));
+"""
+
 # Controls less than 40 pixels high or 28 wide.
 SMALL = """
 return [...document.querySelectorAll('button, select, label, input[type=range], summary')].filter((element) => {
@@ -213,6 +223,8 @@ class Report:
             check(not scrolled, f"at {width} pixels these tables do not show everything: {scrolled}")
             self.check_axes()
         self.emulate(400, 900, "light")
+        stacked = self.script(STACKED)
+        check(not stacked, f"at 400 pixels these tables are lists of numbers: {stacked}")
         small = self.script(SMALL)
         check(not small, f"at 400 pixels there are controls too small for fingers: {small}")
 
