@@ -3,10 +3,10 @@
 use powderline_shared::{displacement::Displacement, plan::Precision};
 
 use crate::rollout::{
-    DisplacementGradient, Evaluate, ParticleSimulator, Recording, RolloutError, Simulator, SimulatorSettings,
-    Snapshot, gradcheck,
+    Destination, DisplacementGradient, Evaluate, ParticleSimulator, Recording, RolloutError, Simulator,
+    SimulatorSettings, Snapshot, gradcheck, outcome,
 };
-use crate::scene::{Aim, Cuboid, Scene, ToolShape};
+use crate::scene::{Aim, Cuboid, Infeasible, Scene, Tool, ToolShape};
 use crate::skill::{SkillMap, Theta};
 
 #[test]
@@ -231,12 +231,13 @@ fn a_loss_of_ones_own_is_differentiated_like_the_scenes() {
     assert_eq!(refused.err(), Some(RolloutError::LossGradientLength { given: 0, particles }));
 }
 
-/// A scoop put together from cuboids is the scoop: the same bits.
-#[test]
-fn a_scoop_of_cuboids_moves_powder_as_the_scoop_does() {
+/// Inner dimensions of a scoop.
+const SCOOP_M: [f64; 3] = [0.018, 0.016, 0.010];
+
+/// The small bench with a scoop, and with the same scoop put together from cuboids.
+fn scoops() -> [Scene; 2] {
     let mut scene = Scene::load("bench-small").expect("shipped");
-    scene.time.settle_s = 0.0;
-    let ([l, w, h], t) = ([0.018, 0.016, 0.010], scene.tool.wall_thickness_m);
+    let ([l, w, h], t) = (SCOOP_M, scene.tool.wall_thickness_m);
     let cuboid = |centre_m: [f64; 3], half_m: [f64; 3]| Cuboid {
         centre_m,
         size_m: half_m.map(|edge| 2.0 * edge),
@@ -249,18 +250,117 @@ fn a_scoop_of_cuboids_moves_powder_as_the_scoop_does() {
         cuboid([-0.5 * t, hw + 0.5 * t, -half_height], [hl + 0.5 * t, 0.5 * t, half_height]),
         cuboid([-0.5 * t, -hw - 0.5 * t, -half_height], [hl + 0.5 * t, 0.5 * t, half_height]),
     ];
-    scene.tool.shape = ToolShape::BoxScoop { inner_size_m: [l, w, h] };
-    let skill = SkillMap::new(&scene).controls(&gradcheck::CHECKED_THETA).expect("fits");
-    let controls: Vec<_> = skill[..80].to_vec();
-    let gradient = |shape: ToolShape| {
-        let mut scene = scene.clone();
+    let shapes = [ToolShape::BoxScoop { inner_size_m: SCOOP_M }, ToolShape::Cuboids { cuboid: cuboids }];
+    shapes.map(|shape| {
         scene.tool.shape = shape;
+        scene.clone()
+    })
+}
+
+/// A scoop put together from cuboids is the scoop: the same bits.
+#[test]
+fn a_scoop_of_cuboids_moves_powder_as_the_scoop_does() {
+    let [scoop, cuboids] = scoops();
+    let skill = SkillMap::new(&scoop).controls(&gradcheck::CHECKED_THETA).expect("fits");
+    let controls: Vec<_> = skill[..80].to_vec();
+    let gradient = |scene: &Scene| {
+        let mut scene = scene.clone();
+        scene.time.settle_s = 0.0;
         let mut s = Simulator::<f32>::new(&scene, &SimulatorSettings::default()).expect("threads");
         let (evaluation, slopes) = s.simulate_with_gradient(&controls, &mut |_, _| true).expect("runs");
         (evaluation.loss.to_bits(), slopes)
     };
-    let scoop = gradient(scene.tool.shape.clone());
-    assert!(scoop == gradient(ToolShape::Cuboids { cuboid: cuboids.clone() }));
+    let found = gradient(&scoop);
+    assert!(found == gradient(&cuboids));
     // One that has no floor carries something else.
-    assert!(scoop.0 != gradient(ToolShape::Cuboids { cuboid: cuboids[1..].to_vec() }).0);
+    let mut floorless = cuboids;
+    if let ToolShape::Cuboids { cuboid } = &mut floorless.tool.shape {
+        cuboid.remove(0);
+    }
+    assert!(found.0 != gradient(&floorless).0);
+}
+
+/// It reaches as far, its handle begins where the scoop's does, and it may not start where the scoop may not.
+#[test]
+fn a_scoop_of_cuboids_stands_where_the_scoop_does() {
+    let near = |a: f64, b: f64| assert!((a - b).abs() < 1e-12, "{a} {b}");
+    let [scoop, cuboids] = scoops();
+    let reach = |tool: &Tool| [tool.body_extent_m(), tool.handle_axis_m()].concat().concat();
+    reach(&scoop.tool).into_iter().zip(reach(&cuboids.tool)).for_each(|(a, b)| near(a, b));
+    // The body is the farthest only of a tool with a short handle.
+    let radius_m = |scene: &Scene, length_m: f64| {
+        let mut tool = scene.tool.clone();
+        tool.handle.length_m = length_m;
+        tool.bounding_radius_m()
+    };
+    for length_m in [0.001, 0.03] {
+        near(radius_m(&scoop, length_m), radius_m(&cuboids, length_m));
+    }
+    assert!(radius_m(&cuboids, 0.001) < radius_m(&cuboids, 0.03));
+
+    let refused = |scene: &Scene, height_mm: u8| {
+        let mut scene = scene.clone();
+        scene.tool.start_position_m[2] = 1e-3 * f64::from(height_mm);
+        scene.validate("it").err().map(|error| error.to_string())
+    };
+    let answers: Vec<_> = (15..65).map(|mm| [&scoop, &cuboids].map(|scene| refused(scene, mm))).collect();
+    assert!(answers.iter().all(|[a, b]| a == b), "{answers:#?}");
+    let says = |what: &str| answers.iter().flatten().flatten().any(|text| text.contains(what));
+    assert!(says("overlaps the powder") && answers.iter().flatten().any(Option::is_none), "{answers:#?}");
+}
+
+/// Its lip is the edge that is the furthest forward: that of the scoop, but for the floor's thickness.
+#[test]
+fn the_lip_of_a_scoop_of_cuboids_is_the_scoops() {
+    for lean_deg in [0.0f64, 30.0] {
+        let [gap_m, other_m] = scoops().map(|mut scene| {
+            scene.tool.start_pitch_deg = -lean_deg;
+            (scene.skill.scooping_angle_deg, scene.skill.pouring_angle_deg) = ([0.0; 2], [0.0; 2]);
+            scene.skill.transport_displacement_m = [0.01, 0.02];
+            match scene.check_feasible() {
+                Err(Infeasible::OutOfReach { gap_m, .. }) => gap_m,
+                other => panic!("{other:?}"),
+            }
+        });
+        let lower_m = libm::sin(lean_deg.to_radians()) * 0.004;
+        assert!((gap_m - other_m - lower_m).abs() < 1e-12, "{lean_deg}: {gap_m} {other_m}");
+    }
+}
+
+/// What lies in a scoop, or heaped upon it, lies on it: of cuboids as well, in the box a wall's thickness around them.
+#[test]
+fn a_scoop_of_cuboids_holds_what_the_scoop_holds() {
+    let [scoop, cuboids] = scoops();
+    let ([l, w, h], t) = (SCOOP_M, scoop.tool.wall_thickness_m);
+    let tool = *SkillMap::new(&scoop).start_pose();
+    let held = |scene: &Scene, points: Vec<[f64; 3]>| {
+        let world = |point: [f64; 3]| tool.world_from_tool(&point.into()).into();
+        let world: Vec<[f64; 3]> = points.into_iter().map(world).collect();
+        let on_tool = outcome::census(scene, &world, &tool).on_tool;
+        let of = outcome::destinations(scene, &world, &tool);
+        let held: Vec<bool> = of.into_iter().map(|it| it == Destination::Tool).collect();
+        assert_eq!(held.iter().filter(|it| **it).count(), on_tool as usize);
+        held
+    };
+    let sides = [-0.9, 0.0, 0.9];
+    let point = |i: usize| [0.5 * l * sides[i % 3], 0.5 * w * sides[i / 3 % 3], h * sides[i / 9]];
+    for scene in [&scoop, &cuboids] {
+        assert!(held(scene, (0..27).map(point).collect()).into_iter().all(|it| it));
+    }
+    // Just inside and just outside of each side of a box.
+    let around = |low: [f64; 3], high: [f64; 3]| {
+        let beside = |(axis, at_m): (usize, f64)| {
+            [-1e-6, 1e-6].map(|off_m| {
+                let mut point = [0.0; 3];
+                point[axis] = at_m + off_m * at_m.signum();
+                point
+            })
+        };
+        low.into_iter().enumerate().chain(high.into_iter().enumerate()).flat_map(beside).collect()
+    };
+    let outside = [0.5 * l + t, 0.5 * w + t, h + t];
+    let in_and_out = [true, false].repeat(6);
+    assert_eq!(held(&scoop, around(outside.map(|x| -x), outside)), in_and_out);
+    let [x, y, z] = outside.map(|x| x + t);
+    assert_eq!(held(&cuboids, around([-x, -y, -z], [x - t, y, z])), in_and_out);
 }
