@@ -320,12 +320,22 @@ fn epochs() -> Table {
         run_charts()[0].marks.iter().find(|(x, _)| (x - epoch).abs() < 0.5).map(|(_, mark)| mark.clone())
     };
     let row = |([epoch, loss], [_, arrived]): (&[f64; 2], &[f64; 2])| {
-        let cells = vec![epoch.to_string(), format!("{loss:.3}"), format!("{arrived:.0}"), "12".into()];
+        let error = format!("{:.1} % too little", 100.0 - arrived / 12.0);
+        let [grams, particles] = [format!("{:.3} g", 0.008 * arrived), format!("{arrived:.0}")];
+        let cells = texts(&[
+            &epoch.to_string(),
+            &grams,
+            &particles,
+            &error,
+            "0.096 g",
+            &format!("{loss:.3}"),
+            "32.6",
+        ]);
         Row::from(cells).marked(mark(*epoch))
     };
     Table {
         title: "Epochs".into(),
-        columns: texts(&["epoch", "loss, m", "arrived", "spilled"]),
+        columns: texts(&["epoch", "arrives", "particles", "error", "spilled", "loss, m", "seconds"]),
         rows: loss.iter().zip(&arrived).map(row).collect(),
     }
 }
