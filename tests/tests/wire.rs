@@ -1,6 +1,6 @@
 //! Executor and arm as two programs on a real wire: a pseudo-terminal anywhere, SocketCAN where there is one.
 //!
-//! Tests whose names begin with `vcan_` need the interface `vcan0`. `tests/run` runs them inside `tests/tools/with-vcan`;
+//! The ignored tests, `vcan_..`, need the interface `vcan0`. `tests/run` runs them inside `tests/tools/with-vcan`;
 //! elsewhere they are ignored, and fail when they are asked for all the same.
 
 use std::fs;
