@@ -20,8 +20,8 @@ fn every_relative_link_of_the_documents_leads_somewhere() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
     let mut found = Vec::new();
     documents(root, &mut found);
-    let mut followed = 0;
     for document in &found {
+        let mut followed = 0;
         let text = fs::read_to_string(document).unwrap();
         for link in text.split("](").skip(1).filter_map(|rest| rest.split(')').next()) {
             let path = link.split('#').next().unwrap();
@@ -31,9 +31,13 @@ fn every_relative_link_of_the_documents_leads_somewhere() {
             assert!(document.parent().unwrap().join(path).exists(), "{}: {link}", document.display());
             followed += 1;
         }
+        // A reader of links that finds none would pass everything.
+        let least = if *document == root.join("README.md") { 11 } else { 0 };
+        assert!(followed >= least, "{followed} links in {}", document.display());
     }
-    // README alone has more than ten.
-    assert!(followed > 10, "{followed} links in {} documents", found.len());
+    for known in ["README.md", "CHANGELOG.md", "shared/PROTOCOL.md", "optimiser/guide/commands.md"] {
+        assert!(found.contains(&root.join(known)), "{known} is not among the documents");
+    }
 }
 
 #[test]
