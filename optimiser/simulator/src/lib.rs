@@ -3,10 +3,10 @@
 //! the path.
 //!
 //! The powder is a continuum, moved by the moving least squares material point method (MLS-MPM)
-//! with Drucker-Prager plasticity, in contact with rigid containers and a rigid tool by Coulomb
-//! friction. Every stage of a substep has its adjoint beside it, tested by Taylor slopes. The same
-//! scene, seed and precision give the same bits on any machine, for any number of threads and any
-//! memory budget.
+//! with Drucker-Prager or Matsuoka-Nakai plasticity, in contact with rigid containers, gates that open,
+//! and a rigid tool by Coulomb friction. Every stage of a substep has its adjoint beside it, tested by
+//! Taylor slopes. The same scene, seed and precision give the same bits on any machine, for any number
+//! of threads and any memory budget.
 //!
 //! "The paper" is here Wei, Yang, Lai and Ji 2025, "Differentiable Skill Optimisation for Powder
 //! Manipulation in Laboratory Automation", [arXiv 2510.01438](https://arxiv.org/abs/2510.01438):
@@ -63,13 +63,15 @@
 //! |---|---|---|
 //! | transfers, affine velocities | `mpm/p2g.rs`, `mpm/g2p.rs` | Hu et al. 2018, MLS-MPM |
 //! | splines and their slopes | `mpm/stencil.rs` | Steffen et al. 2008 |
-//! | elasticity, yield cone, volume correction, cohesion | `mpm/material.rs` | Klar et al. 2016; Tampubolon et al. 2017 |
+//! | elasticity, yield surface, volume correction, cohesion | `mpm/material.rs` | Klar et al. 2016; Matsuoka and Nakai 1974; Tampubolon et al. 2017 |
+//! | volume held to the grid's density | `mpm/density.rs` | after Dunatunga and Kamrin 2015 |
 //! | contact, friction | `mpm/contact.rs`, `mpm/grid_update.rs` | Coulomb; Stomakhin et al. 2013 |
 //! | signed distances, with second derivatives | `shape` | |
 //! | which states are kept | `rollout/schedule.rs` | Griewank and Walther 2000, revolve |
 //! | the loss | `rollout/loss.rs` | the paper's, and one that asks for an amount |
 //! | the skill | `skill` | the paper's five parameters; minimum jerk |
 //! | what a tool holds, heaped | `scene/capacity.rs` | the friction angle over every edge |
+//! | how true all this is | [`validate`] | soil mechanics, experiments |
 //!
 //! Units are SI, and stand in the names of fields: `cell_m`, `density_kg_m3`. World frame: z up,
 //! the floor at z = 0.
@@ -105,6 +107,7 @@ pub mod scene;
 mod shape;
 pub mod skill;
 mod small;
+pub mod validate;
 
 pub use real::Real;
 

@@ -110,6 +110,11 @@ pub(crate) fn trace<T: Real>(a: Sym3<T>) -> T {
     a[0] + a[1] + a[2]
 }
 
+#[inline(always)]
+pub(crate) fn determinant<T: Real>([xx, yy, zz, xy, xz, yz]: Sym3<T>) -> T {
+    xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+}
+
 /// `sum_ij a_ij b_ij` over all nine entries.
 #[inline(always)]
 pub(crate) fn inner<T: Real>(a: Sym3<T>, b: Sym3<T>) -> T {

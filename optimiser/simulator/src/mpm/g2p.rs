@@ -1,11 +1,13 @@
 //! Grid to particle: velocity and affine velocity, contact at the particle, advection.
 //!
 //! `v = sum w v_i`, `C = (4/dx^2) sum w v_i (x_i - x)^T` (APIC for quadratic splines), then contact, then
-//! `x' = x + dt v'`.
+//! `x' = x + dt v'`; and, if the scene asks for it, the volume is held to the grid's density ([`super::density`]).
 
 use crate::mpm::Model;
-use crate::mpm::contact::{BodyState, BodyStateBar};
-use crate::mpm::gather::{Rows, Sent, gather, gather_gradient};
+use crate::mpm::bodies::Bodies;
+use crate::mpm::contact::BodyStateBar;
+use crate::mpm::density::{hold_volume, hold_volume_adjoint};
+use crate::mpm::gather::{Rows, Sent, gather, gather_gradient, gather_gradient_of_four};
 use crate::mpm::grid_update::{contact_lanes, contact_lanes_adjoint, find_near, meet};
 use crate::mpm::layout::{Block, Grid, Nodes, empty_tile, load_tile};
 use crate::mpm::p2g::at_base;
@@ -19,9 +21,11 @@ use crate::small::{dot, three, tr_mul_vec};
 /// Moves one block's particles.
 pub(crate) struct TileToParticles<'a, T> {
     pub(crate) model: &'a Model<T>,
-    pub(crate) tool: &'a BodyState<T>,
+    pub(crate) bodies: &'a Bodies<T>,
     pub(crate) block: &'a Block,
     pub(crate) velocity: &'a [Nodes<T>],
+    /// Whether volumes are held in this substep.
+    pub(crate) holds_volume: bool,
     pub(crate) state: &'a mut [Group<T>],
 }
 
@@ -34,14 +38,18 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticles<'_, T> {
         let shift = Grid::tile_shift(self.block.coord).map(T::from_f64);
         let mut tile = empty_tile();
         load_tile(self.block, self.velocity, &mut tile);
-        let touching = model.obstacles.at_particles(&model.grid, self.block.coord, self.tool);
+        let touching = model.obstacles.at_particles(&model.grid, self.block.coord, self.bodies);
         let mut seen = BlockStatus { inside: true, quiet: true };
         let sleep = [model.sleep_speed, model.sleep_speed * model.inverse_dx].map(|limit| limit * limit);
         for (g, state) in self.state.iter_mut().enumerate() {
             let x = state.x;
             let places = StencilPositions::of(model.inverse_dx, shift, &x);
             let occupied = self.block.occupied(g);
-            let gathered = gather(&tile, &places, &places.weights(), occupied);
+            let weights = places.weights();
+            let gathered = gather(&tile, &places, &weights, occupied);
+            if self.holds_volume {
+                hold_volume(&tile, &places, &weights, occupied, state);
+            }
             let mut loud = Lanes::ZERO;
             for l in 0..LANES {
                 let (f, v, first) = (places.f(l), vec_of(&gathered.sum, l), mat_of(&gathered.first, l));
@@ -76,12 +84,14 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticles<'_, T> {
 
 /// Adjoint of [`TileToParticles`] for one block: scatters the cotangent of the nodes' velocities into a tile.
 /// On return `bar.x` is the cotangent of the input positions as far as this stage goes; `bar.v` and `bar.c`
-/// are used up.
+/// are used up. Where volume is held to the grid's density, `bar.c[0]` is the cotangent of the logarithmic volume.
 pub(crate) struct TileToParticlesAdjoint<'a, T> {
     pub(crate) model: &'a Model<T>,
-    pub(crate) tool: &'a BodyState<T>,
+    pub(crate) bodies: &'a Bodies<T>,
     pub(crate) block: &'a Block,
     pub(crate) velocity: &'a [Nodes<T>],
+    /// Whether volumes were held in this substep.
+    pub(crate) holds_volume: bool,
     pub(crate) input: &'a [Group<T>],
     pub(crate) bar: &'a mut [Group<T>],
     pub(crate) tile_bar: &'a mut Tile<T>,
@@ -97,7 +107,7 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
         let mut tile = empty_tile();
         load_tile(self.block, self.velocity, &mut tile);
         *self.tile_bar = empty_tile();
-        let touching = model.obstacles.at_particles(&model.grid, self.block.coord, self.tool);
+        let touching = model.obstacles.at_particles(&model.grid, self.block.coord, self.bodies);
         let mut tool_bar = BodyStateBar::default();
         let mut met = Vec::with_capacity(touching.len());
         // If the compiler knew that this is 0, it would drop a quarter of each row and no longer vectorise.
@@ -127,14 +137,40 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
                 set_vec(&mut sent.base, l, at_base(vec_of(&bar.v, l), &scaled, places.f(l)));
             }
             let stencils = places.stencils(&weights);
-            scatter(self.tile_bar, occupied, |l| stencils.of(l), |l| sent.affine(l, no_mass));
-            let gathered = gather_gradient(&tile, &places, &weights, &sent, occupied, &mut rows);
+            let (q_bar, dt) = (bar.q[0], model.dt);
+            let held = self
+                .holds_volume
+                .then(|| hold_volume_adjoint(&tile, &places, &weights, occupied, dt, input, &q_bar));
+            let through_f = if let Some(Some(held)) = &held {
+                let fourth = &held.fourth;
+                scatter(self.tile_bar, occupied, |l| stencils.of(l), |l| sent.affine_of_four(l, fourth));
+                held.through_f
+            } else {
+                scatter(self.tile_bar, occupied, |l| stencils.of(l), |l| sent.affine(l, no_mass));
+                [Lanes::ZERO; 3]
+            };
+            let gathered = match &held {
+                Some(Some(held)) => gather_gradient_of_four(
+                    &tile,
+                    &places,
+                    &weights,
+                    &sent,
+                    &held.fourth,
+                    occupied,
+                    &mut rows,
+                ),
+                _ => gather_gradient(&tile, &places, &weights, &sent, occupied, &mut rows),
+            };
             for l in 0..LANES {
-                let through_f = tr_mul_vec(&mat_of(&sent.a_dx, l), vec_of(&gathered.sum, l));
+                let through_v = tr_mul_vec(&mat_of(&sent.a_dx, l), vec_of(&gathered.sum, l));
                 let gradient = vec_of(&gathered.gradient, l);
                 for axis in 0..3 {
-                    bar.x[axis][l] += model.inverse_dx * (gradient[axis] - through_f[axis]);
+                    let through = through_v[axis] + through_f[axis][l];
+                    bar.x[axis][l] += model.inverse_dx * (gradient[axis] - through);
                 }
+            }
+            if let Some(held) = held {
+                bar.c[0] = held.map_or(Lanes::ZERO, |held| held.volume);
             }
         }
         tool_bar

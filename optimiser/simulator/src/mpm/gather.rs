@@ -8,7 +8,7 @@
 //!
 //! What a particle takes are sums `sum w g` and `sum w g (i, j, k)`, and for adjoints `sum (dw/dX) (g.P)` with the affine
 //! `P_ijk = p + i a + j b + k c` that it sends (see [`super::stencil`]); the node index counts from the
-//! particle's own first node.
+//! particle's own first node. A node's fourth number is mass, or density.
 
 use crate::mpm::particles::{LANES, Lanes};
 use crate::mpm::stencil::{TILE_EDGE, Tile};
@@ -37,6 +37,26 @@ pub(crate) struct Sent<T> {
     pub(crate) base: [Lanes<T>; 3],
     /// Increments `a`, `b`, `c` from node to node: the columns of this matrix.
     pub(crate) a_dx: [Lanes<T>; 9],
+}
+
+/// What the particles of a group send to the nodes' fourth number: an affine function, too.
+#[derive(Clone, Copy)]
+pub(crate) struct Fourth<T> {
+    /// At the first node.
+    pub(crate) base: Lanes<T>,
+    /// Increments from node to node.
+    pub(crate) steps: [Lanes<T>; 3],
+}
+
+impl<T: Real> Fourth<T> {
+    pub(crate) const ZERO: Self = Self { base: Lanes::ZERO, steps: [Lanes::ZERO; 3] };
+}
+
+/// `sum w g` and `sum w g (i, j, k)` of the nodes' fourth number.
+pub(crate) struct GatheredFourth<T> {
+    pub(crate) sum: Lanes<T>,
+    /// 0 if they were not asked for.
+    pub(crate) first: [Lanes<T>; 3],
 }
 
 /// Nodes along a row of a run.
@@ -121,7 +141,7 @@ fn moment<T: Real>(w: [T; 3], g: [T; 3]) -> T {
 
 /// Calls a kernel for as many lanes at a time as a vector of 512 bits holds: runs are then no longer than they have to be.
 macro_rules! for_parts {
-    ($t:ty, $kernel:ident $(<$all:literal>)? ($($argument:expr),*)) => {
+    ($t:ty, $kernel:ident $(<$all:tt>)? ($($argument:expr),*)) => {
         if size_of::<$t>() == 4 {
             $kernel::<$t, 0, 16 $(, $all)?>($($argument),*);
         } else {
@@ -186,6 +206,52 @@ fn moments<T: Real, const FROM: usize, const TO: usize>(
     }
 }
 
+/// Sum and, with `MOMENTS`, first moments of the nodes' fourth number.
+#[inline(always)]
+pub(crate) fn gather_fourth<T: Real, const MOMENTS: bool>(
+    tile: &Tile<T>,
+    places: &StencilPositions<T>,
+    w: &Weights<T>,
+    occupied: usize,
+) -> GatheredFourth<T> {
+    let mut out = GatheredFourth { sum: Lanes::ZERO, first: [Lanes::ZERO; 3] };
+    for_parts!(T, fourth_moments<MOMENTS>(tile, places, w, occupied, &mut out));
+    out
+}
+
+#[inline(always)]
+fn fourth_moments<T: Real, const FROM: usize, const TO: usize, const MOMENTS: bool>(
+    tile: &Tile<T>,
+    places: &StencilPositions<T>,
+    w: &Weights<T>,
+    occupied: usize,
+    out: &mut GatheredFourth<T>,
+) {
+    let mut waiting = waiting(&places.start, occupied, FROM..TO);
+    while let Some(run) = Run::next(&mut waiting) {
+        let nodes: &[[T; 4]; REACH] = tile[run.start..].first_chunk().expect("stencils lie in the tile");
+        let (mut sum, mut first) = (out.sum, out.first);
+        for l in FROM..TO {
+            let (wx, wy) = (three!(n => w[0][n][l]), three!(n => w[1][n][l]));
+            let wz = run.along_row(l, three!(n => w[2][n][l]));
+            let g = |i: usize, j: usize, k: usize| nodes[(i * TILE_EDGE + j) * TILE_EDGE + k][3];
+            let rows = three!(i => three!(j => sum_4(wz, [g(i, j, 0), g(i, j, 1), g(i, j, 2), g(i, j, 3)])));
+            let layers = three!(i => sum_3(wy, rows[i]));
+            let all = sum_3(wx, layers);
+            sum[l] += all;
+            if MOMENTS {
+                let wz_k = [wz[1], wz[2] + wz[2], T::from_f64(3.0) * wz[3]];
+                let along =
+                    three!(i => sum_3(wy, three!(j => sum_3(wz_k, [g(i, j, 1), g(i, j, 2), g(i, j, 3)]))));
+                first[0][l] += moment(wx, layers);
+                first[1][l] += sum_3(wx, three!(i => moment(wy, rows[i])));
+                first[2][l] += sum_3(wx, along) - run.z_offset::<T>(l) * all;
+            }
+        }
+        *out = GatheredFourth { sum, first };
+    }
+}
+
 /// [`gather`], and `sum (dw/dX) (g.P)`; the nodes' fourth number meets `mass`.
 #[inline(always)]
 pub(crate) fn gather_with_gradient<T: Real>(
@@ -198,7 +264,8 @@ pub(crate) fn gather_with_gradient<T: Real>(
     rows: &mut Rows<T>,
 ) -> Gathered<T> {
     let (slopes, mut out) = (places.slopes(), Gathered::ZERO);
-    for_parts!(T, of_runs<true>(tile, places, w, &slopes, sent, mass, occupied, &mut rows.0, &mut out));
+    let fourth = Fourth::ZERO;
+    for_parts!(T, of_runs<MASS>(tile, places, w, &slopes, sent, mass, &fourth, occupied, &mut rows.0, &mut out));
     out
 }
 
@@ -213,9 +280,31 @@ pub(crate) fn gather_gradient<T: Real>(
     rows: &mut Rows<T>,
 ) -> Gathered<T> {
     let (slopes, mut out) = (places.slopes(), Gathered::ZERO);
-    for_parts!(T, of_runs<false>(tile, places, w, &slopes, sent, T::ZERO, occupied, &mut rows.0, &mut out));
+    let fourth = Fourth::ZERO;
+    for_parts!(T, of_runs<NONE>(tile, places, w, &slopes, sent, T::ZERO, &fourth, occupied, &mut rows.0, &mut out));
     out
 }
+
+/// The same with nodes of four numbers.
+#[inline(always)]
+pub(crate) fn gather_gradient_of_four<T: Real>(
+    tile: &Tile<T>,
+    places: &StencilPositions<T>,
+    w: &Weights<T>,
+    sent: &Sent<T>,
+    fourth: &Fourth<T>,
+    occupied: usize,
+    rows: &mut Rows<T>,
+) -> Gathered<T> {
+    let (slopes, mut out) = (places.slopes(), Gathered::ZERO);
+    for_parts!(T, of_runs<AFFINE>(tile, places, w, &slopes, sent, T::ZERO, fourth, occupied, &mut rows.0, &mut out));
+    out
+}
+
+/// What the nodes' fourth number meets in [`of_runs`]: nothing; one number, and moments are asked for; an affine function.
+const NONE: u8 = 0;
+const MASS: u8 = 1;
+const AFFINE: u8 = 2;
 
 /// What the weights along z make of a row's nodes: `sum w g`, `sum w g k`, `sum w g.P` and `sum dw/dz g.P`.
 #[derive(Clone, Copy)]
@@ -250,17 +339,18 @@ struct Along<T> {
     up: Lanes<T>,
 }
 
-/// The rows first, in a loop of its own, since all 27 nodes at once take more registers than there are. `ALL` asks for
-/// moments, and for the nodes' fourth number.
+/// The rows first, in a loop of its own, since all 27 nodes at once take more registers than there are. `WITH` is what the
+/// fourth number meets.
 #[inline(always)]
 #[expect(clippy::too_many_arguments, reason = "inlined parts of one function")]
-fn of_runs<T: Real, const FROM: usize, const TO: usize, const ALL: bool>(
+fn of_runs<T: Real, const FROM: usize, const TO: usize, const WITH: u8>(
     tile: &Tile<T>,
     places: &StencilPositions<T>,
     w: &Weights<T>,
     slopes: &Weights<T>,
     sent: &Sent<T>,
     mass: T,
+    fourth: &Fourth<T>,
     occupied: usize,
     rows: &mut [Row<T>; 9],
     out: &mut Gathered<T>,
@@ -273,10 +363,10 @@ fn of_runs<T: Real, const FROM: usize, const TO: usize, const ALL: bool>(
             let (i, j) = (n / 3, n % 3);
             let nodes: &[[T; 4]; ROW] =
                 nodes[(i * TILE_EDGE + j) * TILE_EDGE..].first_chunk().expect("nine rows");
-            *row =
-                of_row::<T, FROM, TO, ALL>(nodes, &along, sent, mass, [i, j].map(|n| T::from_f64(n as f64)));
+            let [i, j] = [i, j].map(|n| T::from_f64(n as f64));
+            *row = of_row::<T, FROM, TO, WITH>(nodes, &along, sent, mass, fourth, [i, j]);
         }
-        add_rows::<T, FROM, TO, ALL>(rows, [&w[0], &w[1]], [&slopes[0], &slopes[1]], &along.up, out);
+        add_rows::<T, FROM, TO, WITH>(rows, [&w[0], &w[1]], [&slopes[0], &slopes[1]], &along.up, out);
     }
 }
 
@@ -309,11 +399,12 @@ fn along_rows<T: Real, const FROM: usize, const TO: usize>(
 }
 
 #[inline(always)]
-fn of_row<T: Real, const FROM: usize, const TO: usize, const ALL: bool>(
+fn of_row<T: Real, const FROM: usize, const TO: usize, const WITH: u8>(
     nodes: &[[T; 4]; ROW],
     along: &Along<T>,
     sent: &Sent<T>,
     mass: T,
+    fourth: &Fourth<T>,
     [i, j]: [T; 2],
 ) -> Row<T> {
     // A copy on the stack cannot alias what is written.
@@ -328,9 +419,17 @@ fn of_row<T: Real, const FROM: usize, const TO: usize, const ALL: bool>(
         let p1 = three!(c => p0[c] + step[c]);
         let p2 = three!(c => p1[c] + step[c]);
         let p3 = three!(c => p2[c] + step[c]);
+        let along_i = i.mul_add(fourth.steps[0][l], j.mul_add(fourth.steps[1][l], fourth.base[l]));
         let times = |k: usize, p: [T; 3]| {
             let product = sum_3(p, [nodes[k][0], nodes[k][1], nodes[k][2]]);
-            if ALL { mass.mul_add(nodes[k][3], product) } else { product }
+            match WITH {
+                MASS => mass.mul_add(nodes[k][3], product),
+                AFFINE => {
+                    let k_of_own = T::from_f64(k as f64) - along.up[l];
+                    k_of_own.mul_add(fourth.steps[2][l], along_i).mul_add(nodes[k][3], product)
+                }
+                _ => product,
+            }
         };
         let products = [times(0, p0), times(1, p1), times(2, p2), times(3, p3)];
         product[l] = sum_4(w, products);
@@ -338,7 +437,7 @@ fn of_row<T: Real, const FROM: usize, const TO: usize, const ALL: bool>(
         for c in 0..3 {
             sum[c][l] = sum_4(w, [nodes[0][c], nodes[1][c], nodes[2][c], nodes[3][c]]);
         }
-        if ALL {
+        if WITH == MASS {
             let w_k = three!(n => along.w_k[n][l]);
             for c in 0..3 {
                 by_k[c][l] = sum_3(w_k, [nodes[1][c], nodes[2][c], nodes[3][c]]);
@@ -350,7 +449,7 @@ fn of_row<T: Real, const FROM: usize, const TO: usize, const ALL: bool>(
 
 /// The weights along x and y.
 #[inline(always)]
-fn add_rows<T: Real, const FROM: usize, const TO: usize, const ALL: bool>(
+fn add_rows<T: Real, const FROM: usize, const TO: usize, const WITH: u8>(
     rows: &[Row<T>; 9],
     w: [&[Lanes<T>; 3]; 2],
     slopes: [&[Lanes<T>; 3]; 2],
@@ -371,7 +470,7 @@ fn add_rows<T: Real, const FROM: usize, const TO: usize, const ALL: bool>(
             let layers = three!(i => sum_3(wy, rows_c[i]));
             let all = sum_3(wx, layers);
             sum[c][l] += all;
-            if ALL {
+            if WITH == MASS {
                 first[3 * c][l] += moment(wx, layers);
                 first[3 * c + 1][l] += sum_3(wx, three!(i => moment(wy, rows_c[i])));
                 let by_k = three!(i => sum_3(wy, three!(j => rows[3 * i + j].by_k[c][l])));

@@ -1,7 +1,9 @@
-//! Grid update: momentum to velocity, gravity, contact at the nodes.
+//! Grid update: momentum to velocity, gravity, contact at the nodes; and the density there, if volume is held to it.
 
 use crate::mpm::Model;
-use crate::mpm::contact::{BodyState, BodyStateBar, ContactParams, contact, contact_adjoint};
+use crate::mpm::bodies::Bodies;
+use crate::mpm::contact::{BodyStateBar, ContactParams, contact, contact_adjoint};
+use crate::mpm::density::{inverse_room, room_beside};
 use crate::mpm::layout::{BLOCK_EDGE, BLOCK_NODES, NodeBlock, Nodes};
 use crate::mpm::obstacle::{Collider, NearbyCollider};
 use crate::mpm::particles::{LANES, Lanes, set_vec, vec_of};
@@ -9,7 +11,7 @@ use crate::mpm::sleep::wakes;
 use crate::mpm::tiles::Tiles;
 use crate::real::Real;
 use crate::shape::{SignedDistance, with_solid};
-use crate::small::{sub, three, tr_mul_vec};
+use crate::small::{cross, mul_vec, scale, sub, three, tr_mul_vec};
 
 /// Groups of lanes in a block's nodes.
 const CHUNKS: usize = BLOCK_NODES / LANES;
@@ -38,11 +40,14 @@ fn any_mass<T: Real>(nodes: &[[T; 4]]) -> bool {
 /// Sums one node block's tiles and finds its velocities after gravity and contact. Where all sleep, nothing is done.
 pub(crate) struct UpdateNodes<'a, T> {
     pub(crate) model: &'a Model<T>,
-    pub(crate) tool: &'a BodyState<T>,
+    pub(crate) bodies: &'a Bodies<T>,
     pub(crate) node: &'a NodeBlock,
     pub(crate) tiles: Tiles<'a, T>,
+    /// Whether volumes are held in this substep.
+    pub(crate) holds_volume: bool,
     /// Momentum and mass.
     pub(crate) momentum: &'a mut Nodes<T>,
+    /// Velocity, and density where volume is held to it.
     pub(crate) velocity: &'a mut Nodes<T>,
 }
 
@@ -61,7 +66,7 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodes<'_, T> {
             return false;
         }
         let mut v = free_velocity(self.model, self.momentum);
-        let touching = self.model.obstacles.at_nodes(&self.model.grid, self.node.coord, self.tool);
+        let touching = self.model.obstacles.at_nodes(&self.model.grid, self.node.coord, self.bodies);
         if !touching.is_empty() {
             let x = positions(self.model, self.node);
             for ((x, v), nodes) in x.iter().zip(&mut v).zip(self.momentum.chunks(LANES)) {
@@ -75,6 +80,12 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodes<'_, T> {
         for (n, out) in self.velocity.iter_mut().enumerate() {
             let lanes = &v[n / LANES];
             *out = [lanes[0][n % LANES], lanes[1][n % LANES], lanes[2][n % LANES], T::ZERO];
+        }
+        if self.holds_volume {
+            let rooms = inverse_rooms(self.model, self.node, &touching);
+            for (n, (out, momentum)) in self.velocity.iter_mut().zip(&*self.momentum).enumerate() {
+                out[3] = self.model.density_per_mass * momentum[3] * rooms[n / LANES][n % LANES];
+            }
         }
         self.model.sleep_speed > T::ZERO
             && self.velocity.iter().zip(self.momentum).any(|(v, p)| p[3] > T::ZERO && wakes(self.model, v))
@@ -109,13 +120,138 @@ fn positions<T: Real>(model: &Model<T>, node: &NodeBlock) -> NodeLanes<T> {
     x
 }
 
+/// `1/a` of a block's nodes: what the fixed pieces leave of their room is known, and the moving ones take theirs from it.
+#[inline(always)]
+fn inverse_rooms<T: Real>(
+    model: &Model<T>,
+    node: &NodeBlock,
+    touching: &[NearbyCollider<'_, T>],
+) -> [Lanes<T>; CHUNKS] {
+    let mut rooms = fixed_rooms(model, node);
+    if touching.iter().any(|t| !t.is_fixed) {
+        for (x, rooms) in positions(model, node).iter().zip(&mut rooms) {
+            for t in touching.iter().filter(|t| !t.is_fixed) {
+                *rooms = take_room(t, model.inverse_dx, x, rooms);
+            }
+        }
+    }
+    for lanes in &mut rooms {
+        for l in 0..LANES {
+            lanes[l] = inverse_room(lanes[l]).0;
+        }
+    }
+    rooms
+}
+
+#[inline(always)]
+fn fixed_rooms<T: Real>(model: &Model<T>, node: &NodeBlock) -> [Lanes<T>; CHUNKS] {
+    let mut out = [Lanes([T::ONE; LANES]); CHUNKS];
+    if let Some(rooms) = model.obstacles.rooms(&model.grid, node.coord) {
+        for (n, room) in rooms.iter().enumerate() {
+            out[n / LANES][n % LANES] = *room;
+        }
+    }
+    out
+}
+
+/// The room that a piece leaves of what there is.
+#[inline(always)]
+fn take_room<T: Real>(
+    t: &NearbyCollider<'_, T>,
+    inverse_dx: T,
+    x: &[Lanes<T>; 3],
+    rooms: &Lanes<T>,
+) -> Lanes<T> {
+    let mut left = *rooms;
+    let thickness = inverse_dx * t.piece.thickness();
+    with_solid!(t.piece.shape, solid => {
+        for l in 0..LANES {
+            let y = tr_mul_vec(&t.motion.rotation, sub(vec_of(x, l), t.motion.position));
+            left[l] = rooms[l] * room_beside(inverse_dx * solid.distance::<T>(y).0, thickness).0;
+        }
+    });
+    left
+}
+
+/// Adjoint of the densities: adds to the masses' cotangents, and to the tool's for the room that it takes.
+#[inline(always)]
+fn density_adjoint<T: Real>(
+    model: &Model<T>,
+    node: &NodeBlock,
+    touching: &[NearbyCollider<'_, T>],
+    [momentum, density_bar]: [&Nodes<T>; 2],
+    momentum_bar: &mut Nodes<T>,
+    tool_bar: &mut BodyStateBar,
+) {
+    let inverse = inverse_rooms(model, node, touching);
+    for n in 0..BLOCK_NODES {
+        let mass_bar = model.density_per_mass * inverse[n / LANES][n % LANES] * density_bar[n][3];
+        momentum_bar[n][3] += mass_bar.only_if(momentum[n][3] > T::ZERO);
+    }
+    if !touching.iter().any(|t| t.of_tool) {
+        return;
+    }
+    let fixed = fixed_rooms(model, node);
+    for (chunk, x) in positions(model, node).iter().enumerate() {
+        // Cotangent of the logarithm of the room: the density is mass over room.
+        let mut log_bar = Lanes::ZERO;
+        let mut rooms = fixed[chunk];
+        for t in touching.iter().filter(|t| !t.is_fixed) {
+            rooms = take_room(t, model.inverse_dx, x, &rooms);
+        }
+        for l in 0..LANES {
+            let (n, (inverse, is_least)) = (chunk * LANES + l, inverse_room(rooms[l]));
+            let density = model.density_per_mass * momentum[n][3] * inverse;
+            log_bar[l] = -(density * density_bar[n][3]).only_if(!is_least);
+        }
+        for t in touching.iter().filter(|t| t.of_tool) {
+            take_room_adjoint(t, model.inverse_dx, x, &log_bar, tool_bar);
+        }
+    }
+}
+
+/// Adjoint of [`take_room`] for the logarithm of the room.
+#[inline(always)]
+fn take_room_adjoint<T: Real>(
+    t: &NearbyCollider<'_, T>,
+    inverse_dx: T,
+    x: &[Lanes<T>; 3],
+    log_bar: &Lanes<T>,
+    tool_bar: &mut BodyStateBar,
+) {
+    let thickness = inverse_dx * t.piece.thickness();
+    let mut sums = [Lanes::ZERO; 6];
+    with_solid!(t.piece.shape, solid => {
+        for l in 0..LANES {
+            let arm = sub(vec_of(x, l), t.motion.position);
+            let (s, normal) = solid.distance::<T>(tr_mul_vec(&t.motion.rotation, arm));
+            let (left, slope) = room_beside(inverse_dx * s, thickness);
+            let least = T::from_f64(1e-6);
+            let s_bar = inverse_dx * log_bar[l] * slope / left.at_least(least);
+            let g = scale(s_bar, mul_vec(&t.motion.rotation, normal));
+            let turn = cross(g, arm);
+            for i in 0..3 {
+                sums[i][l] = g[i];
+                sums[3 + i][l] = turn[i];
+            }
+        }
+    });
+    let total = |i: usize| sums[i].iter().map(|x| x.to_f64()).sum::<f64>();
+    for i in 0..3 {
+        tool_bar.position[i] -= total(i);
+        tool_bar.rotation[i] += total(3 + i);
+    }
+}
+
 /// Adjoint of [`UpdateNodes`]: from the tiles of velocity cotangents to cotangents of momentum and mass, and of the
 /// tool's motion.
 pub(crate) struct UpdateNodesAdjoint<'a, T> {
     pub(crate) model: &'a Model<T>,
-    pub(crate) tool: &'a BodyState<T>,
+    pub(crate) bodies: &'a Bodies<T>,
     pub(crate) node: &'a NodeBlock,
     pub(crate) velocity_bar_tiles: Tiles<'a, T>,
+    /// Whether volumes were held in this substep.
+    pub(crate) holds_volume: bool,
     pub(crate) momentum: &'a Nodes<T>,
     pub(crate) momentum_bar: &'a mut Nodes<T>,
 }
@@ -138,7 +274,7 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodesAdjoint<'_, T> {
             set_vec(&mut bar[n / LANES], n % LANES, [b[0], b[1], b[2]]);
         }
         let mut tool_bar = BodyStateBar::default();
-        let touching = self.model.obstacles.at_nodes(&self.model.grid, self.node.coord, self.tool);
+        let touching = self.model.obstacles.at_nodes(&self.model.grid, self.node.coord, self.bodies);
         if !touching.is_empty() {
             let x = positions(self.model, self.node);
             let v = free_velocity(self.model, self.momentum);
@@ -161,6 +297,10 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodesAdjoint<'_, T> {
             let p_bar = three!(i => b[i] * inverse);
             let m_bar = -((p_bar[0] * px + p_bar[1] * py + p_bar[2] * pz) * inverse);
             *out = [p_bar[0], p_bar[1], p_bar[2], m_bar];
+        }
+        if self.holds_volume {
+            let (momentum, out) = ([self.momentum, &incoming], &mut *self.momentum_bar);
+            density_adjoint(self.model, self.node, &touching, momentum, out, &mut tool_bar);
         }
         tool_bar
     }
@@ -277,7 +417,7 @@ pub(crate) fn contact_lanes_adjoint<T: Real>(
             }
         }
     }
-    if t.moving {
+    if t.of_tool {
         let total = |i: usize| sums[i].iter().map(|x| x.to_f64()).sum::<f64>();
         for i in 0..3 {
             tool_bar.position[i] -= total(i);

@@ -1,4 +1,4 @@
-//! Powder as a material: St. Venant-Kirchhoff-Hencky elasticity with a Drucker-Prager yield cone, volume
+//! Powder as a material: St. Venant-Kirchhoff-Hencky elasticity with a yield cone (Drucker-Prager's or Matsuoka-Nakai's), volume
 //! correction and cohesion, on the elastic left Cauchy-Green strain `E = b^e - I`.
 //!
 //! | symbol | identifier | meaning |
@@ -9,22 +9,33 @@
 //! | `a`, `B` | `a`, `b` | `tr E_tr/3`; deviator of `E_tr` divided by `1 + a` |
 //! | `eps` | | Hencky strain `ln(I + E_tr)/2 + q/3 I = (ln(1 + a)/2 + q/3) I + ln(I + B)/2` |
 //! | `t`, `e`, `n` | `t`, `e`, `n` | trace and deviator of `eps`; the deviator's norm |
-//! | `c` | `slope` | cone slope in strain space, `alpha (3 lambda + 2 mu)/(2 mu)` |
+//! | `c` | `slope` | cone slope in strain space in triaxial compression, `alpha (3 lambda + 2 mu)/(2 mu)` |
+//! | `l` | `lode` | cosine of three times the Lode angle, `-3 sqrt(6) det(e)/n^3`: 1 in triaxial compression, -1 in extension |
+//! | `Y(l)` | `narrowing` | slope in triaxial compression over the slope at that Lode angle; 1 on Drucker-Prager's cone |
 //! | `t_c` | `apex` | trace at the cone's apex: 0 without cohesion |
-//! | `k` | `keep` | part of the deviator that is kept: 1 elastic, `c (t_c - t)/n` on the cone, 0 at the apex |
-//! | `eps'` | `mean`, `k e` | after the return: `min(t, t_c)/3 I + k e` |
+//! | `t_t` | `cut` | trace at which powder parts: `t_c`, or less where tension is cut off |
+//! | `S(q)` | `bond` | part of apex and cut-off that is left of opened powder, `(1 - x)^2 (1 + 2 x)` with `x = q/0.05` in [0, 1]; 1 without a cut-off |
+//! | `k` | `keep` | part of the deviator that is kept: 1 elastic, `c (S t_c - min(t, S t_t))/(Y n)` on the cone, 0 at its apex |
+//! | `eps'` | `mean`, `k e` | after the return: `min(t, S t_t)/3 I + k e` |
+//! | `q'` | | `max(0, t - S t_t)` |
 //! | `tau` | `tau` | Kirchhoff stress `2 mu eps' + lambda tr(eps') I`, Pa |
 //!
-//! Drucker-Prager as in Klar et al. 2016, "Drucker-Prager elastoplasticity for sand animation". Isotropy lets
-//! `b^e = F F^T` stand for `F`, and makes the return an affine map of `eps`: so nothing here needs the singular value
+//! Drucker-Prager as in Klar et al. 2016, "Drucker-Prager elastoplasticity for sand animation": a round cone, which means the
+//! friction angle in triaxial compression and a larger one in every other state of stress. Matsuoka and Nakai 1974,
+//! "Stress-deformation and strength characteristics of soil under three different principal stresses", bounds `I1 I2/I3`: the
+//! same angle in compression and in extension, and up to 4 degrees more in plane strain, as sands have it. Both cones are
+//! returned to along the deviator, which keeps its direction and so its Lode angle: `Y` is known beforehand.
+//!
+//! Isotropy lets `b^e = F F^T` stand for `F`, and the return is along `eps`: so nothing here needs the singular value
 //! decomposition of the paper, nor eigenvectors. What is needed are a logarithm and an exponential of symmetric matrices,
 //! `E' = exp(2 mean) exp(2 k e) - I`, and of traceless ones those are short series ([`super::matrix_polynomial`]) as long as the shear is
 //! not large ([`is_mild`]); where it is, [`super::principal`] does the same by eigenvectors.
 //! A symmetric cotangent holds the entries of the full matrix: `dL = sum_ij bar_ij dE_ij` over all nine `ij`.
 
-use crate::mpm::matrix_polynomial::{CayleyHamilton, horner, horner_with_slopes};
+use crate::mpm::matrix_polynomial::{CayleyHamilton, downwards, horner, horner_with_slopes};
 use crate::real::Real;
-use crate::small::{Mat3, Sym3, blend, full, inner, plus_diagonal, scale_sym, three, trace};
+use crate::scene::{Powder, YieldSurface};
+use crate::small::{Mat3, Sym3, blend, determinant, full, inner, plus_diagonal, scale_sym, three, trace};
 
 /// Constants of the return map.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,32 +44,149 @@ pub(crate) struct Material<T> {
     pub(crate) lambda: T,
     /// Shear modulus, Pa.
     pub(crate) mu: T,
-    /// Cone slope `c`.
+    /// Cone slope `c`, in triaxial compression.
     pub(crate) slope: T,
+    /// `Y(l)` by powers of `l`, lowest first.
+    narrowing: [T; NARROWING_TERMS],
     /// Trace of the Hencky strain at the cone's apex.
     pub(crate) apex: T,
+    /// At which powder parts.
+    pub(crate) cut: T,
+    /// One over the volume correction at which bonds are gone; 0 if they hold for ever.
+    inverse_opening: T,
 }
 
 impl<T: Real> Material<T> {
-    /// From Young's modulus (Pa), Poisson's ratio, friction angle (rad) and cohesion (Pa).
+    /// The powder of a scene.
+    pub(crate) fn of(powder: &Powder) -> Self {
+        Self::new(
+            powder.youngs_modulus_pa,
+            powder.poissons_ratio,
+            powder.friction_angle_deg.to_radians(),
+            powder.apex_tension_pa(),
+            powder.yield_surface,
+        )
+        .with_tensile_strength(powder.tensile_strength_pa)
+    }
+
+    /// Parts at a mean tension (Pa), and has less of it and of cohesion the farther it has opened; at none given, at the cone's
+    /// apex, and as often as it comes there.
     ///
-    /// The cone is the one through the triaxial compression corners of Mohr-Coulomb,
-    /// `alpha = sqrt(2/3) 2 sin(phi)/(3 - sin(phi))`; its apex carries the tension `cohesion cot(phi)`.
-    pub(crate) fn new(youngs_modulus: f64, poissons_ratio: f64, friction_angle: f64, cohesion: f64) -> Self {
+    /// What holds a powder together are forces where grains touch: they are gone when grains are apart, and there again when the
+    /// powder is pressed together, which is just what `q` tells.
+    pub(crate) fn with_tensile_strength(self, strength: Option<f64>) -> Self {
+        let Some(strength) = strength else { return self };
+        let bulk = self.lambda.to_f64() + 2.0 * self.mu.to_f64() / 3.0;
+        let cut = T::from_f64(strength / bulk).at_most(self.apex);
+        Self { cut, inverse_opening: T::from_f64(1.0 / OPENING), ..self }
+    }
+
+    /// `S` and its derivative.
+    #[inline(always)]
+    pub(crate) fn bond(&self, q: T) -> (T, T) {
+        let x = (q * self.inverse_opening).unit();
+        let left = T::ONE - x;
+        (left * left * (T::ONE + x + x), -(T::from_f64(6.0) * x * left * self.inverse_opening))
+    }
+
+    /// From Young's modulus (Pa), Poisson's ratio, friction angle (rad), the mean tension at the cone's apex (Pa) and the form of
+    /// the cone.
+    ///
+    /// Either cone goes through the triaxial compression corners of Mohr-Coulomb,
+    /// `alpha = sqrt(2/3) 2 sin(phi)/(3 - sin(phi))`.
+    pub(crate) fn new(
+        youngs_modulus: f64,
+        poissons_ratio: f64,
+        friction_angle: f64,
+        tension: f64,
+        surface: YieldSurface,
+    ) -> Self {
         let lambda =
             youngs_modulus * poissons_ratio / ((1.0 + poissons_ratio) * (1.0 - 2.0 * poissons_ratio));
         let mu = youngs_modulus / (2.0 * (1.0 + poissons_ratio));
         let sine = libm::sin(friction_angle);
         let alpha = (2.0f64 / 3.0).sqrt() * 2.0 * sine / (3.0 - sine);
         let bulk = lambda + 2.0 * mu / 3.0;
-        let tension = if cohesion == 0.0 { 0.0 } else { cohesion / libm::tan(friction_angle) };
         Self {
             lambda: T::from_f64(lambda),
             mu: T::from_f64(mu),
             slope: T::from_f64(alpha * 3.0 * bulk / (2.0 * mu)),
             apex: T::from_f64(tension / bulk),
+            cut: T::from_f64(tension / bulk),
+            inverse_opening: T::ZERO,
+            narrowing: match surface {
+                YieldSurface::DruckerPrager => std::array::from_fn(|k| if k == 0 { T::ONE } else { T::ZERO }),
+                YieldSurface::MatsuokaNakai => matsuoka_nakai(sine).map(T::from_f64),
+            },
         }
     }
+
+    /// `Y` and its derivative.
+    #[inline(always)]
+    pub(crate) fn narrowing(&self, lode: T) -> (T, T) {
+        let c = &self.narrowing;
+        let (mut value, mut slope) = (c[NARROWING_TERMS - 1], T::ZERO);
+        downwards!(NARROWING_TERMS, k => {
+            slope = slope.mul_add(lode, value);
+            value = value.mul_add(lode, c[k]);
+        });
+        (value, slope)
+    }
+}
+
+/// Volume correction at which no bond is left.
+const OPENING: f64 = 0.05;
+
+/// Terms of `Y`: within 5e-5 of itself at 30 degrees, 1.5e-3 at 45, 1.5e-2 at 60.
+const NARROWING_TERMS: usize = 8;
+
+/// `-3 sqrt(6)`, the factor of the Lode angle's cosine.
+pub(crate) const LODE_FACTOR: f64 = -7.348_469_228_349_534;
+
+/// `l` from the determinant of `e` and `1/n`. Multiplied in this order it is 0, not infinity times 0, where `e` is no number to
+/// speak of; rounding must not take it out of [-1, 1].
+#[inline(always)]
+pub(crate) fn lode<T: Real>(det: T, inverse_n: T) -> T {
+    let l = T::from_f64(LODE_FACTOR) * det * inverse_n * inverse_n * inverse_n;
+    l.at_least(-T::ONE).at_most(T::ONE)
+}
+
+/// `Y` of Matsuoka and Nakai's cone, `I1 I2/I3 = K` with `K = (9 - sin^2)/(1 - sin^2)`, as a polynomial.
+///
+/// With `p` the mean stress and `s` the deviator, `I1 = 3 p`, `I2 = 3 p^2 - |s|^2/2`, `I3 = p^3 - p |s|^2/2 + det s`; so
+/// `y = p/|s|` is the largest root of `y^3 - a y + b l = 0`, `a = (K - 3)/(2 (K - 9))`, `b = K/(3 sqrt(6) (K - 9))`. `Y` is that
+/// root over its value at `l = 1`, by interpolation at Chebyshev's nodes.
+fn matsuoka_nakai(sine: f64) -> [f64; NARROWING_TERMS] {
+    const N: usize = NARROWING_TERMS;
+    let mut unit = [0.0; N];
+    unit[0] = 1.0;
+    // No friction, no cone; and next to none is a round one.
+    if sine < 1e-3 {
+        return unit;
+    }
+    let k = (9.0 - sine * sine) / (1.0 - sine * sine);
+    let (a, b) = (0.5 * (k - 3.0) / (k - 9.0), k / (3.0 * 6.0f64.sqrt() * (k - 9.0)));
+    let root = |l: f64| {
+        // Newton's method from beyond the largest root: the polynomial is convex there.
+        (0..60).fold(2.0 * (a / 3.0).sqrt(), |y, _| y - (y * y * y - a * y + b * l) / (3.0 * y * y - a))
+    };
+    let node = |i: usize| libm::cos(std::f64::consts::PI * (i as f64 + 0.5) / N as f64);
+    // Newton's divided differences, then expanded by powers.
+    let mut differences: [f64; N] = std::array::from_fn(|i| root(node(i)));
+    for j in 1..N {
+        for i in (j..N).rev() {
+            differences[i] = (differences[i] - differences[i - 1]) / (node(i) - node(i - j));
+        }
+    }
+    let mut powers = [0.0; N];
+    for i in (0..N).rev() {
+        for k in (1..N).rev() {
+            powers[k] = powers[k - 1] - node(i) * powers[k];
+        }
+        powers[0] = differences[i] - node(i) * powers[0];
+    }
+    let at_compression: f64 = powers.iter().sum();
+    powers.map(|c| c / at_compression)
 }
 
 /// `E_tr = (I + L)(I + E)(I + L)^T - I`, written so that small strains keep their digits.
@@ -150,8 +278,13 @@ struct Return<T> {
     t: T,
     keep: T,
     mean: T,
-    at_apex: bool,
-    on_cone: bool,
+    lode: T,
+    /// `Y` and its derivative.
+    narrowing: (T, T),
+    /// `S` and its derivative.
+    bond: (T, T),
+    parted: bool,
+    elastic: bool,
 }
 
 /// The return, with `f` the numbers of `ln(I + B) = f0 I + f1 B + f2 B^2`.
@@ -164,13 +297,16 @@ fn yielded<T: Real>(m: &Material<T>, a: T, b: &CayleyHamilton<T>, f: [T; 3], q: 
     // A deviator below this length has no direction worth the name; on the cone it is longer.
     let n = inner(e, e).at_least(T::TINY).sqrt();
     let inverse_n = T::ONE / n;
-    let room = m.slope * (m.apex - t);
-    let at_apex = t >= m.apex;
+    let lode = lode(determinant(e), inverse_n);
+    let narrowing = m.narrowing(lode);
+    let bond = m.bond(q);
+    let (apex, cut) = (bond.0 * m.apex, bond.0 * m.cut);
+    let parted = t >= cut;
+    let trace = if parted { cut } else { t };
+    let room = m.slope * (apex - trace) / narrowing.0;
     let elastic = n <= room;
     let keep = if elastic { T::ONE } else { room * inverse_n };
-    let keep = if at_apex { T::ZERO } else { keep };
-    let mean = third * if at_apex { m.apex } else { t };
-    Return { e, inverse_n, t, keep, mean, at_apex, on_cone: !elastic && !at_apex }
+    Return { e, inverse_n, t, keep, mean: third * trace, lode, narrowing, bond, parted, elastic }
 }
 
 /// Kirchhoff stress (Pa), strain and volume correction after the return to the yield surface; of a trial strain that
@@ -188,7 +324,17 @@ pub(crate) fn return_map<T: Real>(m: &Material<T>, trial: Sym3<T>, q: T) -> (Sym
     let grown = (r.mean + r.mean).exp_m1();
     let s = T::ONE + grown;
     let strain = x.combine([grown + s * h[0], s * h[1], s * h[2]]);
-    (tau, strain, (r.t - m.apex).only_if(r.at_apex))
+    (tau, strain, (r.t - r.bond.0 * m.cut).only_if(r.parted))
+}
+
+/// Cotangents of what a return gives.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ReturnBar<T> {
+    pub(crate) tau: Sym3<T>,
+    pub(crate) strain: Sym3<T>,
+    pub(crate) q: T,
+    /// Of `t`, which is the same before and after.
+    pub(crate) volume: T,
 }
 
 /// Cotangents of [`return_map`]: of the trial strain and of `q`.
@@ -197,10 +343,9 @@ pub(crate) fn return_map_adjoint<T: Real>(
     m: &Material<T>,
     trial: Sym3<T>,
     q: T,
-    tau_bar: Sym3<T>,
-    strain_bar: Sym3<T>,
-    q_bar: T,
+    bar: &ReturnBar<T>,
 ) -> (Sym3<T>, T) {
+    let ReturnBar { tau: tau_bar, strain: strain_bar, q: q_bar, volume: volume_bar } = *bar;
     let (third, half, two) = (T::from_f64(1.0 / 3.0), T::from_f64(0.5), T::from_f64(2.0));
     let two_mu = m.mu + m.mu;
     let (a, inverse, b) = spread(trial);
@@ -220,15 +365,25 @@ pub(crate) fn return_map_adjoint<T: Real>(
     let kept_bar = blend(two, x_bar, two_mu, tau_bar);
 
     // Back through the return.
-    let along = inner(kept_bar, r.e) * r.inverse_n;
-    let e_bar = blend(r.keep, kept_bar, -(r.keep * along * r.inverse_n).only_if(r.on_cone), r.e);
-    let t_bar = third * mean_bar - (m.slope * along).only_if(r.on_cone);
-    let t_bar = if r.at_apex { q_bar } else { t_bar };
+    let along = (inner(kept_bar, r.e) * r.inverse_n).only_if(!r.elastic);
+    let (narrowing, narrowing_slope) = r.narrowing;
+    // On the cone k n = c (S t_c - min(t, S t_t))/Y(l), where dl/de is -3 sqrt(6) e^2/n^3 - 3 l e/n^2, but for its trace.
+    let turning = -(r.keep * along * narrowing_slope / narrowing) * r.inverse_n;
+    let e2 = CayleyHamilton::of(r.e).b2;
+    let shrinking = r.keep * along * r.inverse_n + T::from_f64(3.0) * r.lode * turning;
+    let e_bar = blend(r.keep, kept_bar, -shrinking, r.e);
+    let e_bar = blend(T::ONE, e_bar, T::from_f64(LODE_FACTOR) * turning * r.inverse_n, e2);
+    let room_bar = m.slope * along / narrowing;
+    let trace_bar = third * mean_bar - room_bar;
+    let t_bar = volume_bar + if r.parted { q_bar } else { trace_bar };
+    // What bonds are left: of the apex, and of the cut-off where that is met.
+    let cut_bar = (trace_bar - q_bar).only_if(r.parted);
+    let q_in_bar = r.bond.1 * (m.apex * room_bar + m.cut * cut_bar);
 
     // Back from e = dev ln(I + B)/2 and t = 3/2 ln(1 + a) + q + tr ln(I + B)/2.
     let ln_bar = plus_diagonal(scale_sym(half, e_bar), half * (t_bar - third * trace(e_bar)));
     let b_bar = b.combine_adjoint(f, f_slopes, ln_bar);
     let a_bar = inverse * (T::from_f64(1.5) * t_bar - inner(b_bar, b.b));
     let b_bar = scale_sym(inverse, b_bar);
-    (plus_diagonal(b_bar, third * (a_bar - trace(b_bar))), t_bar)
+    (plus_diagonal(b_bar, third * (a_bar - trace(b_bar))), t_bar + q_in_bar)
 }

@@ -89,6 +89,8 @@ macro_rules! downwards {
     };
 }
 
+pub(crate) use downwards;
+
 /// The numbers of `x p(x)` at `B`, where `p` is the series.
 #[inline(always)]
 pub(crate) fn horner<T: Real>(p: &Polynomial, m2: T, m3: T) -> [T; 3] {

@@ -15,7 +15,9 @@
     reason = "loops over lanes, axes and tensor indices read as the formulas do, and vectorise as they stand"
 )]
 
+pub(crate) mod bodies;
 pub(crate) mod contact;
+pub(crate) mod density;
 pub(crate) mod g2p;
 pub(crate) mod gather;
 pub(crate) mod grid_update;
@@ -33,7 +35,7 @@ pub(crate) mod stencil;
 pub(crate) mod stencil_positions;
 pub(crate) mod substep;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 pub(crate) mod tiles;
 pub(crate) mod timings;
 
@@ -43,7 +45,7 @@ pub const PHYSICS_VERSION: u32 = 4;
 use std::marker::PhantomData;
 
 use crate::real::Real;
-use crate::scene::Scene;
+use crate::scene::{Scene, VolumeCorrection};
 
 /// How the kernels of a type of numbers are run.
 #[derive(Clone, Copy, Debug)]
@@ -65,6 +67,7 @@ impl<T: Real> Arch<T> {
 pub(crate) struct Model<T> {
     pub(crate) grid: layout::Grid,
     pub(crate) obstacles: obstacle::Colliders<T>,
+    pub(crate) gates: bodies::Gates,
     pub(crate) material: material::Material<T>,
     pub(crate) dt: T,
     pub(crate) inverse_dx: T,
@@ -79,6 +82,10 @@ pub(crate) struct Model<T> {
     pub(crate) stress_dx: T,
     /// Fraction of the strain rate's momentum that viscosity takes in a substep, `8 eta dt/(rho dx^2)`.
     pub(crate) viscous_loss: T,
+    /// Whether volume is held to the density that the grid sees, see [`density`].
+    pub(crate) holds_volume: bool,
+    /// Density over the mass of a node whose spline is all room: `1/(rho_0 dx^3)`, 1/kg.
+    pub(crate) density_per_mass: T,
     /// Gravity times substep, m/s.
     pub(crate) gravity_dt: [T; 3],
     /// Speed below which powder may sleep, m/s; 0: it never does.
@@ -95,16 +102,11 @@ impl<T: Real> Model<T> {
         let dt = f64::from(scene.time.control_period_us) * 1e-6 / f64::from(scene.time.substeps);
         let volume = dx * dx * dx / f64::from(scene.powder.particles_per_cell);
         let mass = volume * scene.powder.density_kg_m3;
-        let powder = &scene.powder;
         Self {
             grid,
             obstacles: obstacle::Colliders::new(scene, &grid),
-            material: material::Material::new(
-                powder.youngs_modulus_pa,
-                powder.poissons_ratio,
-                powder.friction_angle_deg.to_radians(),
-                powder.cohesion_pa,
-            ),
+            gates: bodies::Gates::new(scene),
+            material: material::Material::of(&scene.powder),
             dt: T::from_f64(dt),
             inverse_dx: T::from_f64(1.0 / dx),
             four_per_dx: T::from_f64(4.0 / dx),
@@ -113,6 +115,8 @@ impl<T: Real> Model<T> {
             mass_dx: T::from_f64(mass * dx),
             stress_dx: T::from_f64(dt * volume * 4.0 / dx),
             viscous_loss: T::from_f64(scene.viscous_loss()),
+            holds_volume: scene.powder.volume_correction == VolumeCorrection::Grid,
+            density_per_mass: T::from_f64(1.0 / (scene.powder.density_kg_m3 * dx * dx * dx)),
             sleep_speed: T::from_f64(scene.domain.sleep_speed_m_s),
             quiet_substeps: (sleep::QUIET_S / dt).ceil() as u32,
             gravity_dt: scene.domain.gravity_m_s2.map(|g| T::from_f64(g * dt)),

@@ -1,13 +1,17 @@
-//! What stands in the powder's way: the domain's walls, containers, and the tool, as lists of convex or shell
+//! What stands in the powder's way: the domain's walls, containers, gates, and the tool, as lists of convex or shell
 //! pieces, each with its own contact law.
 //!
 //! A container is several pieces, applied one after the other, rather than one union: the normal of a union
 //! jumps along the bisector of an inner corner, the composition of pieces does not.
 
+use crate::mpm::bodies::{Bodies, turned};
 use crate::mpm::contact::{BodyState, ContactParams};
-use crate::mpm::layout::{BLOCK_EDGE, Grid};
+use crate::mpm::density::room_beside;
+use crate::mpm::layout::{BLOCK_EDGE, BLOCK_NODES, Grid};
 use crate::real::Real;
-use crate::scene::{Container, ContainerShape, Cuboid, Scene, Tool, ToolShape};
+use crate::scene::{
+    Container, ContainerShape, Cuboid, Gate, GateShape, Scene, Tool, ToolShape, VolumeCorrection,
+};
 use crate::shape::{
     AlignedBox, Bowl, Capsule, HalfSpace, OrientedBox, Shape, SignedDistance, Tube, with_solid,
 };
@@ -21,6 +25,14 @@ pub(crate) struct Collider<T> {
     pub(crate) particle_law: ContactParams<T>,
 }
 
+impl<T: Real> Collider<T> {
+    /// From one side of a wall to the other, m; of what has no other side, more than any spline is wide.
+    #[inline(always)]
+    pub(crate) fn thickness(&self) -> T {
+        self.shape.half_thickness().map_or(T::from_f64(1e3), |half| half + half)
+    }
+}
+
 /// A piece that never moves.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct FixedCollider<T> {
@@ -32,11 +44,17 @@ pub(crate) struct FixedCollider<T> {
 #[derive(Clone, Debug)]
 pub(crate) struct Colliders<T> {
     pub(crate) fixed: Vec<FixedCollider<T>>,
+    /// One of each gate.
+    pub(crate) gates: Vec<Collider<T>>,
     pub(crate) tool: Vec<Collider<T>>,
     /// For each block of the grid the fixed pieces that its nodes can touch.
     near_nodes: Vec<Vec<u16>>,
     /// For each block of the grid the fixed pieces that its particles can touch.
     near_particles: Vec<Vec<u16>>,
+    /// Distance within which a piece takes room from a node, m; 0 if nobody asks.
+    room_reach: T,
+    /// For each block of the grid what the fixed pieces leave of the room of its nodes; none where they leave all.
+    rooms: Vec<Option<Box<[T; BLOCK_NODES]>>>,
 }
 
 /// Half the diagonal of a cube of `cells`, m.
@@ -51,31 +69,46 @@ impl<T: Real> Colliders<T> {
         for container in &scene.containers {
             fixed.extend(builder.container(container));
         }
+        let gates = scene.gates.iter().map(|gate| builder.gate(gate)).collect();
         let tool = builder.tool(&scene.tool);
-        let near = |cells: usize| {
+        let near = |cells: usize, margin: &dyn Fn(&Collider<T>) -> T| -> Vec<Vec<u16>> {
             (0..grid.block_count())
                 .map(|index| {
                     let centre = block_centre(grid, grid.coord(index));
                     let reach = T::from_f64(half_diagonal(cells, grid.dx));
                     let touches = |f: &FixedCollider<T>| {
-                        distance(&f.piece, &f.motion, centre) <= reach + f.piece.node_law.reach()
+                        distance(&f.piece, &f.motion, centre) <= reach + margin(&f.piece)
                     };
                     (0u16..).zip(&fixed).filter(|(_, f)| touches(f)).map(|(i, _)| i).collect()
                 })
                 .collect()
         };
-        let (near_nodes, near_particles) = (near(BLOCK_EDGE), near(BLOCK_EDGE + 4));
-        Self { fixed, tool, near_nodes, near_particles }
+        let contact = |piece: &Collider<T>| piece.node_law.reach();
+        let (near_nodes, near_particles) = (near(BLOCK_EDGE, &contact), near(BLOCK_EDGE + 4, &contact));
+        let (room_reach, rooms) = if scene.powder.volume_correction == VolumeCorrection::Grid {
+            let reach = T::from_f64(ROOM_REACH_CELLS * grid.dx);
+            let near = near(BLOCK_EDGE, &|_| reach);
+            (reach, near.iter().enumerate().map(|(index, near)| rooms(grid, index, near, &fixed)).collect())
+        } else {
+            (T::ZERO, Vec::new())
+        };
+        Self { fixed, gates, tool, near_nodes, near_particles, room_reach, rooms }
     }
 
-    /// Pieces that nodes of the block may touch, in the order of application: fixed ones, then the tool's.
+    /// What the fixed pieces leave of the room of a block's nodes; none if all.
+    #[inline(always)]
+    pub(crate) fn rooms(&self, grid: &Grid, coord: [i32; 3]) -> Option<&[T; BLOCK_NODES]> {
+        self.rooms.get(grid.index(coord))?.as_deref()
+    }
+
+    /// Pieces that nodes of the block may touch, in the order of application: fixed ones, gates that are there, then the tool's.
     pub(crate) fn at_nodes<'a>(
         &'a self,
         grid: &Grid,
         coord: [i32; 3],
-        tool: &'a BodyState<T>,
+        bodies: &'a Bodies<T>,
     ) -> Vec<NearbyCollider<'a, T>> {
-        self.touching(grid, coord, tool, &self.near_nodes, BLOCK_EDGE)
+        self.touching(grid, coord, bodies, &self.near_nodes, BLOCK_EDGE)
     }
 
     /// Pieces that particles of the block (slack included) may touch.
@@ -83,9 +116,9 @@ impl<T: Real> Colliders<T> {
         &'a self,
         grid: &Grid,
         coord: [i32; 3],
-        tool: &'a BodyState<T>,
+        bodies: &'a Bodies<T>,
     ) -> Vec<NearbyCollider<'a, T>> {
-        self.touching(grid, coord, tool, &self.near_particles, BLOCK_EDGE + 4)
+        self.touching(grid, coord, bodies, &self.near_particles, BLOCK_EDGE + 4)
     }
 
     /// Whether the tool is within so many cells of the block's.
@@ -101,27 +134,71 @@ impl<T: Real> Colliders<T> {
         self.tool.iter().any(|p| distance(p, tool, centre) <= reach + p.node_law.reach())
     }
 
+    /// Whether a gate that has just gone, or moves, is within so many cells of the block's.
+    pub(crate) fn is_stirred(
+        &self,
+        grid: &Grid,
+        coord: [i32; 3],
+        bodies: &Bodies<T>,
+        margin_cells: usize,
+    ) -> bool {
+        let centre = block_centre(grid, coord);
+        let reach = T::from_f64(half_diagonal(BLOCK_EDGE + 2 * margin_cells, grid.dx));
+        let mut stirring = self.gates.iter().zip(&bodies.gates).filter(|(_, gate)| gate.stirs);
+        stirring.any(|(p, gate)| distance(p, &gate.motion, centre) <= reach + p.node_law.reach())
+    }
+
     fn touching<'a>(
         &'a self,
         grid: &Grid,
         coord: [i32; 3],
-        tool: &'a BodyState<T>,
+        bodies: &'a Bodies<T>,
         near: &[Vec<u16>],
         cells: usize,
     ) -> Vec<NearbyCollider<'a, T>> {
         let fixed = near[grid.index(coord)].iter().map(|i| {
             let f = &self.fixed[usize::from(*i)];
-            NearbyCollider { piece: &f.piece, motion: &f.motion, moving: false }
+            NearbyCollider { piece: &f.piece, motion: &f.motion, is_fixed: true, of_tool: false }
         });
         let centre = block_centre(grid, coord);
         let reach = T::from_f64(half_diagonal(cells, grid.dx));
-        let moving = self
-            .tool
-            .iter()
-            .filter(|p| distance(p, tool, centre) <= reach + p.node_law.reach())
-            .map(|piece| NearbyCollider { piece, motion: tool, moving: true });
-        fixed.chain(moving).collect()
+        let is_near = move |n: &NearbyCollider<'a, T>| {
+            let own = n.piece.node_law.reach().at_least(self.room_reach);
+            distance(n.piece, n.motion, centre) <= reach + own
+        };
+        let there = self.gates.iter().zip(&bodies.gates).filter(|(_, gate)| gate.is_there);
+        let moved = |piece, motion, of_tool| NearbyCollider { piece, motion, is_fixed: false, of_tool };
+        let gates = there.map(|(piece, gate)| moved(piece, &gate.motion, false));
+        let tool = self.tool.iter().map(|piece| moved(piece, &bodies.tool, true));
+        fixed.chain(gates.chain(tool).filter(is_near)).collect()
     }
+}
+
+/// Half the width of a node's spline, in cells: nothing farther off takes room from it.
+const ROOM_REACH_CELLS: f64 = 1.5;
+
+/// What some fixed pieces leave of the room of a block's nodes.
+fn rooms<T: Real>(
+    grid: &Grid,
+    index: usize,
+    near: &[u16],
+    fixed: &[FixedCollider<T>],
+) -> Option<Box<[T; BLOCK_NODES]>> {
+    if near.is_empty() {
+        return None;
+    }
+    let origin = grid.block_origin(grid.coord(index));
+    let node = |n: usize| {
+        let ijk = [n / (BLOCK_EDGE * BLOCK_EDGE), n / BLOCK_EDGE % BLOCK_EDGE, n % BLOCK_EDGE];
+        let x = [0, 1, 2].map(|axis| T::from_f64(origin[axis] + ijk[axis] as f64 * grid.dx));
+        let pieces = near.iter().map(|i| &fixed[usize::from(*i)]);
+        pieces.fold(T::ONE, |room, f| {
+            let inverse_dx = T::from_f64(1.0 / grid.dx);
+            let s = distance(&f.piece, &f.motion, x) * inverse_dx;
+            room * room_beside(s, f.piece.thickness() * inverse_dx).0
+        })
+    };
+    Some(Box::new(std::array::from_fn(node)))
 }
 
 /// A piece near a block, with its motion at this instant.
@@ -129,8 +206,9 @@ impl<T: Real> Colliders<T> {
 pub(crate) struct NearbyCollider<'a, T> {
     pub(crate) piece: &'a Collider<T>,
     pub(crate) motion: &'a BodyState<T>,
-    /// Belongs to the tool.
-    pub(crate) moving: bool,
+    /// Never moves nor goes.
+    pub(crate) is_fixed: bool,
+    pub(crate) of_tool: bool,
 }
 
 fn block_centre<T: Real>(grid: &Grid, coord: [i32; 3]) -> [T; 3] {
@@ -229,29 +307,31 @@ impl Builder {
                     wall([0.0, -hy - 0.5 * t, middle], [hx + t, 0.5 * t, half_height]),
                 ]
             }
-            ContainerShape::Cylinder { inner_radius_m: r, inner_height_m: h } => {
-                let ring = |radius: f64, half_radial: f64, height: f64, half_axial: f64| {
-                    Shape::Tube(Tube {
-                        radius: T::from_f64(radius),
-                        half_radial: T::from_f64(half_radial),
-                        height: T::from_f64(height),
-                        half_axial: T::from_f64(half_axial),
-                    })
-                };
-                vec![
-                    ring(0.0, r + t, -0.5 * t, 0.5 * t),
-                    ring(r + 0.5 * t, 0.5 * t, 0.5 * (h - t), 0.5 * (h + t)),
-                ]
-            }
+            ContainerShape::Cylinder { inner_radius_m: r, inner_height_m: h } => vec![
+                ring(0.0, r + t, -0.5 * t, 0.5 * t),
+                ring(r + 0.5 * t, 0.5 * t, 0.5 * (h - t), 0.5 * (h + t)),
+            ],
         };
-        let yaw = c.yaw_deg.to_radians();
-        let (sin, cos) = (libm::sin(yaw), libm::cos(yaw));
-        let rotation = [[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]];
+        let rotation = turned(c.yaw_deg);
         let fixed = |shape| FixedCollider {
             piece: self.piece(shape, c.friction),
             motion: at_rest(rotation, c.position_m),
         };
         shapes.into_iter().map(fixed).collect()
+    }
+
+    /// A gate in its own frame.
+    fn gate<T: Real>(&self, gate: &Gate) -> Collider<T> {
+        let shape = match gate.shape {
+            GateShape::Box { size_m } => Shape::AlignedBox(AlignedBox {
+                centre: [0.0, 0.0, 0.5 * size_m[2]].map(T::from_f64),
+                half: size_m.map(|edge| T::from_f64(0.5 * edge)),
+            }),
+            GateShape::Tube { inner_radius_m: r, height_m: h, wall_thickness_m: t } => {
+                ring(r + 0.5 * t, 0.5 * t, 0.5 * h, 0.5 * h)
+            }
+        };
+        self.piece(shape, gate.friction)
     }
 
     /// The tool's pieces in its own frame.
@@ -287,6 +367,16 @@ fn scoop<T: Real>(l: f64, w: f64, h: f64, t: f64) -> Vec<Shape<T>> {
         wall([-0.5 * t, hw + 0.5 * t, -half_height], [hl + 0.5 * t, 0.5 * t, half_height]),
         wall([-0.5 * t, -hw - 0.5 * t, -half_height], [hl + 0.5 * t, 0.5 * t, half_height]),
     ]
+}
+
+/// A tube about the vertical, or a disc, by the middle of its profile and half of its extents.
+fn ring<T: Real>(radius: f64, half_radial: f64, height: f64, half_axial: f64) -> Shape<T> {
+    Shape::Tube(Tube {
+        radius: T::from_f64(radius),
+        half_radial: T::from_f64(half_radial),
+        height: T::from_f64(height),
+        half_axial: T::from_f64(half_axial),
+    })
 }
 
 fn oriented<T: Real>(cuboid: &Cuboid) -> Shape<T> {

@@ -5,9 +5,9 @@
 //! viscosity takes.
 
 use crate::mpm::Model;
-use crate::mpm::gather::{Rows, Sent, gather_with_gradient};
+use crate::mpm::gather::{Fourth, Rows, Sent, gather_with_gradient};
 use crate::mpm::layout::{Block, Grid, Nodes, empty_tile, load_tile};
-use crate::mpm::material::{self, is_mild, trial_strain, trial_strain_adjoint};
+use crate::mpm::material::{self, ReturnBar, is_mild, trial_strain, trial_strain_adjoint};
 use crate::mpm::particles::{Group, LANES, Lanes, mat_of, set_mat, set_vec, vec_of};
 use crate::mpm::principal;
 use crate::mpm::stencil::{Affine, Tile, scatter};
@@ -35,6 +35,16 @@ impl<T: Real> Sent<T> {
     #[inline(always)]
     pub(crate) fn affine(&self, l: usize, mass: T) -> Affine<T> {
         affine(vec_of(&self.base, l), &mat_of(&self.a_dx, l), mass)
+    }
+
+    /// The same, the fourth number being affine too.
+    #[inline(always)]
+    pub(crate) fn affine_of_four(&self, l: usize, fourth: &Fourth<T>) -> Affine<T> {
+        let mut out = self.affine(l, fourth.base[l]);
+        for axis in 0..3 {
+            out.steps[axis][3] = fourth.steps[axis][l];
+        }
+        out
     }
 }
 
@@ -192,13 +202,16 @@ fn dt_times<T: Real>(dt: T, c: &Mat3<T>) -> Mat3<T> {
 }
 
 /// Adjoint of [`ParticlesToTile`] for one block. On entry `bar` holds the cotangent of the new strain and
-/// volume correction, and what is already known of the positions'; on return, the cotangent of the input.
+/// volume correction, what is already known of the positions', and, where volume is held to the grid's density, in `bar.c[0]` the
+/// cotangent of the logarithmic volume; on return, the cotangent of the input.
 pub(crate) struct ParticlesToTileAdjoint<'a, T> {
     pub(crate) model: &'a Model<T>,
     pub(crate) block: &'a Block,
     pub(crate) input: &'a [Group<T>],
     /// Cotangents of momentum and mass.
     pub(crate) nodes_bar: &'a [Nodes<T>],
+    /// Whether volumes were held in this substep.
+    pub(crate) holds_volume: bool,
     pub(crate) bar: &'a mut [Group<T>],
 }
 
@@ -234,6 +247,9 @@ impl<T: Real> pulp::NullaryFnOnce for ParticlesToTileAdjoint<'_, T> {
                         a_dx_bar[3 * axis + c][l] = first[axis][c] - sum[axis] * f[c];
                     }
                 }
+            }
+            if !self.holds_volume {
+                bar.c[0] = Lanes::ZERO;
             }
             stress_adjoint(model, input, &trial, &a_dx_bar, bar);
         }
@@ -284,10 +300,13 @@ fn send_adjoint<T: Real, const MILD: bool>(
         let tau_bar = [to_tau(0, 0), to_tau(1, 1), to_tau(2, 2), to_tau(0, 1), to_tau(0, 2), to_tau(1, 2)];
         let strain = input.strain_of(l);
         let (trial, q) = (trial.of(l), input.q[0][l]);
+        // Where [`super::g2p::TileToParticlesAdjoint`] leaves it.
+        let volume = bar.c[0][l];
+        let returned = ReturnBar { tau: tau_bar, strain: bar.strain_of(l), q: bar.q[0][l], volume };
         let (trial_bar, q_bar) = if MILD {
-            material::return_map_adjoint(&model.material, trial, q, tau_bar, bar.strain_of(l), bar.q[0][l])
+            material::return_map_adjoint(&model.material, trial, q, &returned)
         } else {
-            principal::return_map_adjoint(&model.material, trial, q, tau_bar, bar.strain_of(l), bar.q[0][l])
+            principal::return_map_adjoint(&model.material, trial, q, &returned)
         };
         let (strain_bar, l_bar) = trial_strain_adjoint(strain, &l_of, trial_bar);
         for i in 0..6 {

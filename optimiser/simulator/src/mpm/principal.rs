@@ -10,7 +10,7 @@
 //! The other symbols are those of [`super::material`]; `E' = U diag(exp(2 eps'_i) - 1) U^T`. The adjoint has no
 //! `1/(s_i^2 - s_j^2)` singularity when written with `expm1`.
 
-use crate::mpm::material::Material;
+use crate::mpm::material::{LODE_FACTOR, Material, ReturnBar, lode};
 use crate::real::Real;
 use crate::small::{Mat3, Sym3, Vec3, compose, full, mul, three, transpose};
 
@@ -76,7 +76,12 @@ struct Principal<T> {
     d: Vec3<T>,
     t: T,
     keep: T,
-    at_apex: bool,
+    lode: T,
+    /// `Y` and its derivative.
+    narrowing: (T, T),
+    /// `S` and its derivative.
+    bond: (T, T),
+    parted: bool,
     elastic: bool,
 }
 
@@ -94,14 +99,18 @@ fn principal<T: Real>(m: &Material<T>, trial: Sym3<T>, q: T) -> Principal<T> {
     // A deviator below this length has no direction worth the name; on the cone it is longer.
     let inverse = T::ONE / n.at_least(T::from_f64(1e-30));
     let d = [e[0] * inverse, e[1] * inverse, e[2] * inverse];
-    let room = m.slope * (m.apex - t);
-    let at_apex = t >= m.apex;
+    let lode = lode(e[0] * e[1] * e[2], inverse);
+    let narrowing = m.narrowing(lode);
+    let bond = m.bond(q);
+    let (apex, cut) = (bond.0 * m.apex, bond.0 * m.cut);
+    let parted = t >= cut;
+    let trace = if parted { cut } else { t };
+    let room = m.slope * (apex - trace) / narrowing.0;
     let elastic = n <= room;
     let keep = if elastic { T::ONE } else { room * inverse };
-    let keep = if at_apex { T::ZERO } else { keep };
-    let mean = if at_apex { third * m.apex } else { mean };
+    let mean = third * trace;
     let eps_new = [mean + keep * e[0], mean + keep * e[1], mean + keep * e[2]];
-    Principal { w, u, eps, eps_new, d, t, keep, at_apex, elastic: elastic && !at_apex }
+    Principal { w, u, eps, eps_new, d, t, keep, lode, narrowing, bond, parted, elastic }
 }
 
 /// Kirchhoff stress (Pa), strain and volume correction after the return to the yield surface.
@@ -112,7 +121,7 @@ pub(crate) fn return_map<T: Real>(m: &Material<T>, trial: Sym3<T>, q: T) -> (Sym
     let two_mu = m.mu + m.mu;
     let tau = three!(i => two_mu * p.eps_new[i] + pressure);
     let grown = three!(i => (p.eps_new[i] + p.eps_new[i]).exp_m1());
-    (compose(&p.u, tau), compose(&p.u, grown), (p.t - m.apex).only_if(p.at_apex))
+    (compose(&p.u, tau), compose(&p.u, grown), (p.t - p.bond.0 * m.cut).only_if(p.parted))
 }
 
 /// Cotangents of [`return_map`]: of the trial strain and of `q`.
@@ -121,10 +130,9 @@ pub(crate) fn return_map_adjoint<T: Real>(
     m: &Material<T>,
     trial: Sym3<T>,
     q: T,
-    tau_bar: Sym3<T>,
-    strain_bar: Sym3<T>,
-    q_bar: T,
+    bar: &ReturnBar<T>,
 ) -> (Sym3<T>, T) {
+    let ReturnBar { tau: tau_bar, strain: strain_bar, q: q_bar, volume: volume_bar } = *bar;
     let third = T::from_f64(1.0 / 3.0);
     let two = T::from_f64(2.0);
     let p = principal(m, trial, q);
@@ -138,11 +146,22 @@ pub(crate) fn return_map_adjoint<T: Real>(
     let new_bar = three!(i => two * m.mu * tb[i][i] + trace + two * stretch[i] * bb[i][i]);
     let mean = third * (new_bar[0] + new_bar[1] + new_bar[2]);
     let along = p.d[0] * new_bar[0] + p.d[1] * new_bar[1] + p.d[2] * new_bar[2];
+    let (narrowing, narrowing_slope) = p.narrowing;
+    // dl/deps is -3 sqrt(6) dev(cof d)/n - 3 l d/n, with cof d = (d_1 d_2, d_0 d_2, d_0 d_1) whose trace is -1/2.
+    let turning = -(p.keep * along * narrowing_slope / narrowing);
+    let sixth = T::from_f64(1.0 / 6.0);
+    let room_bar = (m.slope * along / narrowing).only_if(!p.elastic);
+    let trace_bar = mean - room_bar;
+    let t_bar = volume_bar + if p.parted { q_bar } else { trace_bar };
     let eps_bar = three!(i => {
-        let cone = mean + p.keep * (new_bar[i] - mean - p.d[i] * along) - m.slope * along;
-        let returned = if p.elastic { new_bar[i] } else { cone };
-        if p.at_apex { q_bar } else { returned }
+        let cofactor = p.d[(i + 1) % 3] * p.d[(i + 2) % 3] + sixth;
+        let turned = turning * (T::from_f64(LODE_FACTOR) * cofactor - T::from_f64(3.0) * p.lode * p.d[i]);
+        let dev = new_bar[i] - mean;
+        let on_cone = p.keep * (dev - p.d[i] * along) + turned;
+        t_bar + if p.elastic { dev } else { on_cone }
     });
+    // What bonds are left: of the apex, and of the cut-off where that is met.
+    let q_in_bar = p.bond.1 * (m.apex * room_bar + m.cut * (trace_bar - q_bar).only_if(p.parted));
     let s2 = three!(i => T::ONE + p.w[i]);
     let diagonal = three!(i => eps_bar[i] / (two * s2[i]));
 
@@ -155,7 +174,7 @@ pub(crate) fn return_map_adjoint<T: Real>(
     let (g01, g02, g12) = (off(0, 1), off(0, 2), off(1, 2));
     let g = [[diagonal[0], g01, g02], [g01, diagonal[1], g12], [g02, g12, diagonal[2]]];
     let out = mul(&mul(&p.u, &g), &ut);
-    let q_in = third * (eps_bar[0] + eps_bar[1] + eps_bar[2]);
+    let q_in = third * (eps_bar[0] + eps_bar[1] + eps_bar[2]) + q_in_bar;
     ([out[0][0], out[1][1], out[2][2], out[0][1], out[0][2], out[1][2]], q_in)
 }
 

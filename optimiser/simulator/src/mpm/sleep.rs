@@ -3,16 +3,18 @@
 //! A block of particles whose speeds `|v|` and `|C| dx` have stayed below the scene's `sleep_speed_m_s` for [`QUIET_S`], and
 //! that the tool is not near, falls asleep: its particles stay as they are, and what they send to the grid stays what it
 //! was, so that neighbours that are awake still rest on it. Nodes to which sleepers alone send are not computed. It wakes when the
-//! tool comes within [`TOOL_MARGIN_CELLS`], when one of its nodes moves at more than [`WAKE_RATIO`] times that speed, or when a
-//! sort brings it a new particle or takes one away.
+//! tool comes within [`TOOL_MARGIN_CELLS`], when a gate that moves or has just gone is as near, when one of its nodes moves at
+//! more than [`WAKE_RATIO`] times that speed, or when a sort brings it a new particle or takes one away. Beside a gate that
+//! stays where it is it sleeps as beside a wall.
 //!
 //! Backwards a sleeper's cotangents stay as they are, like its particles: how its weight on its neighbours depends on them is
-//! left out. What these decisions remember is part of the state, so a rollout that restarts from a state repeats them.
+//! left out. What these decisions remember is part of the state, and gates go by time, so a rollout that restarts from a state
+//! repeats them.
 
 use std::sync::Arc;
 
 use crate::mpm::Model;
-use crate::mpm::contact::BodyState;
+use crate::mpm::bodies::Bodies;
 use crate::mpm::layout::{Block, Layout, Nodes, any_shared, empty_tile};
 use crate::mpm::p2g::ParticlesToTile;
 use crate::mpm::particles::{EMPTY_LANE, Group, LANES};
@@ -21,7 +23,7 @@ use crate::real::Real;
 
 /// How long a block has to be quiet before it falls asleep, s.
 pub(crate) const QUIET_S: f64 = 0.03;
-/// Distance from the tool to the nearest cell that may sleep, in cells.
+/// Distance from the tool, or from a gate that stirs, to the nearest cell that may sleep, in cells.
 pub(crate) const TOOL_MARGIN_CELLS: usize = 2;
 /// Speed of a node that wakes, over the speed of particles that may sleep.
 pub(crate) const WAKE_RATIO: f64 = 2.0;
@@ -111,13 +113,16 @@ pub(crate) fn is_disturbed<T: Real>(
 /// The rest of a block after a substep.
 pub(crate) fn next_state<T: Real>(
     model: &Model<T>,
-    tool: &BodyState<T>,
+    bodies: &Bodies<T>,
     block: &Block,
     before: &SleepState<T>,
     seen: BlockStatus,
     disturbed: bool,
 ) -> SleepState<T> {
-    let near = || model.obstacles.tool_is_near(&model.grid, block.coord, tool, TOOL_MARGIN_CELLS);
+    if model.obstacles.is_stirred(&model.grid, block.coord, bodies, TOOL_MARGIN_CELLS) {
+        return SleepState::AWAKE;
+    }
+    let near = || model.obstacles.tool_is_near(&model.grid, block.coord, &bodies.tool, TOOL_MARGIN_CELLS);
     if before.is_asleep() {
         return if disturbed || near() { SleepState::AWAKE } else { before.clone() };
     }

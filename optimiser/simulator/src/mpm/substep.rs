@@ -5,7 +5,8 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use crate::mpm::Model;
-use crate::mpm::contact::{BodyState, BodyStateBar};
+use crate::mpm::bodies::Bodies;
+use crate::mpm::contact::BodyStateBar;
 use crate::mpm::g2p::{TileToParticles, TileToParticlesAdjoint};
 use crate::mpm::grid_update::{UpdateNodes, UpdateNodesAdjoint};
 use crate::mpm::layout::{Block, Layout, NodeBlock, Nodes, empty_tile};
@@ -41,7 +42,15 @@ pub(crate) struct State<T> {
 /// in the same cell are what transfers do at once.
 const SORT_EVERY: u32 = 100;
 
+/// Volumes are held to the grid's density in one of so many substeps: in 2 ms powder comes together by a fiftieth at most.
+const HOLD_EVERY: u32 = 4;
+
 impl<T: Real> State<T> {
+    /// Whether volumes are held in the substep that begins here.
+    pub(crate) fn holds_volume(&self, model: &Model<T>) -> bool {
+        model.holds_volume && self.age.is_multiple_of(HOLD_EVERY)
+    }
+
     /// Sorted state of the given particles.
     pub(crate) fn new(model: &Model<T>, particles: &Particles<T>) -> Result<Self, EscapedParticle> {
         let (particles, layout, _) = sort(&model.grid, particles, &mut BufferPool::empty())?;
@@ -220,24 +229,26 @@ impl<T: Real> Workspace<T> {
         self.on_grid.fit(layout.nodes.len(), &mut self.spare);
     }
 
-    /// Advances the state by one substep with the tool's motion at the substep's end.
+    /// Advances the state by one substep in which the bodies are there.
     pub(crate) fn substep(
         &mut self,
         model: &Model<T>,
-        tool: &BodyState<T>,
+        bodies: &Bodies<T>,
         state: &mut State<T>,
     ) -> Result<(), EscapedParticle> {
         self.timings.begin(Pass::Forward);
-        self.particles_to_grid(model, tool, &state.layout, &state.rest, None, &mut state.particles.groups);
+        let holds = state.holds_volume(model);
+        let groups = &mut state.particles.groups;
+        self.particles_to_grid(model, bodies, holds, (&state.layout, &state.rest), None, groups);
         state.age += 1;
-        self.grid_to_particles(model, tool, state)
+        self.grid_to_particles(model, bodies, holds, state)
     }
 
     /// [`Self::substep`] with the state after the substep written elsewhere, into memory that is used again.
     pub(crate) fn substep_to(
         &mut self,
         model: &Model<T>,
-        tool: &BodyState<T>,
+        bodies: &Bodies<T>,
         from: &State<T>,
         to: &mut State<T>,
     ) -> Result<(), EscapedParticle> {
@@ -248,16 +259,18 @@ impl<T: Real> Workspace<T> {
         to.layout = Arc::clone(&from.layout);
         to.rest.clone_from(&from.rest);
         to.age = from.age + 1;
-        let state = &mut to.particles.groups;
-        self.particles_to_grid(model, tool, &from.layout, &from.rest, Some(input), state);
-        self.grid_to_particles(model, tool, to)
+        let holds = from.holds_volume(model);
+        let groups = &mut to.particles.groups;
+        self.particles_to_grid(model, bodies, holds, (&from.layout, &from.rest), Some(input), groups);
+        self.grid_to_particles(model, bodies, holds, to)
     }
 
     /// Gather, advection and, if one is due, the sort.
     fn grid_to_particles(
         &mut self,
         model: &Model<T>,
-        tool: &BodyState<T>,
+        bodies: &Bodies<T>,
+        holds_volume: bool,
         state: &mut State<T>,
     ) -> Result<(), EscapedParticle> {
         let (layout, velocity) = (&*state.layout, &self.on_grid.velocity);
@@ -269,11 +282,18 @@ impl<T: Real> Workspace<T> {
             .with_max_len(MAX_BLOCKS)
             .map(|((state, block), before)| {
                 if !before.is_asleep() {
-                    let seen = model.arch.dispatch(TileToParticles { model, tool, block, velocity, state });
-                    return (seen, sleep::next_state(model, tool, block, before, seen, false));
+                    let seen = model.arch.dispatch(TileToParticles {
+                        model,
+                        bodies,
+                        block,
+                        velocity,
+                        holds_volume,
+                        state,
+                    });
+                    return (seen, sleep::next_state(model, bodies, block, before, seen, false));
                 }
                 let disturbed = sleep::is_disturbed(model, block, before, velocity, moving);
-                let rest = sleep::next_state(model, tool, block, before, BlockStatus::ASLEEP, disturbed);
+                let rest = sleep::next_state(model, bodies, block, before, BlockStatus::ASLEEP, disturbed);
                 if !rest.is_asleep() {
                     before.restore_into(state);
                 }
@@ -293,9 +313,9 @@ impl<T: Real> Workspace<T> {
     fn particles_to_grid(
         &mut self,
         model: &Model<T>,
-        tool: &BodyState<T>,
-        layout: &Layout,
-        rest: &[SleepState<T>],
+        bodies: &Bodies<T>,
+        holds_volume: bool,
+        (layout, rest): (&Layout, &[SleepState<T>]),
         from: Option<&[Group<T>]>,
         state: &mut [Group<T>],
     ) {
@@ -314,7 +334,15 @@ impl<T: Real> Workspace<T> {
         let nodes = layout.nodes.par_iter().zip(momentum).zip(velocity);
         nodes
             .map(|((node, momentum), velocity)| {
-                model.arch.dispatch(UpdateNodes { model, tool, node, tiles, momentum, velocity })
+                model.arch.dispatch(UpdateNodes {
+                    model,
+                    bodies,
+                    node,
+                    tiles,
+                    holds_volume,
+                    momentum,
+                    velocity,
+                })
             })
             .collect_into_vec(&mut self.moving);
         self.timings.mark(Stage::GridUpdate);
@@ -326,7 +354,7 @@ impl<T: Real> Workspace<T> {
     pub(crate) fn substep_adjoint(
         &mut self,
         model: &Model<T>,
-        tool: &BodyState<T>,
+        bodies: &Bodies<T>,
         state: &State<T>,
         known: Option<&OnGrid<T>>,
         bar: &mut [Group<T>],
@@ -334,12 +362,14 @@ impl<T: Real> Workspace<T> {
         self.timings.begin(Pass::Adjoint);
         let layout = &*state.layout;
         let input = &state.particles.groups;
+        let holds_volume = state.holds_volume(model);
         self.fit(layout);
         self.spare.fit_nodes(&mut self.momentum_bar, layout.nodes.len());
         if known.is_none() {
             let mut unused = std::mem::take(&mut self.unused);
             self.spare.fit_groups(&mut unused, input.len());
-            self.particles_to_grid(model, tool, layout, &state.rest, Some(input), &mut unused);
+            let blocks = (layout, &state.rest[..]);
+            self.particles_to_grid(model, bodies, holds_volume, blocks, Some(input), &mut unused);
             self.unused = unused;
         }
         let OnGrid { momentum, velocity } = known.unwrap_or(&self.on_grid);
@@ -354,9 +384,10 @@ impl<T: Real> Workspace<T> {
                 let input = &input[block.first_group..block.first_group + block.groups()];
                 model.arch.dispatch(TileToParticlesAdjoint {
                     model,
-                    tool,
+                    bodies,
                     block,
                     velocity,
+                    holds_volume,
                     input,
                     bar,
                     tile_bar,
@@ -373,9 +404,10 @@ impl<T: Real> Workspace<T> {
             .map(|((node, momentum), momentum_bar)| {
                 model.arch.dispatch(UpdateNodesAdjoint {
                     model,
-                    tool,
+                    bodies,
                     node,
                     velocity_bar_tiles: tiles,
+                    holds_volume,
                     momentum,
                     momentum_bar,
                 })
@@ -391,7 +423,14 @@ impl<T: Real> Workspace<T> {
             .for_each(|((bar, block), rest)| {
                 let input = &input[block.first_group..block.first_group + block.groups()];
                 if !rest.is_asleep() {
-                    model.arch.dispatch(ParticlesToTileAdjoint { model, block, input, nodes_bar, bar });
+                    model.arch.dispatch(ParticlesToTileAdjoint {
+                        model,
+                        block,
+                        input,
+                        nodes_bar,
+                        holds_volume,
+                        bar,
+                    });
                 }
             });
         let mut total = BodyStateBar::default();

@@ -1,7 +1,7 @@
 //! Many motions from one start, side by side.
 //!
 //! Skills that differ in one parameter begin alike: until the first control in which they differ they are one
-//! rollout, which is computed once. What has changed is shared out among workers, each with threads of its own; that
+//! rollout, which is computed once; gates, which go by time, part nobody. What has changed is shared out among workers, each with threads of its own; that
 //! uses processors better than all of them on one rollout, and changes no bit.
 
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
@@ -190,7 +190,7 @@ impl<T: Real> Batch<'_, T> {
         for step in branch.step..end {
             for substep in path.substeps_of(step) {
                 workspace
-                    .substep(self.model, &path.motion(substep), &mut branch.state)
+                    .substep(self.model, &path.bodies(&self.model.gates, substep), &mut branch.state)
                     .map_err(|lost| (self.lost)(substep, lost, &branch.state))?;
             }
             let mut guard = lock(work);

@@ -17,10 +17,10 @@
 //! A motion is a list of displacements, one for each control step, of any length: an empty one
 //! leaves the powder as it has settled, a longer one than the scene's horizon is simulated to its
 //! end. Everything "at the end" is at the end of the motion given. The motion is taken as it is:
-//! neither limits nor walls in the tool's way are looked at
+//! neither limits nor walls or gates in the tool's way are looked at
 //! ([`crate::skill::SkillMap::check_limits`], [`crate::skill::collision`]). Before the motion the
 //! powder settles for `time.settle_s` with the tool at its start; that is done once for all
-//! motions.
+//! motions. Gates are shut then, and open by the time since the motion began.
 //!
 //! # What a gradient is good for
 //!
@@ -114,7 +114,7 @@ pub type LossFn<'a> = &'a (dyn Fn(&[[f64; 3]]) -> (f64, Vec<[f64; 3]>) + Sync);
 /// [`RolloutError::Stopped`].
 pub type Progress<'a> = &'a mut (dyn FnMut(u64, u64) -> bool + Send);
 
-/// Powder and tool at one moment of a motion.
+/// Powder and tool at one moment of a motion. Where a gate is then, [`crate::scene::Gate::displacement_m`] tells.
 #[derive(Clone, Copy, Debug)]
 pub struct Snapshot<'a> {
     /// Control steps done.

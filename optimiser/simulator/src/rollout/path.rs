@@ -2,18 +2,22 @@
 //!
 //! Within control step `i` the tool moves at constant linear and angular velocity (`u_sub = u / N_sub`):
 //! at the end of its substep `j`, with `a = (j + 1)/N_sub`, position `p_i + a dp_i`, orientation
-//! `exp(a dr_i) R_i`, velocity `dp_i/dt`, angular velocity `dr_i/dt`.
+//! `exp(a dr_i) R_i`, velocity `dp_i/dt`, angular velocity `dr_i/dt`. Gates go by the substeps of the whole motion, of which a
+//! path may be a later stretch.
 
 use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 use powderline_shared::displacement::Displacement;
 use powderline_shared::pose::{Pose, exp_so3};
 
+use crate::mpm::bodies::{Bodies, Gates, Moment};
 use crate::mpm::contact::{BodyState, BodyStateBar};
 use crate::real::Real;
 use crate::skill::Control;
 
 /// A control sequence from an anchor pose.
 pub(crate) struct Trajectory {
+    /// Substeps of the motion that are done where it begins.
+    begins_after: usize,
     /// Pose at the beginning of each control step.
     poses: Vec<Pose>,
     controls: Vec<Displacement>,
@@ -22,7 +26,13 @@ pub(crate) struct Trajectory {
 }
 
 impl Trajectory {
-    pub(crate) fn new(anchor: Pose, controls: Vec<Displacement>, substeps: u32, period_s: f64) -> Self {
+    pub(crate) fn new(
+        begins_after: usize,
+        anchor: Pose,
+        controls: Vec<Displacement>,
+        substeps: u32,
+        period_s: f64,
+    ) -> Self {
         let mut pose = anchor;
         let poses = controls
             .iter()
@@ -32,7 +42,7 @@ impl Trajectory {
                 before
             })
             .collect();
-        Self { poses, controls, substeps, period_s }
+        Self { begins_after, poses, controls, substeps, period_s }
     }
 
     /// Substeps in the whole path.
@@ -64,6 +74,17 @@ impl Trajectory {
     fn place(&self, substep: usize) -> (usize, f64) {
         let n = self.substeps as usize;
         (substep / n, (substep % n + 1) as f64 / n as f64)
+    }
+
+    /// Substeps of the motion that are done where it ends.
+    pub(crate) fn ends_after(&self) -> usize {
+        self.begins_after + self.len()
+    }
+
+    /// The tool and the gates in the given substep (counted from the start of the path).
+    pub(crate) fn bodies<T: Real>(&self, gates: &Gates, substep: usize) -> Bodies<T> {
+        let moment = Moment::After(self.begins_after + substep);
+        Bodies { tool: self.motion(substep), gates: gates.at(moment) }
     }
 
     /// Motion at the end of the given substep (counted from the start of the path).
@@ -188,8 +209,13 @@ mod tests {
         let controls: Vec<Control> =
             (0..4).map(|i| [0, 1, 2, 3, 4, 5].map(|c| 0.2 * wave(6 * i + c + 1, 1.7))).collect();
         let functional = |controls: &[Control]| {
-            let path =
-                Trajectory::new(anchor, controls.iter().copied().map(Displacement::from).collect(), 3, 0.01);
+            let path = Trajectory::new(
+                0,
+                anchor,
+                controls.iter().copied().map(Displacement::from).collect(),
+                3,
+                0.01,
+            );
             let mut sum = 0.0;
             for s in 0..path.len() {
                 let m: BodyState<f64> = path.motion(s);
@@ -204,7 +230,7 @@ mod tests {
             sum
         };
         let path =
-            Trajectory::new(anchor, controls.iter().copied().map(Displacement::from).collect(), 3, 0.01);
+            Trajectory::new(0, anchor, controls.iter().copied().map(Displacement::from).collect(), 3, 0.01);
         let bars: Vec<BodyStateBar> = (0..path.len())
             .map(|s| {
                 let m: BodyState<f64> = path.motion(s);

@@ -5,6 +5,7 @@ use powderline_shared::pose::Pose;
 
 use crate::memory::{BRANCHES, Budget, default_min_checkpoints};
 use crate::mpm::Model;
+use crate::mpm::bodies::{Bodies, Moment};
 use crate::mpm::contact::BodyStateBar;
 use crate::mpm::particles::{Group, LANES, Particles, set_vec};
 use crate::mpm::sort::EscapedParticle;
@@ -32,6 +33,8 @@ const ADJOINT_WORK: u64 = 3;
 pub(crate) struct RolloutState<T> {
     state: State<T>,
     tool: Pose,
+    /// Substeps of the motion that are done.
+    done: usize,
 }
 
 /// Simulator of one scene in one precision.
@@ -141,14 +144,15 @@ impl<T: Real> Simulator<T> {
         self.in_pool(job, &mut |_, _| true)
     }
 
-    fn path(&self, anchor: Pose, controls: Vec<Displacement>) -> Trajectory {
-        Trajectory::new(anchor, controls, self.scene.time.substeps, self.scene.time.control_period_s())
+    fn path(&self, from: &RolloutState<T>, controls: Vec<Displacement>) -> Trajectory {
+        let time = &self.scene.time;
+        Trajectory::new(from.done, from.tool, controls, time.substeps, time.control_period_s())
     }
 
     /// The settled powder under the tool's start pose.
     pub(crate) fn initial_state(&mut self, progress: Progress<'_>) -> Result<RolloutState<T>, RolloutError> {
         let tool = self.anchor;
-        Ok(RolloutState { state: self.in_pool(|r| r.settled(), progress)?, tool })
+        Ok(RolloutState { state: self.in_pool(|r| r.settled(), progress)?, tool, done: 0 })
     }
 
     /// The settled powder under a tool that waits at `tool`.
@@ -160,7 +164,8 @@ impl<T: Real> Simulator<T> {
         if *tool == self.anchor {
             return self.initial_state(progress);
         }
-        Ok(RolloutState { state: self.in_pool(|r| r.settle_under(tool), progress)?, tool: *tool })
+        let state = self.in_pool(|r| r.settle_under(tool), progress)?;
+        Ok(RolloutState { state, tool: *tool, done: 0 })
     }
 
     /// The state after the given controls.
@@ -170,9 +175,9 @@ impl<T: Real> Simulator<T> {
         controls: &[Displacement],
         progress: Progress<'_>,
     ) -> Result<RolloutState<T>, RolloutError> {
-        let path = self.path(from.tool, controls.to_vec());
+        let path = self.path(from, controls.to_vec());
         let state = self.in_pool(|r| r.forward(&from.state, &path), progress)?;
-        Ok(RolloutState { state, tool: path.end().unwrap_or(from.tool) })
+        Ok(RolloutState { state, tool: path.end().unwrap_or(from.tool), done: path.ends_after() })
     }
 
     /// Takes the memory of a state that is no longer needed.
@@ -203,7 +208,7 @@ impl<T: Real> Simulator<T> {
         controls: &[Displacement],
         progress: Progress<'_>,
     ) -> Result<(Evaluation, Vec<Control>), RolloutError> {
-        let path = self.path(from.tool, controls.to_vec());
+        let path = self.path(from, controls.to_vec());
         let reserved_bytes = self.bytes_of_workers_to_come();
         self.in_pool_for(loss, |r| r.gradient(&from.state, &path, reserved_bytes), progress)
     }
@@ -218,8 +223,7 @@ impl<T: Real> Simulator<T> {
         if motions.is_empty() {
             return Ok(Vec::new());
         }
-        let paths: Vec<Trajectory> =
-            motions.into_iter().map(|controls| self.path(from.tool, controls)).collect();
+        let paths: Vec<Trajectory> = motions.into_iter().map(|controls| self.path(from, controls)).collect();
         let count = self.worker_count(paths.len());
         self.ensure_workers(count)?;
         let Self { scene, model, pool, workspace, workers, .. } = self;
@@ -493,25 +497,20 @@ impl<T: Real> Rollout<'_, T> {
         let particles = Particles::at_rest(self.packing);
         let mut state =
             State::new(self.model, &particles).map_err(|l| lost_error::<T>(self.scene, 0, l, None))?;
-        let tool = resting(tool);
+        let bodies = Bodies { tool: resting(tool), gates: self.model.gates.at(Moment::Settling) };
         let per_step = self.scene.time.substeps as usize;
         for substep in 0..self.scene.time.settle_steps() as usize * per_step {
             if substep.is_multiple_of(per_step) {
                 // Only to ask whether to go on: the rollout's own work is counted from its beginning.
                 self.report(0, 1)?;
             }
-            self.step(&mut state, substep, &tool)?;
+            self.step(&mut state, substep, &bodies)?;
         }
         Ok(state)
     }
 
-    fn step(
-        &mut self,
-        state: &mut State<T>,
-        substep: usize,
-        tool: &crate::mpm::contact::BodyState<T>,
-    ) -> Result<(), RolloutError> {
-        match self.workspace.substep(self.model, tool, state) {
+    fn step(&mut self, state: &mut State<T>, substep: usize, bodies: &Bodies<T>) -> Result<(), RolloutError> {
+        match self.workspace.substep(self.model, bodies, state) {
             Ok(()) => Ok(()),
             Err(lost) => Err(lost_error(self.scene, substep, lost, Some(state))),
         }
@@ -521,10 +520,10 @@ impl<T: Real> Rollout<'_, T> {
         &mut self,
         from: &State<T>,
         substep: usize,
-        tool: &crate::mpm::contact::BodyState<T>,
+        bodies: &Bodies<T>,
         to: &mut State<T>,
     ) -> Result<(), RolloutError> {
-        let advanced = self.workspace.substep_to(self.model, tool, from, to);
+        let advanced = self.workspace.substep_to(self.model, bodies, from, to);
         advanced.map_err(|lost| lost_error(self.scene, substep, lost, Some(to)))
     }
 
@@ -535,7 +534,7 @@ impl<T: Real> Rollout<'_, T> {
             if substep.is_multiple_of(self.scene.time.substeps as usize) {
                 self.report(substep as u64, total)?;
             }
-            self.step(&mut state, substep, &path.motion(substep))?;
+            self.step(&mut state, substep, &path.bodies(&self.model.gates, substep))?;
         }
         self.report(total, total)?;
         Ok(state)
@@ -566,10 +565,11 @@ impl<T: Real> Rollout<'_, T> {
                 Action::Restore => (at, is_kept) = (last.step, true),
                 Action::Advance(count) => {
                     for _ in 0..count {
+                        let bodies = path.bodies(&self.model.gates, at);
                         if is_kept {
-                            self.step_to(&last.state, at, &path.motion(at), &mut working)?;
+                            self.step_to(&last.state, at, &bodies, &mut working)?;
                         } else {
-                            self.step(&mut working, at, &path.motion(at))?;
+                            self.step(&mut working, at, &bodies)?;
                         }
                         (at, is_kept) = (at + 1, false);
                         done += 1;
@@ -593,8 +593,8 @@ impl<T: Real> Rollout<'_, T> {
                         Some(end) => end,
                         None => self.end_of(path, state)?,
                     };
-                    let tool_bar =
-                        self.workspace.substep_adjoint(self.model, &path.motion(step), state, grid, &mut bar);
+                    let bodies = path.bodies(&self.model.gates, step);
+                    let tool_bar = self.workspace.substep_adjoint(self.model, &bodies, state, grid, &mut bar);
                     self.check_finite(step, &tool_bar, state, &bar)?;
                     back.take(step, tool_bar);
                     self.workspace.timings.skip();
@@ -645,7 +645,7 @@ impl<T: Real> Rollout<'_, T> {
         let mut state = state.copied(&mut self.workspace.spare);
         state.fill();
         if let Some(last) = path.len().checked_sub(1) {
-            self.step(&mut state, last, &path.motion(last))?;
+            self.step(&mut state, last, &path.bodies(&self.model.gates, last))?;
         }
         let positions = state.particles.positions_by_id();
         let (mut evaluation, mut gradient) =

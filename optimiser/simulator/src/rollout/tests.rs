@@ -1,17 +1,33 @@
 //! Whole rollouts: their bits, and their derivative.
 
+mod gates;
+
 use powderline_shared::{displacement::Displacement, plan::Precision};
 
 use crate::rollout::{
     Destination, DisplacementGradient, Evaluate, ParticleSimulator, Recording, RolloutError, Simulator,
     SimulatorSettings, Snapshot, gradcheck, outcome,
 };
-use crate::scene::{Aim, Cuboid, Infeasible, Scene, Tool, ToolShape};
+use crate::scene::{Aim, Cuboid, Infeasible, Scene, Tool, ToolShape, VolumeCorrection, YieldSurface};
 use crate::skill::{SkillMap, Theta};
+
+/// The small bench with the paper's powder, and with every part of it that can be another.
+fn benches() -> [Scene; 2] {
+    let mut scene = Scene::load("bench-small").expect("shipped");
+    scene.powder.yield_surface = YieldSurface::DruckerPrager;
+    scene.powder.volume_correction = VolumeCorrection::Strain;
+    let mut other = scene.clone();
+    other.powder.yield_surface = YieldSurface::MatsuokaNakai;
+    other.powder.volume_correction = VolumeCorrection::Grid;
+    [scene, other]
+}
 
 #[test]
 fn threads_and_memory_change_no_bit_of_loss_and_gradient() {
-    let mut scene = Scene::load("bench-small").expect("shipped");
+    benches().into_iter().for_each(no_bit_changes);
+}
+
+fn no_bit_changes(mut scene: Scene) {
     // So that powder falls asleep, and is woken by the spoon, within these steps.
     scene.domain.sleep_speed_m_s = 0.01;
     scene.time.settle_s = 0.4;
@@ -113,7 +129,10 @@ fn a_worker_that_panics_ends_the_others() {
 
 #[test]
 fn the_gradient_of_a_scoop_agrees_with_central_differences() {
-    let scene = Scene::load("bench-small").expect("shipped");
+    benches().into_iter().for_each(scoop_agrees_with_differences);
+}
+
+fn scoop_agrees_with_differences(scene: Scene) {
     let settings =
         SimulatorSettings { seed: 1, precision: Precision::F64, threads: None, memory_bytes: 1 << 30 };
     let mut s = Simulator::<f64>::new(&scene, &settings).expect("threads");
@@ -165,7 +184,10 @@ fn a_motion_that_is_looked_at_ends_as_one_that_is_not() {
 
 #[test]
 fn the_gradient_of_controls_agrees_with_central_differences() {
-    let mut scene = Scene::load("bench-small").expect("shipped");
+    benches().into_iter().for_each(controls_agree_with_differences);
+}
+
+fn controls_agree_with_differences(mut scene: Scene) {
     // Without the kinks of particles that come to be among the wanted ones, or cease to.
     scene.objective.aim = Aim::All;
     scene.time.settle_s = 0.0;

@@ -1,6 +1,6 @@
 //! Quantities that follow from a scene's fields.
 
-use super::{Container, ContainerShape, Objective, Powder, Quantity, Scene, Time};
+use super::{Container, ContainerShape, FillShape, Objective, Powder, Quantity, Scene, Time, YieldSurface};
 
 /// Edge of a grid block, in cells.
 pub const BLOCK_CELLS: usize = 4;
@@ -58,6 +58,29 @@ impl Powder {
         self.youngs_modulus_pa / (2.0 * (1.0 + self.poissons_ratio))
     }
 
+    /// Mean tension at the apex of the yield surface, pascal; 0 without cohesion.
+    ///
+    /// Of Drucker and Prager's cone `cohesion/tan(phi)`, as Mohr-Coulomb has it. Matsuoka and Nakai's is by
+    /// so much lower as makes the unconfined strength in plane strain Mohr-Coulomb's,
+    /// `2 cohesion tan(45 deg + phi/2)`: what a shear cell measures, and what a vertical cut stands by. Its
+    /// angle there has the sine `2 s/sqrt(3 + s^2)`, `s = sin(phi)`.
+    pub fn apex_tension_pa(&self) -> f64 {
+        if self.cohesion_pa == 0.0 {
+            return 0.0;
+        }
+        let phi = self.friction_angle_deg.to_radians();
+        let tension_pa = self.cohesion_pa / libm::tan(phi);
+        match self.yield_surface {
+            YieldSurface::DruckerPrager => tension_pa,
+            YieldSurface::MatsuokaNakai => {
+                let s = libm::sin(phi);
+                let plane = 2.0 * s / (3.0 + s * s).sqrt();
+                // (1 + s)/(1 - s) - 1 of the one angle over that of the other.
+                tension_pa * (s / (1.0 - s)) / (plane / (1.0 - plane))
+            }
+        }
+    }
+
     /// P-wave modulus M = lambda + 2 mu, pascal.
     pub fn p_wave_modulus_pa(&self) -> f64 {
         self.lame_lambda_pa() + 2.0 * self.lame_mu_pa()
@@ -71,6 +94,26 @@ impl Powder {
     /// Extent of the fill box, metres.
     pub fn fill_size_m(&self) -> [f64; 3] {
         std::array::from_fn(|axis| self.fill_max_m[axis] - self.fill_min_m[axis])
+    }
+
+    /// Volume of what is filled with powder, cubic metres.
+    pub fn fill_volume_m3(&self) -> f64 {
+        let box_m3: f64 = self.fill_size_m().iter().product();
+        match self.fill_shape {
+            FillShape::Box => box_m3,
+            FillShape::Cylinder => std::f64::consts::FRAC_PI_4 * box_m3,
+        }
+    }
+
+    /// Middle of the fill box seen from above, metres.
+    pub(super) fn fill_middle_m(&self) -> [f64; 2] {
+        [0, 1].map(|axis| 0.5 * (self.fill_min_m[axis] + self.fill_max_m[axis]))
+    }
+
+    /// Radius of the column inscribed in the fill box, metres.
+    pub(super) fn fill_radius_m(&self) -> f64 {
+        let [length_m, width_m, _] = self.fill_size_m();
+        0.5 * length_m.min(width_m)
     }
 }
 

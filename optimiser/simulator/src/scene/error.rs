@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-/// Most characters of a name, of a scene or of a container.
+/// Most characters of a name, of a scene, of a container or of a gate.
 pub(super) const MAX_NAME_CHARS: usize = 64;
 
 /// Whether it can be shown as it is.
@@ -10,12 +10,13 @@ pub(super) fn is_name(name: &str) -> bool {
     (1..=MAX_NAME_CHARS).contains(&name.chars().count()) && !name.chars().any(char::is_control)
 }
 
-/// How messages name container `index`: by its name where that is printable and unique, else by its index.
-pub(super) fn container_path(names: &[&str], index: usize) -> String {
+/// How messages name table `index` of a list, `container` or `gate`: by its name where that is printable and unique, else by
+/// its index.
+pub(super) fn listed_path(list: &str, names: &[&str], index: usize) -> String {
     let bearers = |name: &str| names.iter().filter(|other| **other == name).count();
     match names.get(index) {
-        Some(name) if is_name(name) && bearers(name) == 1 => format!("container {name:?}"),
-        _ => format!("container[{index}]"),
+        Some(name) if is_name(name) && bearers(name) == 1 => format!("{list} {name:?}"),
+        _ => format!("{list}[{index}]"),
     }
 }
 
@@ -93,7 +94,7 @@ pub enum SceneError {
     Structure {
         /// The scene file.
         file: String,
-        /// Dotted path of the field, or of the table that it belongs to, a container by its name.
+        /// Dotted path of the field, or of the table that it belongs to, a container or gate by its name.
         field: String,
         /// Line, from 1.
         line: usize,
@@ -105,7 +106,7 @@ pub enum SceneError {
     Invalid {
         /// The scene file.
         file: String,
-        /// Dotted path of the field, a container by its name.
+        /// Dotted path of the field, a container or gate by its name.
         field: String,
         /// Its value.
         value: String,

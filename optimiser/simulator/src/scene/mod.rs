@@ -14,6 +14,11 @@
 //! | `bench-fine` | 90,112 of 1 mg | 2 mm | bowl, radius 16 mm | 9.6 g | `bench`, cells half as wide |
 //! | `vial` | 7,168 of 2.092 mg | 3 mm | box scoop, 18 x 15 x 10.5 mm | 1 g | light powder into a vial |
 //!
+//! A scene may have gates ([`Gate`]): walls that are there until they open, at a time after the
+//! motion's start, for a column that is released, a slide below a hopper, a lock. Their motion is
+//! prescribed, so nothing is differentiated by it. Powder fills a box or the round column in it
+//! ([`FillShape`]).
+//!
 //! To build one in code, load the one that is nearest, change its fields, and validate it; every
 //! field is public. Some advice:
 //! - What is to be resolved (a wall, a heap, the inside of a tool) should be four cells wide or
@@ -41,6 +46,7 @@ mod embedded;
 mod error;
 mod feasible;
 pub mod figures;
+mod gate;
 mod packing;
 mod parse;
 mod path;
@@ -64,8 +70,10 @@ pub use derived::{
 pub use embedded::{DEFAULT_SCENE, EMBEDDED_SCENES, embedded_scene};
 pub use error::SceneError;
 pub use feasible::Infeasible;
+pub use gate::{Gate, GateOpening, GateShape, MAX_GATES};
 pub use powderline_shared::limits::Limits;
 pub use read::MAX_SCENE_BYTES;
+pub use solid::Obstacle;
 pub(crate) use tool_body::PlacedTool;
 pub use tool_body::ToolPart;
 
@@ -84,6 +92,9 @@ pub struct Scene {
     /// Open containers standing on the bench, 2 to 16, none overlapping another.
     #[serde(rename = "container")]
     pub containers: Vec<Container>,
+    /// Walls that are there until they open, 0 to [`MAX_GATES`]; none if the file has none.
+    #[serde(rename = "gate", default)]
+    pub gates: Vec<Gate>,
     /// Spoon or scoop, moved by the arm.
     pub tool: Tool,
     /// Five skill parameters and how they become a motion.
@@ -113,8 +124,8 @@ pub struct Domain {
     pub contact_band_cells: f64,
     /// Blocks of powder (4 x 4 x 4 cells) that stay slower than this for 0.03 s fall asleep: their
     /// particles stay as they are, at rest to within this speed, and cost nothing. They wake when
-    /// the tool comes within two cells, a node of theirs moves or a particle arrives. m/s; 0 to
-    /// 0.01, typically 0.0002; 0: never.
+    /// the tool, or a gate that moves, comes within two cells, a gate as near vanishes, a node of
+    /// theirs moves or a particle arrives. m/s; 0 to 0.01, typically 0.0002; 0: never.
     pub sleep_speed_m_s: f64,
 }
 
@@ -126,6 +137,9 @@ pub struct Powder {
     pub fill_min_m: [f64; 3],
     /// Upper corner of the box filled with powder, metres, world frame; inside the source container.
     pub fill_max_m: [f64; 3],
+    /// What of that box is filled; all of it if the file does not say.
+    #[serde(default)]
+    pub fill_shape: FillShape,
     /// Particles per grid cell of powder; 1 to 64, typically 8.
     pub particles_per_cell: u32,
     /// What programs take for the seed of [`crate::rollout::SimulatorSettings`] if they are given
@@ -138,19 +152,70 @@ pub struct Powder {
     pub poissons_ratio: f64,
     /// Bulk density, kg/m^3; 10 to 25,000, typically 1000.
     pub density_kg_m3: f64,
-    /// Angle of internal friction `phi`, degrees; 0 to 60, typically 35. The yield surface is a
-    /// Drucker-Prager cone through the triaxial compression corners of Mohr-Coulomb's,
-    /// `|s| = sqrt(2/3) 6 sin(phi)/(3 - sin(phi)) p` with the mean stress `p` and the deviator's
-    /// norm `|s|`. In other states of stress the cone is the stronger one: in plane strain 35
-    /// degrees act as 55.
+    /// Angle of internal friction `phi` in triaxial compression, degrees; 0 to 60, typically 35; at
+    /// most 36.8 with [`YieldSurface::DruckerPrager`]. What it is in other states of stress,
+    /// `yield` says.
     pub friction_angle_deg: f64,
-    /// Mohr-Coulomb cohesion, pascal; 0 (dry sand) to 1e5, for cohesive powder about 50. Needs a
+    /// Form of the yield surface.
+    #[serde(rename = "yield")]
+    pub yield_surface: YieldSurface,
+    /// What holds the powder's volume together.
+    pub volume_correction: VolumeCorrection,
+    /// Mohr-Coulomb cohesion in plane strain, as a shear cell measures it, pascal; 0 (dry sand) to 1e5, for cohesive powder about 50. Needs a
     /// friction angle.
     pub cohesion_pa: f64,
+    /// Mean tension at which cohesive powder parts, pascal; 0 to [`Powder::apex_tension_pa`], the tension
+    /// at the apex of the yield surface, typically half of that. Powder that has parted loses it, and its cohesion,
+    /// over the first 5 % of volume that it opens by, and has both again when it is pressed together.
+    /// None (the key left out): it parts at the apex, and bears that tension as often as it comes there.
+    #[serde(default)]
+    pub tensile_strength_pa: Option<f64>,
     /// Shear viscosity of the flowing powder, Pa s; 0 to 100, typically 0.08. Besides being
     /// physical it keeps single grains on the surface from amplifying the smallest disturbance,
     /// without which gradients of long motions are noise.
     pub viscosity_pa_s: f64,
+}
+
+/// Form of the yield surface. Either goes through the triaxial compression corners of Mohr-Coulomb's,
+/// `|s| = sqrt(2/3) 6 sin(phi)/(3 - sin(phi)) p` with the mean stress `p` and the deviator's norm
+/// `|s|`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum YieldSurface {
+    /// Drucker and Prager's round cone, the paper's. In other states of stress than compression it
+    /// is the stronger one: 35 degrees act as 55 in plane strain and as 68 in triaxial extension.
+    /// From 36.87 degrees on (`sin(phi) = 0.6`) it would carry tension there, so such angles are
+    /// refused.
+    DruckerPrager,
+    /// Matsuoka and Nakai's surface, `I1 I2/I3 = 9 + 8 tan^2(phi)` in the invariants of the stress: the
+    /// same angle in compression and in extension, and up to 4 degrees more in between, as sands
+    /// have it (35 degrees act as 39 in plane strain).
+    MatsuokaNakai,
+}
+
+/// How powder that has come apart knows when it touches again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum VolumeCorrection {
+    /// Each particle adds up the volume that it has gained (Tampubolon et al. 2017). What it adds up
+    /// is noise where powder flies and tumbles: poured powder then lies at 0.8 to 1.8 of its density.
+    Strain,
+    /// That sum is held to the density that the grid sees: poured powder lies at its density to within
+    /// some hundredths. The source has the bounds, in `mpm/density.rs`.
+    Grid,
+}
+
+/// What of the fill box is filled with powder.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FillShape {
+    /// All of it.
+    #[default]
+    Box,
+    /// The upright round column inscribed in it, which must be as long as wide.
+    Cylinder,
 }
 
 /// Control period, substeps and horizon.

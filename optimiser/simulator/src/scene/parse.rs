@@ -4,11 +4,14 @@ use serde_json::Value;
 use toml::de::{DeTable, DeValue, Deserializer, Error};
 
 use super::closest_match::did_you_mean;
-use super::error::container_path;
+use super::error::listed_path;
 use super::{DEFAULT_SCENE, Scene, SceneError, embedded_scene};
 
-/// Tables of a scene; `container` is the only list of tables.
+/// Tables of a scene, besides its [`LISTS`] of tables.
 const TABLES: [&str; 8] = ["domain", "powder", "time", "tool", "skill", "limits", "objective", "optimiser"];
+
+/// Lists of tables, each with a name.
+const LISTS: [&str; 2] = ["container", "gate"];
 
 /// Reads a scene without judging its values.
 pub(super) fn parse(file: &str, text: &str) -> Result<Scene, SceneError> {
@@ -18,19 +21,19 @@ pub(super) fn parse(file: &str, text: &str) -> Result<Scene, SceneError> {
     source.scene(&raw).map_err(|error| with_names(error, &raw))
 }
 
-/// The refusal with a container's name in the place of its number.
+/// The refusal with a container's or gate's name in the place of its number.
 fn with_names(error: SceneError, raw: &DeTable<'_>) -> SceneError {
     let SceneError::Structure { file, field, line, reason } = error else { return error };
-    let named = || {
-        let (index, path) = field.strip_prefix("container[")?.split_once(']')?;
+    let named = |list: &str| {
+        let (index, path) = field.strip_prefix(list)?.strip_prefix('[')?.split_once(']')?;
         let name = |table: &DeValue<'_>| Some(table.as_table()?.get("name")?.get_ref().as_str()?.to_owned());
-        let tables = raw.get("container")?.get_ref().as_array()?;
+        let tables = raw.get(list)?.get_ref().as_array()?;
         let names: Vec<String> =
             tables.iter().map(|table| name(table.get_ref()).unwrap_or_default()).collect();
         let names: Vec<&str> = names.iter().map(String::as_str).collect();
-        Some(container_path(&names, index.parse().ok()?) + path)
+        Some(listed_path(list, &names, index.parse().ok()?) + path)
     };
-    let field = named().unwrap_or(field);
+    let field = LISTS.into_iter().find_map(named).unwrap_or(field);
     SceneError::Structure { file, field, line, reason }
 }
 
@@ -158,6 +161,8 @@ fn in_plain_words(path: &str, message: &str) -> String {
         ("expected a sequence", "expected a list"),
         ("expected internally tagged enum ContainerShape", A_KIND),
         ("expected internally tagged enum ToolShape", A_KIND),
+        ("expected internally tagged enum GateShape", A_KIND),
+        ("expected internally tagged enum GateOpening", A_KIND),
         ("expected internally tagged enum Observation", A_KIND),
         ("` as i128,", "`,"),
         ("floating-point number overflowed", "number too large, expected at most 1.79e308"),

@@ -6,7 +6,8 @@
 //! a hundredth of the solids' size.
 
 use super::figures::plain;
-use super::{Container, ContainerShape, Powder, Scene};
+use super::{Container, ContainerShape, FillShape, Gate, GateShape, Powder, Scene};
+use std::fmt;
 use std::sync::LazyLock;
 
 /// A vector, world or tool frame.
@@ -27,22 +28,58 @@ pub(super) fn dot(a: Vec3, b: Vec3) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// A container's material.
-pub(crate) struct Solid {
-    /// The container's name.
-    pub(super) name: String,
-    /// Convex pieces.
+/// What may stand in the tool's way, by its name.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Obstacle {
+    /// A container.
+    Container(String),
+    /// A gate, while it is there.
+    Gate(String),
+}
+
+impl fmt::Display for Obstacle {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Container(name) => write!(f, "container {name:?}"),
+            Self::Gate(name) => write!(f, "gate {name:?}"),
+        }
+    }
+}
+
+/// The material of what stands in the tool's way.
+pub(crate) struct Solid<'a> {
+    pub(super) obstacle: Obstacle,
+    /// Convex pieces; those of a gate where it is shut.
     pub(super) pieces: Vec<Hull>,
     /// Lowest and highest coordinates.
     pub(super) extent: [Vec3; 2],
+    /// The gate that it is, if it is one.
+    gate: Option<&'a Gate>,
+}
+
+impl Solid<'_> {
+    /// How far it is from where its pieces are, so long after the motion's start, metres; none if it is not there.
+    pub(super) fn displacement_m(&self, time_s: f64) -> Option<Vec3> {
+        self.gate.map_or(Some([0.0; 3]), |gate| gate.displacement_m(time_s))
+    }
 }
 
 impl Scene {
     /// What stands in the tool's way.
-    pub(crate) fn solids(&self) -> Vec<Solid> {
-        let solid =
-            |c: &Container| Solid { name: c.name.clone(), pieces: c.pieces(), extent: c.outer().extent() };
-        self.containers.iter().map(solid).collect()
+    pub(crate) fn solids(&self) -> Vec<Solid<'_>> {
+        let container = |one: &Container| Solid {
+            obstacle: Obstacle::Container(one.name.clone()),
+            pieces: one.pieces(),
+            extent: one.outer().extent(),
+            gate: None,
+        };
+        let gates = self.gates.iter().map(|gate| Solid {
+            obstacle: Obstacle::Gate(gate.name.clone()),
+            pieces: gate.pieces(),
+            extent: gate.outer().extent(),
+            gate: Some(gate),
+        });
+        self.containers.iter().map(container).chain(gates).collect()
     }
 }
 
@@ -152,7 +189,8 @@ impl Wall {
 impl Container {
     /// Its walls, in the order of its pieces.
     pub(super) fn walls(&self) -> Vec<Wall> {
-        let [x, y, _] = self.axes();
+        let frame = self.frame();
+        let [x, y, _] = frame.axes;
         let turned = match self.yaw_deg.rem_euclid(360.0) {
             turn_deg if turn_deg > 0.0 => format!(", turned by {} degrees", plain(self.yaw_deg)),
             _ => String::new(),
@@ -166,7 +204,7 @@ impl Container {
                     (format!("{side} wall of container {:?}{turned}", self.name), outwards)
                 }
                 ContainerShape::Cylinder { .. } => {
-                    let outwards = self.outwards(index as f64 + 0.5);
+                    let outwards = frame.outwards(index as f64 + 0.5);
                     let towards_deg = libm::atan2(outwards[1], outwards[0]).to_degrees().rem_euclid(360.0);
                     (
                         format!("wall of container {:?} at {towards_deg:.0} degrees from +x", self.name),
@@ -179,10 +217,8 @@ impl Container {
         walls.collect()
     }
 
-    /// The container's own axes, world frame.
-    fn axes(&self) -> [Vec3; 3] {
-        let (sin, cos) = libm::sincos(self.yaw_deg.to_radians());
-        [[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]]
+    fn frame(&self) -> Frame {
+        Frame::new(self.position_m, self.yaw_deg)
     }
 
     /// Inner height, metres.
@@ -195,44 +231,48 @@ impl Container {
 
     /// The container with its inside, floor plate included.
     pub(super) fn outer(&self) -> Hull {
-        let wall = self.wall_thickness_m;
+        let (wall, frame) = (self.wall_thickness_m, self.frame());
         match self.shape {
             ContainerShape::Box { inner_size_m: [x, y, z] } => {
-                self.block([-0.5 * x - wall, -0.5 * y - wall, -wall], [0.5 * x + wall, 0.5 * y + wall, z])
+                frame.block([-0.5 * x - wall, -0.5 * y - wall, -wall], [0.5 * x + wall, 0.5 * y + wall, z])
             }
             ContainerShape::Cylinder { inner_radius_m, inner_height_m } => {
-                self.prism(inner_radius_m + wall, -wall, inner_height_m)
+                frame.prism(inner_radius_m + wall, -wall, inner_height_m)
             }
         }
     }
 
     /// The container's material in convex pieces: the floor plate first, then the walls.
     pub(super) fn pieces(&self) -> Vec<Hull> {
-        let wall = self.wall_thickness_m;
+        let (wall, frame) = (self.wall_thickness_m, self.frame());
         match self.shape {
             ContainerShape::Box { inner_size_m: [x, y, z] } => {
                 let (x, y) = (0.5 * x, 0.5 * y);
                 vec![
-                    self.block([-x - wall, -y - wall, -wall], [x + wall, y + wall, 0.0]),
-                    self.block([-x - wall, -y - wall, 0.0], [-x, y + wall, z]),
-                    self.block([x, -y - wall, 0.0], [x + wall, y + wall, z]),
-                    self.block([-x, -y - wall, 0.0], [x, -y, z]),
-                    self.block([-x, y, 0.0], [x, y + wall, z]),
+                    frame.block([-x - wall, -y - wall, -wall], [x + wall, y + wall, 0.0]),
+                    frame.block([-x - wall, -y - wall, 0.0], [-x, y + wall, z]),
+                    frame.block([x, -y - wall, 0.0], [x + wall, y + wall, z]),
+                    frame.block([-x, -y - wall, 0.0], [x, -y, z]),
+                    frame.block([-x, y, 0.0], [x, y + wall, z]),
                 ]
             }
             ContainerShape::Cylinder { inner_radius_m, inner_height_m } => {
-                let floor = self.prism(inner_radius_m + wall, -wall, 0.0);
-                let staves =
-                    (0..ROUND_SEGMENTS).map(|index| self.stave(index, inner_radius_m, inner_height_m));
-                std::iter::once(floor).chain(staves).collect()
+                let floor = frame.prism(inner_radius_m + wall, -wall, 0.0);
+                std::iter::once(floor).chain(frame.pipe(inner_radius_m, wall, inner_height_m)).collect()
             }
         }
     }
 
-    /// Whether the box from `min` to `max` (world frame) lies inside the container, rim included.
-    pub(super) fn holds_box(&self, min: Vec3, max: Vec3) -> bool {
-        let corners = [[min[0], min[1]], [min[0], max[1]], [max[0], min[1]], [max[0], max[1]]];
-        self.holds_heights(min[2], max[2]) && corners.iter().all(|[x, y]| self.holds_column(*x, *y))
+    /// Whether a point lies inside the container, rim included.
+    pub(super) fn holds_point(&self, [x, y, z]: Vec3) -> bool {
+        self.holds_heights(z, z) && self.holds_column([x, y], 0.0)
+    }
+
+    /// Whether the powder lies inside the container at its start, rim included.
+    pub(super) fn holds_powder(&self, powder: &Powder) -> bool {
+        let columns = powder.columns();
+        self.holds_heights(powder.fill_min_m[2], powder.fill_max_m[2])
+            && columns.into_iter().all(|(middle, radius_m)| self.holds_column(middle, radius_m))
     }
 
     /// Whether these heights lie between the inner floor and the rim, both included.
@@ -241,27 +281,87 @@ impl Container {
         low_m >= floor_m - TOUCH_M && high_m <= floor_m + self.inner_height_m() + TOUCH_M
     }
 
-    fn holds_column(&self, x: f64, y: f64) -> bool {
+    /// Whether an upright round column lies between the walls.
+    fn holds_column(&self, [x, y]: [f64; 2], radius_m: f64) -> bool {
         let from_centre = [x - self.position_m[0], y - self.position_m[1], 0.0];
-        let [along, across, _] = self.axes().map(|axis| dot(axis, from_centre));
+        let [along, across, _] = self.frame().axes.map(|axis| dot(axis, from_centre));
         match self.shape {
             ContainerShape::Box { inner_size_m } => {
-                along.abs() <= 0.5 * inner_size_m[0] + TOUCH_M
-                    && across.abs() <= 0.5 * inner_size_m[1] + TOUCH_M
+                along.abs() + radius_m <= 0.5 * inner_size_m[0] + TOUCH_M
+                    && across.abs() + radius_m <= 0.5 * inner_size_m[1] + TOUCH_M
             }
             ContainerShape::Cylinder { inner_radius_m, .. } => {
-                libm::hypot(along, across) <= inner_radius_m + TOUCH_M
+                libm::hypot(along, across) + radius_m <= inner_radius_m + TOUCH_M
+            }
+        }
+    }
+}
+
+impl Gate {
+    fn frame(&self) -> Frame {
+        Frame::new(self.position_m, self.yaw_deg)
+    }
+
+    /// The shut gate with its inside.
+    pub(super) fn outer(&self) -> Hull {
+        match self.shape {
+            GateShape::Box { size_m } => self.frame().plate(size_m),
+            GateShape::Tube { inner_radius_m, height_m, wall_thickness_m } => {
+                self.frame().prism(inner_radius_m + wall_thickness_m, 0.0, height_m)
             }
         }
     }
 
-    /// Box in the container's frame.
+    /// The shut gate's material in convex pieces.
+    pub(super) fn pieces(&self) -> Vec<Hull> {
+        match self.shape {
+            GateShape::Box { size_m } => vec![self.frame().plate(size_m)],
+            GateShape::Tube { inner_radius_m, height_m, wall_thickness_m } => {
+                self.frame().pipe(inner_radius_m, wall_thickness_m, height_m).collect()
+            }
+        }
+    }
+
+    /// Whether the shut gate is clear of the powder at its start, which may stand within a tube.
+    pub(super) fn clear_of_powder(&self, powder: &Powder) -> bool {
+        let within = match self.shape {
+            GateShape::Box { .. } => false,
+            GateShape::Tube { inner_radius_m, .. } => {
+                powder.columns().into_iter().all(|([x, y], radius_m)| {
+                    let from_axis_m = libm::hypot(x - self.position_m[0], y - self.position_m[1]);
+                    from_axis_m + radius_m <= inner_radius_m + TOUCH_M
+                })
+            }
+        };
+        within || self.pieces().iter().all(|piece| piece.clear_of(|direction| powder.fill_support(direction)))
+    }
+}
+
+/// An upright frame somewhere in the world.
+struct Frame {
+    origin: Vec3,
+    /// Its x, y, z, world frame.
+    axes: [Vec3; 3],
+}
+
+impl Frame {
+    fn new(origin: Vec3, yaw_deg: f64) -> Self {
+        let (sin, cos) = libm::sincos(yaw_deg.to_radians());
+        Self { origin, axes: [[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]] }
+    }
+
+    /// Box in the frame.
     fn block(&self, min: Vec3, max: Vec3) -> Hull {
         let local = Hull::aligned_box(min, max);
         Hull {
             points: local.points.into_iter().map(|point| self.to_world(point)).collect(),
-            normals: self.axes().to_vec(),
+            normals: self.axes.to_vec(),
         }
+    }
+
+    /// Box that stands on the origin.
+    fn plate(&self, [x, y, z]: [f64; 3]) -> Hull {
+        self.block([-0.5 * x, -0.5 * y, 0.0], [0.5 * x, 0.5 * y, z])
     }
 
     /// Upright prism around a circle.
@@ -275,11 +375,16 @@ impl Container {
         Hull { points: points.collect(), normals: sides.chain([UP]).collect() }
     }
 
+    /// A round wall that stands on the origin, segment after segment.
+    fn pipe(&self, inner_radius: f64, wall: f64, height: f64) -> impl Iterator<Item = Hull> {
+        (0..ROUND_SEGMENTS).map(move |index| self.stave(index, inner_radius, wall, height))
+    }
+
     /// One segment of a round wall.
-    fn stave(&self, index: usize, inner_radius: f64, height: f64) -> Hull {
+    fn stave(&self, index: usize, inner_radius: f64, wall: f64, height: f64) -> Hull {
         let points = [0, 1].into_iter().flat_map(|end| {
             let (sin, cos) = libm::sincos(segment_angle((index + end) as f64));
-            [inner_radius, inner_radius + self.wall_thickness_m]
+            [inner_radius, inner_radius + wall]
                 .into_iter()
                 .flat_map(move |radius| [0.0, height].map(|z| self.to_world([radius * cos, radius * sin, z])))
         });
@@ -288,16 +393,16 @@ impl Container {
         Hull { points: points.collect(), normals: vec![outwards, along, UP] }
     }
 
-    /// Direction from the container's middle to a place on its round wall, counted in segments.
+    /// Direction from the axis to a place on a round wall, counted in segments.
     fn outwards(&self, segments: f64) -> Vec3 {
-        let [x, y, _] = self.axes();
+        let [x, y, _] = self.axes;
         let (sin, cos) = libm::sincos(segment_angle(segments));
         std::array::from_fn(|axis| cos * x[axis] + sin * y[axis])
     }
 
     fn to_world(&self, point: Vec3) -> Vec3 {
-        let [x, y, _] = self.axes();
-        let [px, py, pz] = self.position_m;
+        let [x, y, _] = self.axes;
+        let [px, py, pz] = self.origin;
         [px + point[0] * x[0] + point[1] * y[0], py + point[0] * x[1] + point[1] * y[1], pz + point[2]]
     }
 }
@@ -307,9 +412,38 @@ fn segment_angle(index: f64) -> f64 {
 }
 
 impl Powder {
-    /// The box filled with powder.
-    pub(super) fn fill_box(&self) -> Hull {
-        Hull::aligned_box(self.fill_min_m, self.fill_max_m)
+    /// What is filled with powder; around a round column.
+    pub(super) fn fill_hull(&self) -> Hull {
+        match self.fill_shape {
+            FillShape::Box => Hull::aligned_box(self.fill_min_m, self.fill_max_m),
+            FillShape::Cylinder => {
+                let [[x, y], high_m] = [self.fill_middle_m(), [self.fill_min_m[2], self.fill_max_m[2]]];
+                Frame::new([x, y, 0.0], 0.0).prism(self.fill_radius_m(), high_m[0], high_m[1])
+            }
+        }
+    }
+
+    /// Largest p . `direction` over what is filled with powder.
+    pub(super) fn fill_support(&self, direction: Vec3) -> f64 {
+        let [low, high] = [self.fill_min_m, self.fill_max_m];
+        let farther = |axis: usize| (low[axis] * direction[axis]).max(high[axis] * direction[axis]);
+        match self.fill_shape {
+            FillShape::Box => farther(0) + farther(1) + farther(2),
+            FillShape::Cylinder => {
+                let ([x, y], [dx, dy, _]) = (self.fill_middle_m(), direction);
+                x * dx + y * dy + self.fill_radius_m() * libm::hypot(dx, dy) + farther(2)
+            }
+        }
+    }
+
+    /// Upright round columns, middle and radius (metres), that lie in a convex space exactly when the powder does: the box's
+    /// edges, or the one that is filled.
+    fn columns(&self) -> Vec<([f64; 2], f64)> {
+        let [[x0, y0, _], [x1, y1, _]] = [self.fill_min_m, self.fill_max_m];
+        match self.fill_shape {
+            FillShape::Box => [[x0, y0], [x0, y1], [x1, y0], [x1, y1]].map(|edge| (edge, 0.0)).to_vec(),
+            FillShape::Cylinder => vec![(self.fill_middle_m(), self.fill_radius_m())],
+        }
     }
 }
 

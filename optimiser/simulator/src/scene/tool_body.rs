@@ -3,7 +3,7 @@
 //! The body stands for its convex hull: the cavity counts as solid, which only matters for things inside it. World
 //! axes of the tool at heading h and pitch p: x = cos p h - sin p z, y = z x h, z = sin p h + cos p z.
 
-use super::solid::{Hull, Solid, Vec3, dot};
+use super::solid::{Hull, Obstacle, Solid, Vec3, dot};
 use super::{Cuboid, Scene, Tool, ToolShape};
 use nalgebra::Vector3;
 use powderline_shared::pose::Pose;
@@ -135,20 +135,29 @@ impl<'a> PlacedTool<'a> {
         Self { tool, origin: pose.position_m.into(), axes }
     }
 
-    /// The first of the solids that a part of the tool is inside of.
-    pub(crate) fn inside_of<'s>(&self, solids: &'s [Solid]) -> Option<(ToolPart, &'s str)> {
-        let near = |solid: &&Solid| {
-            let [low, high] = solid.extent;
-            let reach = self.tool.bounding_radius_m();
-            (0..3).all(|k| self.origin[k] + reach > low[k] && self.origin[k] - reach < high[k])
-        };
-        solids.iter().filter(near).find_map(|solid| {
-            let within = |clears: &dyn Fn(&Hull) -> bool| !solid.pieces.iter().all(clears);
-            let body = within(&|piece| self.body_clears(piece)).then_some(ToolPart::Body);
-            let part =
-                body.or_else(|| within(&|piece| self.handle_clears(piece)).then_some(ToolPart::Handle));
-            part.map(|part| (part, solid.name.as_str()))
+    /// The first of the solids that a part of the tool is inside of so long after the motion's start.
+    pub(crate) fn inside_of<'s>(
+        &self,
+        solids: &'s [Solid<'_>],
+        time_s: f64,
+    ) -> Option<(ToolPart, &'s Obstacle)> {
+        solids.iter().find_map(|solid| {
+            let moved = solid.displacement_m(time_s)?;
+            // Seen from a solid that moves, it is the tool that does.
+            let seen = Self { origin: [0, 1, 2].map(|axis| self.origin[axis] - moved[axis]), ..*self };
+            Some((seen.part_inside(solid)?, &solid.obstacle))
         })
+    }
+
+    fn part_inside(&self, solid: &Solid<'_>) -> Option<ToolPart> {
+        let [low, high] = solid.extent;
+        let reach = self.tool.bounding_radius_m();
+        if !(0..3).all(|k| self.origin[k] + reach > low[k] && self.origin[k] - reach < high[k]) {
+            return None;
+        }
+        let within = |clears: &dyn Fn(&Hull) -> bool| !solid.pieces.iter().all(clears);
+        let body = within(&|piece| self.body_clears(piece)).then_some(ToolPart::Body);
+        body.or_else(|| within(&|piece| self.handle_clears(piece)).then_some(ToolPart::Handle))
     }
 
     fn to_tool(&self, direction: Vec3) -> Vec3 {

@@ -1,10 +1,10 @@
-//! Whether the tool stays clear of the containers all along a motion.
+//! Whether the tool stays clear of the containers, and of the gates that are there, all along a motion.
 //!
-//! The simulation does not check this: there tool and containers are kinematic and pass through each other. A real arm
+//! The simulation does not check this: there tool, containers and gates are kinematic and pass through each other. A real arm
 //! would collide.
 
 use super::{SkillMap, Theta};
-use crate::scene::{PlacedTool, Scene, ToolPart};
+use crate::scene::{Gate, Obstacle, PlacedTool, Scene, ToolPart};
 use powderline_shared::{displacement::Displacement, pose::Pose};
 use thiserror::Error;
 
@@ -14,37 +14,37 @@ const SAMPLES: usize = 3;
 /// Looks in one control step, at most: velocity limits are far from that in any motion that is performed.
 const MOST_LOOKS: f64 = 1000.0;
 
-/// A place where the tool would be inside a container's material.
+/// A place where the tool would be inside the material of a container or gate.
 #[derive(Clone, Debug, PartialEq, Error)]
-#[error("the {part} would pass through container {container:?} at {at_s:.2} s")]
+#[error("the {part} would pass through {obstacle} at {at_s:.2} s")]
 #[non_exhaustive]
 pub struct Collision {
     /// What of the tool.
     pub part: ToolPart,
-    /// The container's name.
-    pub container: String,
+    /// What it would pass through.
+    pub obstacle: Obstacle,
     /// When it begins, seconds from the start of the motion.
     pub at_s: f64,
 }
 
 /// The first collision of a motion that begins at `start`; none if the tool stays clear.
 ///
-/// Between two samples no point of the tool moves as far as the thinnest wall or tool part is thick (no tunnelling), whatever
-/// the control period.
+/// Between two samples no point of the tool moves as far, seen from any wall, as the thinnest wall or tool part is thick (no
+/// tunnelling), whatever the control period.
 pub fn collision(scene: &Scene, start: &Pose, controls: &[Displacement]) -> Option<Collision> {
     let (solids, stride_m) = (scene.solids(), stride_m(scene));
     let (mut pose, mut unseen_m) = (*start, 0.0);
     for (step, control) in controls.iter().enumerate() {
-        let travel_m = travel_m(scene, control);
+        let at_s = |part: f64| (step as f64 + part) * scene.time.control_period_s();
+        let travel_m = travel_m(scene, control) + gates_travel_m(&scene.gates, [at_s(0.0), at_s(1.0)]);
         // A step that is long is looked at on the way, short ones at the end of a stride.
         let strides = (unseen_m + travel_m) / stride_m;
         let looks = if strides < 1.0 { 0.0 } else { strides.ceil().min(MOST_LOOKS) };
         for look in 1..=looks as u32 {
             let part = f64::from(look) / looks;
-            let seen = pose.displaced(&fraction(control, part));
-            if let Some((part_of_tool, container)) = PlacedTool::at(&scene.tool, &seen).inside_of(&solids) {
-                let at_s = (step as f64 + part) * scene.time.control_period_s();
-                return Some(Collision { part: part_of_tool, container: container.into(), at_s });
+            let (seen, at_s) = (pose.displaced(&fraction(control, part)), at_s(part));
+            if let Some((part, obstacle)) = PlacedTool::at(&scene.tool, &seen).inside_of(&solids, at_s) {
+                return Some(Collision { part, obstacle: obstacle.clone(), at_s });
             }
         }
         unseen_m = if looks > 0.0 { 0.0 } else { unseen_m + travel_m };
@@ -55,14 +55,27 @@ pub fn collision(scene: &Scene, start: &Pose, controls: &[Displacement]) -> Opti
 
 fn stride_m(scene: &Scene) -> f64 {
     let walls = scene.containers.iter().map(|container| container.wall_thickness_m);
+    let gates = scene.gates.iter().map(|gate| gate.shape.least_thickness_m());
     let parts = [2.0 * scene.tool.handle.radius_m, scene.tool.wall_thickness_m];
-    0.5 * walls.chain(parts).fold(f64::INFINITY, f64::min)
+    0.5 * walls.chain(gates).chain(parts).fold(f64::INFINITY, f64::min)
 }
 
 /// How far a displacement takes any point of the tool, at most, metres.
 fn travel_m(scene: &Scene, control: &Displacement) -> f64 {
-    let length = |[x, y, z]: [f64; 3]| libm::sqrt(x * x + y * y + z * z);
     length(control.translation_m) + length(control.rotation_rad) * scene.tool.bounding_radius_m()
+}
+
+/// How far the fastest gate moves from one time to another, metres.
+fn gates_travel_m(gates: &[Gate], times_s: [f64; 2]) -> f64 {
+    let travel_m = |gate: &Gate| {
+        let [Some(from), Some(to)] = times_s.map(|time_s| gate.displacement_m(time_s)) else { return 0.0 };
+        length([0, 1, 2].map(|axis| to[axis] - from[axis]))
+    };
+    gates.iter().map(travel_m).fold(0.0, f64::max)
+}
+
+fn length([x, y, z]: [f64; 3]) -> f64 {
+    libm::sqrt(x * x + y * y + z * z)
 }
 
 fn fraction(control: &Displacement, part: f64) -> Displacement {
@@ -72,8 +85,8 @@ fn fraction(control: &Displacement, part: f64) -> Displacement {
     }
 }
 
-/// A skill within the scene's bounds whose tool would pass through a container, if one is found among their ends and
-/// middles.
+/// A skill within the scene's bounds whose tool would pass through a container or gate, if one is found among their ends
+/// and middles.
 pub fn colliding_skill(scene: &Scene) -> Option<(Theta, Collision)> {
     let map = SkillMap::new(scene);
     let mut skills = (0..SAMPLES.pow(5))
@@ -87,6 +100,7 @@ pub fn colliding_skill(scene: &Scene) -> Option<(Theta, Collision)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::{GateOpening, GateShape};
 
     #[test]
     fn every_skill_of_the_shipped_scenes_stays_clear() {
@@ -103,7 +117,7 @@ mod tests {
         let map = SkillMap::new(&scene);
         let motion = |lift: f64| map.quantise(&[1.0, -1.0, lift, 0.0, 0.0]).unwrap().controls;
         let found = collision(&scene, map.start_pose(), &motion(-1.0)).unwrap();
-        assert_eq!((found.part, found.container.as_str()), (ToolPart::Body, "source"));
+        assert_eq!((found.part, &found.obstacle), (ToolPart::Body, &Obstacle::Container("source".into())));
         assert!(
             found.to_string().starts_with("the tool's body would pass through container \"source\" at 0."),
             "{found}"
@@ -119,10 +133,67 @@ mod tests {
         // Down beside the source's far wall, then through it to the middle of the target, in one step each.
         let step = |x: f64, z: f64| Displacement { translation_m: [x, 0.0, z], rotation_rad: [0.0; 3] };
         let found = collision(&scene, map.start_pose(), &[step(0.0, -0.03), step(0.13, 0.0)]).unwrap();
-        assert_eq!((found.part, found.container.as_str()), (ToolPart::Body, "source"));
+        assert_eq!((found.part, &found.obstacle), (ToolPart::Body, &Obstacle::Container("source".into())));
         assert!(found.at_s > 0.01 && found.at_s < 0.02, "{found}");
         // The way over the walls is free.
         assert_eq!(collision(&scene, map.start_pose(), &[step(0.0, 0.06), step(0.13, 0.0)]), None);
+    }
+
+    /// A plate in the way from the source to the target.
+    fn plate(opens_at_s: f64, opening: GateOpening) -> Gate {
+        Gate {
+            name: "plate".into(),
+            position_m: [0.116, 0.048, 0.0],
+            yaw_deg: 0.0,
+            friction: 0.4,
+            opens_at_s,
+            shape: GateShape::Box { size_m: [0.004, 0.09, 0.2] },
+            opening,
+        }
+    }
+
+    #[test]
+    fn a_gate_is_in_the_way_until_it_has_opened() {
+        let mut scene = Scene::load("bench").unwrap();
+        let map = SkillMap::new(&scene);
+        let motion = map.quantise(&[0.0; 5]).unwrap().controls;
+        let mut met = |opens_at_s: f64, opening: GateOpening| {
+            scene.gates = vec![plate(opens_at_s, opening)];
+            assert_eq!(scene.validate("scene"), Ok(()));
+            collision(&scene, map.start_pose(), &motion)
+        };
+        let found = met(9.0, GateOpening::Vanish {}).unwrap();
+        assert_eq!((found.part, &found.obstacle), (ToolPart::Body, &Obstacle::Gate("plate".into())));
+        assert!(
+            found.to_string().starts_with("the tool's body would pass through gate \"plate\" at 1."),
+            "{found}"
+        );
+        // It comes there at that time, so that one which opens just before is no longer met, whichever way.
+        assert_eq!(met(found.at_s - 0.02, GateOpening::Vanish {}), None);
+        let mut down = |opens_at_s: f64| {
+            met(opens_at_s, GateOpening::Slide { velocity_m_s: [0.0, 0.0, -0.5], travel_m: 0.2 })
+        };
+        assert_eq!(down(found.at_s - 0.4), None);
+        assert!(down(found.at_s - 0.1).is_some());
+        // Skills that the search may find are judged alike.
+        scene.gates = vec![plate(9.0, GateOpening::Vanish {})];
+        assert!(
+            colliding_skill(&scene).is_some_and(|(_, found)| matches!(found.obstacle, Obstacle::Gate(_)))
+        );
+    }
+
+    #[test]
+    fn a_gate_that_slides_into_a_tool_at_rest_is_met() {
+        let mut scene = Scene::load("bench").unwrap();
+        let still = Displacement { translation_m: [0.0; 3], rotation_rad: [0.0; 3] };
+        // Its face comes from 114 mm at 0.2 m/s; the handle reaches to 84.3 mm.
+        scene.gates =
+            vec![plate(0.1, GateOpening::Slide { velocity_m_s: [-0.2, 0.0, 0.0], travel_m: 0.029 })];
+        let start = *SkillMap::new(&scene).start_pose();
+        assert_eq!(collision(&scene, &start, &[still; 100]), None);
+        scene.gates[0].opening = GateOpening::Slide { velocity_m_s: [-0.2, 0.0, 0.0], travel_m: 0.031 };
+        let found = collision(&scene, &start, &[still; 100]).unwrap();
+        assert!(found.part == ToolPart::Handle && (0.248..0.262).contains(&found.at_s), "{found}");
     }
 
     #[test]
@@ -132,6 +203,6 @@ mod tests {
         let map = SkillMap::new(&scene);
         let motion = map.quantise(&[0.0, -1.0, -1.0, 0.0, 1.0]).unwrap().controls;
         let found = collision(&scene, map.start_pose(), &motion).unwrap();
-        assert_eq!((found.part, found.container.as_str()), (ToolPart::Handle, "target"));
+        assert_eq!((found.part, &found.obstacle), (ToolPart::Handle, &Obstacle::Container("target".into())));
     }
 }

@@ -1,6 +1,8 @@
 //! Rules about places, with turned and round containers and the box scoop.
 
-use powderline_simulator::scene::{ContainerShape, Scene, SceneError, ToolShape};
+use powderline_simulator::scene::{
+    ContainerShape, FillShape, Gate, GateOpening, GateShape, Scene, SceneError, ToolShape,
+};
 
 fn bench() -> Scene {
     Scene::load("bench").unwrap()
@@ -116,4 +118,105 @@ fn a_box_scoop_is_judged_by_its_corners() {
     // Wider than the source box, walls included: 64 mm inner width, 2 x 4 mm of walls.
     scene.tool.shape = ToolShape::BoxScoop { inner_size_m: [0.020, 0.057, 0.012] };
     assert_eq!(refused_field(&scene).as_deref(), Some("tool.start_position_m"));
+}
+
+#[test]
+fn a_column_is_as_wide_as_the_round_source_that_holds_it() {
+    let mut scene = bench();
+    scene.containers[0].shape = ContainerShape::Cylinder { inner_radius_m: 0.032, inner_height_m: 0.030 };
+    assert_eq!(refused_field(&scene).as_deref(), Some("powder.fill_min_m"));
+    scene.powder.fill_shape = FillShape::Cylinder;
+    assert_eq!(refused_field(&scene), None);
+    scene.powder.fill_max_m[0] += 0.0001;
+    scene.powder.fill_max_m[1] += 0.0001;
+    assert_eq!(refused_field(&scene).as_deref(), Some("powder.fill_min_m"));
+    // A box that is turned by 45 degrees holds it as well as one that is not.
+    let mut scene = bench();
+    scene.powder.fill_shape = FillShape::Cylinder;
+    scene.containers[0].yaw_deg = 45.0;
+    let sentence = scene.validate("scene").map_err(|error| error.to_string());
+    assert!(sentence.is_err_and(|sentence| !sentence.contains("powder")));
+}
+
+/// A pipe that stands on the source's floor.
+fn pipe(inner_radius_m: f64) -> Gate {
+    Gate {
+        name: "pipe".into(),
+        position_m: [0.056, 0.048, 0.004],
+        yaw_deg: 10.0,
+        friction: 0.4,
+        opens_at_s: 0.1,
+        shape: GateShape::Tube { inner_radius_m, height_m: 0.024, wall_thickness_m: 0.004 },
+        opening: GateOpening::Vanish {},
+    }
+}
+
+/// The bench with a column of powder of 12 mm radius in the middle of the source.
+fn column() -> Scene {
+    let mut scene = bench();
+    scene.powder.fill_min_m = [0.044, 0.036, 0.004];
+    scene.powder.fill_max_m = [0.068, 0.060, 0.026];
+    scene.powder.fill_shape = FillShape::Cylinder;
+    scene
+}
+
+#[test]
+fn a_pipe_stands_around_the_powder_or_clear_of_it() {
+    let mut scene = column();
+    let mut refused_with_radius = |inner_radius_m| {
+        scene.gates = vec![pipe(inner_radius_m)];
+        refused_field(&scene)
+    };
+    assert_eq!(refused_with_radius(0.012), None);
+    assert_eq!(refused_with_radius(0.0119).as_deref(), Some("gate \"pipe\".position_m"));
+    // Of the box as long as wide the edges are the farthest out.
+    scene.powder.fill_shape = FillShape::Box;
+    let mut refused_with_radius = |inner_radius_m| {
+        scene.gates = vec![pipe(inner_radius_m)];
+        refused_field(&scene)
+    };
+    assert_eq!(refused_with_radius(0.017), None);
+    assert_eq!(refused_with_radius(0.0169).as_deref(), Some("gate \"pipe\".position_m"));
+    // Beside it, and above it.
+    scene.gates = vec![pipe(0.004)];
+    assert_eq!(refused_field(&scene).as_deref(), Some("gate \"pipe\".position_m"));
+    scene.gates[0].position_m = [0.080, 0.048, 0.004];
+    assert_eq!(refused_field(&scene), None);
+    scene.gates[0].position_m = [0.080, 0.048, 0.026];
+    assert_eq!(refused_field(&scene), None);
+}
+
+#[test]
+fn a_plate_touches_a_column_but_does_not_cut_into_it() {
+    let mut scene = column();
+    let plate = |yaw_deg: f64, off_m: f64| {
+        let (sin, cos) = yaw_deg.to_radians().sin_cos();
+        Gate {
+            position_m: [0.056 + off_m * cos, 0.048 + off_m * sin, 0.004],
+            yaw_deg,
+            shape: GateShape::Box { size_m: [0.004, 0.024, 0.024] },
+            ..pipe(0.0)
+        }
+    };
+    for yaw_deg in [0.0, 30.0, 77.0] {
+        scene.gates = vec![plate(yaw_deg, 0.014 + 1e-9)];
+        assert_eq!(refused_field(&scene), None, "{yaw_deg}");
+        scene.gates = vec![plate(yaw_deg, 0.0139)];
+        assert_eq!(refused_field(&scene).as_deref(), Some("gate \"pipe\".position_m"), "{yaw_deg}");
+    }
+}
+
+#[test]
+fn shut_gates_may_lie_in_walls_and_in_each_other_and_slide_out_of_the_domain() {
+    let mut scene = column();
+    let plate = Gate {
+        name: "slide".into(),
+        position_m: [0.086, 0.048, 0.004],
+        shape: GateShape::Box { size_m: [0.012, 0.080, 0.004] },
+        opening: GateOpening::Slide { velocity_m_s: [0.0, 2.0, 0.0], travel_m: 1.0 },
+        yaw_deg: 0.0,
+        ..pipe(0.0)
+    };
+    scene.gates = vec![pipe(0.024), plate];
+    assert_eq!(refused_field(&scene), None);
 }

@@ -14,6 +14,27 @@ fn shipped_scenes_are_valid_and_round_trip() {
     }
 }
 
+/// What the reference shows in comments is a gate.
+#[test]
+fn the_gate_that_the_reference_shows_is_one() {
+    let (_, text) = EMBEDDED_SCENES[0];
+    let shown = text.lines().skip_while(|line| !line.starts_with("# [[gate]]"));
+    let shown: Vec<&str> = shown.map_while(|line| line.strip_prefix("# ")).collect();
+    let with_it = format!("{text}\n{}\n", shown.join("\n"));
+    let scene = Scene::from_toml("bench", &with_it).unwrap();
+    assert_eq!((shown.len(), scene.gates.len()), (12, 1));
+    let other = |from: &str, to: &str| Scene::from_toml("bench", &with_it.replacen(from, to, 1)).unwrap();
+    // The other kinds, as they stand there.
+    let inline = |begins: &str| {
+        let start = with_it.find(begins).unwrap();
+        with_it[start..].split_inclusive('}').next().unwrap()
+    };
+    let (tube, plate) = (inline("{ kind = \"tube\""), inline("{ kind = \"box\", size_m"));
+    let (vanish, slide) = (inline("{ kind = \"vanish\""), inline("{ kind = \"slide\""));
+    assert_ne!(other(&format!("\nshape = {tube}"), &format!("\nshape = {plate}")).gates, scene.gates);
+    assert_ne!(other(&format!("\nopening = {vanish}"), &format!("\nopening = {slide}")).gates, scene.gates);
+}
+
 #[test]
 fn figures_of_the_shipped_scenes() {
     let figures = |name| {

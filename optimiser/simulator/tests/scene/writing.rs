@@ -1,45 +1,87 @@
 //! Writing and identifying scenes.
 
 use powderline_simulator::scene::{
-    Aim, Amount, ContainerShape, EMBEDDED_SCENES, Observation, Quantity, Scene, ToolShape,
+    Aim, Amount, ContainerShape, EMBEDDED_SCENES, FillShape, Gate, GateOpening, GateShape, Observation,
+    Quantity, Scene, ToolShape, VolumeCorrection, YieldSurface,
 };
 use proptest::prelude::*;
 
 /// A valid scene away from the shipped ones, by small changes that break no rule.
 fn arbitrary_scene() -> impl Strategy<Value = Scene> {
-    let shapes = (any::<bool>(), any::<bool>());
+    let shapes = (any::<bool>(), any::<bool>(), any::<bool>(), 0usize..3);
     let numbers = (0.1..0.7f64, -10.0..10.0f64, 0.0..0.4f64, any::<u64>(), 1e-12..1.0f64);
     let choices = (1u32..850, any::<bool>(), 0usize..3);
-    (shapes, numbers, choices).prop_map(|((round, scoop), numbers, (particles, by_mass, observation))| {
-        let (softness, tilt, poissons_ratio, seed, small) = numbers;
-        let mut scene = Scene::load("bench").unwrap();
-        scene.name = format!("scene \"{seed}\" \u{e9}");
-        scene.powder.youngs_modulus_pa *= softness;
-        scene.powder.poissons_ratio = poissons_ratio;
-        scene.powder.seed = seed;
-        scene.domain.gravity_m_s2 = [tilt, -0.0, small];
-        scene.optimiser.epsilon = small;
-        if round {
-            scene.containers[1].shape =
-                ContainerShape::Cylinder { inner_radius_m: 0.03 + 1e-3 * small, inner_height_m: 0.04 };
-        }
-        if scoop {
-            scene.tool.shape = ToolShape::BoxScoop { inner_size_m: [0.02, 0.02, 0.01 + 1e-3 * small] };
-        }
-        if by_mass {
-            scene.objective.amount = Amount::new(Quantity::MassKg(small * 0.09));
-        } else {
-            scene.objective.amount = Amount { wanted: Quantity::Particles(particles), tolerance: 0.01 };
-        }
-        scene.objective.observation = [
-            Observation::All,
-            Observation::Subsample { particles },
-            Observation::VisibleFromAbove { pixel_m: 0.004 },
-        ][observation];
-        // A view from above goes with this one only.
-        scene.objective.aim = [Aim::Amount, Aim::Amount, Aim::All][observation];
-        scene
-    })
+    (shapes, numbers, choices).prop_map(
+        |((round, scoop, column, gates), numbers, (particles, by_mass, observation))| {
+            let (softness, tilt, poissons_ratio, seed, small) = numbers;
+            let mut scene = Scene::load("bench").unwrap();
+            scene.name = format!("scene \"{seed}\" \u{e9}");
+            scene.powder.youngs_modulus_pa *= softness;
+            scene.powder.poissons_ratio = poissons_ratio;
+            scene.powder.seed = seed;
+            scene.domain.gravity_m_s2 = [tilt, -0.0, small];
+            scene.optimiser.epsilon = small;
+            if round {
+                scene.powder.yield_surface = YieldSurface::MatsuokaNakai;
+                scene.powder.volume_correction = VolumeCorrection::Grid;
+            }
+            if scoop {
+                scene.powder.cohesion_pa = 7.0;
+                scene.powder.tensile_strength_pa = Some(5.0 * small);
+            }
+            if round {
+                scene.containers[1].shape =
+                    ContainerShape::Cylinder { inner_radius_m: 0.03 + 1e-3 * small, inner_height_m: 0.04 };
+            }
+            if scoop {
+                scene.tool.shape = ToolShape::BoxScoop { inner_size_m: [0.02, 0.02, 0.01 + 1e-3 * small] };
+            }
+            if column {
+                scene.powder.fill_shape = FillShape::Cylinder;
+            }
+            scene.gates = (0..gates).map(|index| gate(index, small)).collect();
+            if by_mass {
+                scene.objective.amount = Amount::new(Quantity::MassKg(small * 0.07));
+            } else {
+                scene.objective.amount = Amount { wanted: Quantity::Particles(particles), tolerance: 0.01 };
+            }
+            scene.objective.observation = [
+                Observation::All,
+                Observation::Subsample { particles },
+                Observation::VisibleFromAbove { pixel_m: 0.004 },
+            ][observation];
+            // A view from above goes with this one only.
+            scene.objective.aim = [Aim::Amount, Aim::Amount, Aim::All][observation];
+            scene
+        },
+    )
+}
+
+/// A pipe that vanishes, or a plate that slides.
+fn gate(index: usize, small: f64) -> Gate {
+    let (shape, opening) = match index {
+        0 => (
+            GateShape::Tube {
+                inner_radius_m: 0.01 + 1e-3 * small,
+                height_m: 0.01,
+                wall_thickness_m: 0.002 + 1e-3 * small,
+            },
+            GateOpening::Vanish {},
+        ),
+        _ => (
+            GateShape::Box { size_m: [0.01 + 1e-3 * small, 0.02, 0.004] },
+            GateOpening::Slide { velocity_m_s: [-0.0, small, 0.1], travel_m: small },
+        ),
+    };
+    Gate {
+        name: format!("gate \"{index}\""),
+        position_m: [0.176, 0.048, 0.004 + 1e-3 * small],
+        yaw_deg: 100.0 * small,
+        friction: small,
+        opens_at_s: small,
+        shape,
+        opening,
+    }
 }
 
 proptest! {
@@ -56,6 +98,11 @@ proptest! {
         let mut changed = scene.clone();
         changed.powder.density_kg_m3 = changed.powder.density_kg_m3.next_up();
         prop_assert_ne!(changed.digest(), scene.digest());
+        if let Some(gate) = scene.gates.first() {
+            let mut changed = scene.clone();
+            changed.gates[0].opens_at_s = gate.opens_at_s.next_up();
+            prop_assert_ne!(changed.digest(), scene.digest());
+        }
     }
 }
 

@@ -2,9 +2,9 @@
 
 use crate::mpm::Model;
 use crate::mpm::particles::Particles;
-use crate::mpm::substep::State;
+use crate::mpm::substep::{State, Workspace};
 use crate::mpm::tests::{Settled, advance, awake, empty_bench, even_lattice, far_away, mean, settle};
-use crate::scene::{ContainerShape, Scene};
+use crate::scene::{ContainerShape, Powder, Scene, VolumeCorrection, YieldSurface};
 
 /// Height of the bed in [`boxed`], m.
 const HEIGHT_M: f64 = 0.024;
@@ -100,4 +100,69 @@ fn a_pile_is_steeper_the_greater_the_friction_angle() {
         .collect();
     println!("slopes of the pile at friction angles of 15, 30, 45 deg: {slopes:.1?} deg");
     assert!(slopes.windows(2).all(|s| s[1] > s[0] + 1.0), "{slopes:?}");
+}
+
+/// How far the upper edge of a vertical cut has sunk and gone forward, over its height of 24 mm, once its weight has come up slowly.
+fn cut_moved(powder: &Powder) -> f64 {
+    let (height, bed, cell) = (0.024, 0.012, 0.002);
+    let mut scene = empty_bench([0.096, 4.0 * cell, 0.048]);
+    scene.domain.cell_m = cell;
+    scene.domain.friction = 0.0;
+    scene.time.substeps = 40;
+    scene.powder = powder.clone();
+    let mut model: Model<f32> = Model::new(&scene);
+    let s = 0.5 * cell;
+    let mut positions = Vec::new();
+    let count = |l: f64| (l / s).round() as usize;
+    for i in 0..count(0.096) {
+        for j in 0..count(4.0 * cell) {
+            for k in 0..count(height + bed) {
+                let x = [i, j, k].map(|n| (n as f64 + 0.5) * s);
+                if x[0] < 0.048 || x[2] < bed {
+                    positions.push(x);
+                }
+            }
+        }
+    }
+    let edge: Vec<usize> = positions
+        .iter()
+        .enumerate()
+        .filter(|(_, x)| x[2] > height + bed - 0.004 && x[0] > 0.044 && x[0] < 0.048)
+        .map(|(id, _)| id)
+        .collect();
+    let mut state = State::new(&model, &Particles::at_rest(&positions)).unwrap();
+    let g = model.gravity_dt;
+    let mut workspace = Workspace::new();
+    let ramp = (0.3 / scene.time.substep_s()) as usize;
+    for substep in 0..2 * ramp {
+        let part = (substep as f32 / ramp as f32).min(1.0);
+        model.gravity_dt = g.map(|g| part * g);
+        workspace.substep(&model, &far_away(), &mut state).unwrap();
+    }
+    let end = state.particles.positions_by_id();
+    let moved = |id: &usize| (end[*id][0] - positions[*id][0]) + (positions[*id][2] - end[*id][2]);
+    edge.iter().map(moved).sum::<f64>() / edge.len() as f64 / height
+}
+
+/// A vertical cut in cohesive powder stands to the height `4 cohesion/(density g) tan(45 deg + phi/2)` (Terzaghi 1943, Theoretical
+/// Soil Mechanics), within 15 %.
+#[test]
+fn a_vertical_cut_stands_to_its_critical_height() {
+    for (phi, strength) in [(35.0f64, None), (35.0, Some(0.3)), (25.0, Some(0.3))] {
+        let needed = 9810.0 * 0.024 / (4.0 * (45.0 + 0.5 * phi).to_radians().tan());
+        let moved = |part: f64| {
+            let mut powder = Scene::load("bench-small").unwrap().powder;
+            powder.friction_angle_deg = phi;
+            powder.yield_surface = YieldSurface::MatsuokaNakai;
+            powder.volume_correction = VolumeCorrection::Grid;
+            powder.cohesion_pa = part * needed;
+            powder.tensile_strength_pa = strength.map(|part: f64| part * powder.apex_tension_pa());
+            cut_moved(&powder)
+        };
+        let [stands, falls] = [1.15, 0.85].map(moved);
+        println!(
+            "{phi} deg, tensile strength {strength:?}: moved by {stands:.3} and {falls:.3} of its height"
+        );
+        assert!(stands < 0.05 && falls > 0.1, "{phi} deg: {stands} {falls}");
+    }
 }

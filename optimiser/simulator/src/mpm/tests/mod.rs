@@ -2,6 +2,7 @@
 
 mod bulk;
 mod conservation;
+mod gates;
 mod sleep;
 mod stages;
 mod substep;
@@ -12,6 +13,7 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 
 use crate::mpm::Model;
+use crate::mpm::bodies::Bodies;
 use crate::mpm::contact::BodyState;
 use crate::mpm::g2p::TileToParticles;
 use crate::mpm::grid_update::UpdateNodes;
@@ -121,32 +123,35 @@ fn empty_bench(size_m: [f64; 3]) -> Scene {
     scene
 }
 
-/// An upright tool at rest.
-fn standing<T: Real>(position: [f64; 3]) -> BodyState<T> {
+/// An upright tool at rest, and no gate.
+fn standing<T: Real>(position: [f64; 3]) -> Bodies<T> {
     let (zero, one) = (T::ZERO, T::ONE);
-    BodyState {
+    let tool = BodyState {
         rotation: [[one, zero, zero], [zero, one, zero], [zero, zero, one]],
         position: position.map(T::from_f64),
         velocity: [zero; 3],
         angular_velocity: [zero; 3],
-    }
+    };
+    Bodies { tool, gates: Vec::new() }
 }
 
-/// A tool out of everybody's reach.
-fn far_away<T: Real>() -> BodyState<T> {
+/// A tool out of everybody's reach, and no gate.
+fn far_away<T: Real>() -> Bodies<T> {
     standing([10.0; 3])
 }
 
 /// The tool after a small change of position, of orientation (from the left), of velocity and of angular velocity.
-fn moved(tool: &BodyState<f64>, d: &[f64]) -> BodyState<f64> {
+fn moved(bodies: &Bodies<f64>, d: &[f64]) -> Bodies<f64> {
+    let tool = &bodies.tool;
     let turn = Rotation3::from_scaled_axis(Vector3::new(d[3], d[4], d[5])).into_inner();
     let rotation = turn * Matrix3::from_fn(|i, j| tool.rotation[i][j]);
-    BodyState {
+    let tool = BodyState {
         rotation: std::array::from_fn(|i| std::array::from_fn(|j| rotation[(i, j)])),
         position: std::array::from_fn(|i| tool.position[i] + d[i]),
         velocity: std::array::from_fn(|i| tool.velocity[i] + d[6 + i]),
         angular_velocity: std::array::from_fn(|i| tool.angular_velocity[i] + d[9 + i]),
-    }
+    };
+    Bodies { tool, gates: bodies.gates.clone() }
 }
 
 /// Points of a jittered lattice in a box.
@@ -198,15 +203,15 @@ fn to_tiles<T: Real>(model: &Model<T>, state: &State<T>) -> (Vec<Tile<T>>, Vec<G
 /// Grid update of all node blocks: momentum and mass before, velocity after.
 fn on_grid<T: Real>(
     model: &Model<T>,
-    tool: &BodyState<T>,
+    bodies: &Bodies<T>,
     state: &State<T>,
     tiles: &[Tile<T>],
 ) -> (Vec<Nodes<T>>, Vec<Nodes<T>>) {
     let zero = vec![[[T::ZERO; 4]; BLOCK_NODES]; state.layout.nodes.len()];
     let (mut momentum, mut velocity) = (zero.clone(), zero);
     for ((node, momentum), velocity) in state.layout.nodes.iter().zip(&mut momentum).zip(&mut velocity) {
-        let tiles = state.tiles(tiles);
-        model.arch.dispatch(UpdateNodes { model, tool, node, tiles, momentum, velocity });
+        let (tiles, holds_volume) = (state.tiles(tiles), state.holds_volume(model));
+        model.arch.dispatch(UpdateNodes { model, bodies, node, tiles, holds_volume, momentum, velocity });
     }
     (momentum, velocity)
 }
@@ -214,23 +219,24 @@ fn on_grid<T: Real>(
 /// Gather, contact at particles and advection of all blocks; strain and volume correction are left alone.
 fn to_particles<T: Real>(
     model: &Model<T>,
-    tool: &BodyState<T>,
+    bodies: &Bodies<T>,
     state: &State<T>,
     velocity: &[Nodes<T>],
 ) -> Vec<Group<T>> {
     let mut output = state.particles.groups.clone();
+    let holds_volume = state.holds_volume(model);
     for block in &state.layout.blocks {
         let state = &mut output[block.first_group..block.first_group + block.groups()];
-        model.arch.dispatch(TileToParticles { model, tool, block, velocity, state });
+        model.arch.dispatch(TileToParticles { model, bodies, block, velocity, holds_volume, state });
     }
     output
 }
 
-/// Advances by a number of substeps under an unchanging tool.
-fn advance<T: Real>(model: &Model<T>, tool: &BodyState<T>, state: &mut State<T>, substeps: usize) {
+/// Advances by a number of substeps under a tool and gates that do not change.
+fn advance<T: Real>(model: &Model<T>, bodies: &Bodies<T>, state: &mut State<T>, substeps: usize) {
     let mut workspace = Workspace::new();
     for _ in 0..substeps {
-        workspace.substep(model, tool, state).unwrap();
+        workspace.substep(model, bodies, state).unwrap();
     }
 }
 

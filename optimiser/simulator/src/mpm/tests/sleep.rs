@@ -1,7 +1,6 @@
 //! Powder that sleeps: what it changes, what wakes it, and that nobody else notices.
 
 use crate::mpm::Model;
-use crate::mpm::contact::BodyState;
 use crate::mpm::particles::{Group, LANES, Particles};
 use crate::mpm::sleep;
 use crate::mpm::sort::sort;
@@ -72,7 +71,7 @@ fn the_tool_wakes_what_it_comes_near_to() {
     let mut state = rested(&model, &bed(), 1500);
     let blocks = state.layout.blocks.len();
     // A bowl just above one end of the bed.
-    let tool: BodyState<f64> = standing([0.0, 0.016, DEPTH_M + 0.020]);
+    let tool = standing([0.0, 0.016, DEPTH_M + 0.020]);
     advance(&model, &tool, &mut state, 2);
     let woken = blocks - asleep(&state);
     assert!(woken > 0 && woken < blocks, "{woken} of {blocks}");

@@ -2,14 +2,17 @@
 
 use super::{Dice, assert_slope_two, taylor_slope};
 use crate::mpm::contact::{BodyState, ContactParams, contact, contact_adjoint};
-use crate::mpm::material::{self, Material, is_mild, trial_strain, trial_strain_adjoint};
+use crate::mpm::density::elastic_volume;
+use crate::mpm::material::{
+    self, LODE_FACTOR, Material, ReturnBar, is_mild, trial_strain, trial_strain_adjoint,
+};
 use crate::mpm::principal::{self, eigen};
 use crate::real::Real;
-use crate::scene::Cuboid;
+use crate::scene::{Cuboid, YieldSurface};
 use crate::shape::{
     AlignedBox, Bowl, Capsule, HalfSpace, OrientedBox, Shape, SignedDistance, Tube, with_solid,
 };
-use crate::small::{Mat3, Sym3, compose, full, inner, plus_diagonal, trace};
+use crate::small::{Mat3, Sym3, compose, determinant, full, inner, plus_diagonal, trace};
 
 /// Cotangents of a symmetric matrix are entries of the full one: off-diagonal entries count twice.
 fn stored(bar: Sym3<f64>) -> [f64; 6] {
@@ -24,7 +27,7 @@ fn weighted(tau: Sym3<f64>, strain: Sym3<f64>, q: f64, a: &Sym3<f64>, b: &Sym3<f
 }
 
 type Map = fn(&Material<f64>, Sym3<f64>, f64) -> (Sym3<f64>, Sym3<f64>, f64);
-type Adjoint = fn(&Material<f64>, Sym3<f64>, f64, Sym3<f64>, Sym3<f64>, f64) -> (Sym3<f64>, f64);
+type Adjoint = fn(&Material<f64>, Sym3<f64>, f64, &ReturnBar<f64>) -> (Sym3<f64>, f64);
 
 /// The return map by series and the one by eigenvectors.
 const MAPS: [(Map, Adjoint); 2] = [
@@ -32,9 +35,12 @@ const MAPS: [(Map, Adjoint); 2] = [
     (principal::return_map, principal::return_map_adjoint),
 ];
 
+const SURFACES: [YieldSurface; 2] = [YieldSurface::DruckerPrager, YieldSurface::MatsuokaNakai];
+
 /// Sand of 10 kPa in units in which stress and strain are of one order.
-fn sand(cohesion: f64) -> Material<f64> {
-    Material::new(1.0, 0.2, 35f64.to_radians(), cohesion)
+fn sand<T: Real>(cohesion: f64, surface: YieldSurface) -> Material<T> {
+    let angle = 35f64.to_radians();
+    Material::new(1.0, 0.2, angle, cohesion / libm::tan(angle), surface)
 }
 
 #[test]
@@ -72,44 +78,48 @@ fn branches() -> [(&'static str, Sym3<f64>, f64); 3] {
 
 #[test]
 fn return_map_has_taylor_slope_two_on_every_branch() {
-    for cohesion in [0.0, 0.004] {
-        let m = sand(cohesion);
-        for ((name, strain, q), (return_map, return_map_adjoint)) in
-            branches().into_iter().flat_map(|branch| MAPS.map(|map| (branch, map)))
-        {
-            assert!(is_mild(strain));
-            let mut dice = Dice::new(9);
-            let (a, b, c): (Sym3<f64>, Sym3<f64>, f64) = (dice.many(1.0), dice.many(1.0), dice.roll());
-            let f = |x: &[f64]| {
-                let (tau, e, q) = return_map(&m, [x[0], x[1], x[2], x[3], x[4], x[5]], x[6]);
-                weighted(tau, e, q, &a, &b, c)
-            };
-            let (bar, q_bar) = return_map_adjoint(&m, strain, q, a, b, c);
-            let s = stored(bar);
-            let gradient = [s[0], s[1], s[2], s[3], s[4], s[5], q_bar];
-            let x = [strain[0], strain[1], strain[2], strain[3], strain[4], strain[5], q];
-            // At the apex without cohesion the map is linear: the remainder is rounding.
-            let at_apex = name == "apex";
-            if at_apex {
-                for k in 0..7 {
-                    let moved = |h: f64| {
-                        let mut x = x;
-                        x[k] += h;
-                        f(&x)
-                    };
-                    let slope = (moved(1e-6) - moved(-1e-6)) / 2e-6;
-                    assert!((slope - gradient[k]).abs() < 1e-8, "apex {k}: {slope} {}", gradient[k]);
+    for (cohesion, surface) in [0.0, 0.004].into_iter().flat_map(|c| SURFACES.map(|s| (c, s))) {
+        for strength in [None, Some(0.3 * cohesion)] {
+            let m = sand(cohesion, surface).with_tensile_strength(strength);
+            for ((name, strain, q), (return_map, return_map_adjoint)) in
+                branches().into_iter().flat_map(|branch| MAPS.map(|map| (branch, map)))
+            {
+                assert!(is_mild(strain));
+                let mut dice = Dice::new(9);
+                let (a, b, c): (Sym3<f64>, Sym3<f64>, f64) = (dice.many(1.0), dice.many(1.0), dice.roll());
+                let d = dice.roll();
+                let f = |x: &[f64]| {
+                    let (tau, e, q) = return_map(&m, [x[0], x[1], x[2], x[3], x[4], x[5]], x[6]);
+                    weighted(tau, e, q, &a, &b, c) + d * (q + elastic_volume(e))
+                };
+                let bar = ReturnBar { tau: a, strain: b, q: c, volume: d };
+                let (bar, q_bar) = return_map_adjoint(&m, strain, q, &bar);
+                let s = stored(bar);
+                let gradient = [s[0], s[1], s[2], s[3], s[4], s[5], q_bar];
+                let x = [strain[0], strain[1], strain[2], strain[3], strain[4], strain[5], q];
+                // At the apex without cohesion the map is linear: the remainder is rounding.
+                let at_apex = name == "apex";
+                if at_apex {
+                    for k in 0..7 {
+                        let moved = |h: f64| {
+                            let mut x = x;
+                            x[k] += h;
+                            f(&x)
+                        };
+                        let slope = (moved(1e-6) - moved(-1e-6)) / 2e-6;
+                        assert!((slope - gradient[k]).abs() < 1e-8, "apex {k}: {slope} {}", gradient[k]);
+                    }
                 }
+                assert_slope_two(name, taylor_slope(7, 3, 1e-4, &f, &x, &gradient));
             }
-            assert_slope_two(name, taylor_slope(7, 3, 1e-4, &f, &x, &gradient));
         }
     }
 }
 
 /// Largest differences between the two return maps and their adjoints, relative to the strain, over random strains; and how
 /// many of them were on the cone and at the apex.
-fn differences<T: Real>(size: f64, cohesion: f64) -> ([f64; 2], [usize; 2]) {
-    let m = Material::<T>::new(1.0, 0.2, 35f64.to_radians(), cohesion);
+fn differences<T: Real>(size: f64, cohesion: f64, surface: YieldSurface) -> ([f64; 2], [usize; 2]) {
+    let m = sand::<T>(cohesion, surface);
     let mut dice = Dice::new(31);
     let (mut worst, mut seen) = ([0.0_f64; 2], [0; 2]);
     let narrow = |s: Sym3<f64>| s.map(T::from_f64);
@@ -124,8 +134,9 @@ fn differences<T: Real>(size: f64, cohesion: f64) -> ([f64; 2], [usize; 2]) {
         let (a, b, c) = (narrow(dice.many(1.0)), narrow(dice.many(1.0)), T::from_f64(dice.roll()));
         let (tau, new, q_new) = material::return_map(&m, strain, q);
         let (want_tau, want_new, want_q) = principal::return_map(&m, strain, q);
-        let (bar, q_bar) = material::return_map_adjoint(&m, strain, q, a, b, c);
-        let (want_bar, want_q_bar) = principal::return_map_adjoint(&m, strain, q, a, b, c);
+        let bar = ReturnBar { tau: a, strain: b, q: c, volume: T::from_f64(dice.roll()) };
+        let (want_bar, want_q_bar) = principal::return_map_adjoint(&m, strain, q, &bar);
+        let (bar, q_bar) = material::return_map_adjoint(&m, strain, q, &bar);
         seen[0] += usize::from(inner(tau, tau).to_f64() > 0.0 && new != strain);
         seen[1] += usize::from(q_new != T::ZERO);
         let off = |x: &[T], y: &[T]| -> f64 {
@@ -141,14 +152,14 @@ fn differences<T: Real>(size: f64, cohesion: f64) -> ([f64; 2], [usize; 2]) {
 #[test]
 fn series_and_eigenvectors_say_the_same() {
     for size in [1e-6, 1e-3, 0.03, 0.15, 0.3, 0.4] {
-        for cohesion in [0.0, 0.02] {
-            let (worst, seen) = differences::<f64>(size, cohesion);
-            assert!(worst.iter().all(|off| *off < 5e-14), "{size}: {worst:?}");
+        for (cohesion, surface) in [0.0, 0.02].into_iter().flat_map(|c| SURFACES.map(|s| (c, s))) {
+            let (worst, seen) = differences::<f64>(size, cohesion, surface);
+            assert!(worst.iter().all(|off| *off < 5e-14), "{size}, {surface:?}: {worst:?}");
             assert!(seen[0] > 100 && (seen[1] > 200 || cohesion > 0.0), "{size}: {seen:?}");
             // Close to a branch's edge the two may be on different sides of it: there the map is continuous, and its
             // derivative is not.
-            let (worst, _) = differences::<f32>(size, cohesion);
-            assert!(worst[0] < 3e-5, "{size}: {worst:?}");
+            let (worst, _) = differences::<f32>(size, cohesion, surface);
+            assert!(worst[0] < 3e-5, "{size}, {surface:?}: {worst:?}");
         }
     }
 }
@@ -164,7 +175,11 @@ fn what_is_no_mild_strain_is_known() {
 
 #[test]
 fn return_map_adjoint_holds_at_equal_stretches() {
-    let m = sand(0.0);
+    SURFACES.into_iter().for_each(adjoint_holds_at_equal_stretches);
+}
+
+fn adjoint_holds_at_equal_stretches(surface: YieldSurface) {
+    let m = sand(0.0, surface);
     let equal: [Sym3<f64>; 4] = [
         [-0.02, -0.02, -0.02, 0.0, 0.0, 0.0],
         [-0.02, -0.02, -0.021, 0.0, 0.0, 0.0],
@@ -180,7 +195,8 @@ fn return_map_adjoint_holds_at_equal_stretches() {
             let (tau, e, q) = return_map(&m, *x, 0.0);
             weighted(tau, e, q, &a, &b, 0.0)
         };
-        let gradient = stored(return_map_adjoint(&m, strain, 0.0, a, b, 0.0).0);
+        let bar = ReturnBar { tau: a, strain: b, q: 0.0, volume: 0.0 };
+        let gradient = stored(return_map_adjoint(&m, strain, 0.0, &bar).0);
         for k in 0..6 {
             let at = |h: f64| {
                 let mut x = strain;
@@ -210,12 +226,66 @@ fn trial_strain_has_taylor_slope_two() {
     assert_slope_two("trial strain", taylor_slope(15, 4, 1e-3, &f, &x, &gradient));
 }
 
+/// Opened step by step, powder bears its tensile strength and then less and less; pressed together, it bears it again.
+#[test]
+fn tension_is_cut_off_and_lost_where_powder_opens() {
+    for surface in SURFACES {
+        let strength = 0.002;
+        let m = sand::<f64>(0.004, surface).with_tensile_strength(Some(strength));
+        let opened = |(mut strain, mut q): (Sym3<f64>, f64), rate: f64, steps: usize| {
+            let l = [[rate, 0.0, 0.0], [0.0, 0.3 * rate, 0.0], [0.0, 0.0, 0.3 * rate]];
+            let mut tensions = Vec::new();
+            for _ in 0..steps {
+                let (tau, new, q_new) = material::return_map(&m, trial_strain(strain, &l), q);
+                (strain, q) = (new, q_new);
+                tensions.push(trace(tau) / 3.0);
+            }
+            ((strain, q), tensions)
+        };
+        let (apart, tensions) = opened(([0.0; 6], 0.0), 1e-4, 600);
+        let peak = tensions.iter().copied().fold(0.0, f64::max);
+        assert!((peak / strength - 1.0).abs() < 0.02, "{surface:?}: {peak}");
+        assert!(tensions[599].abs() < 1e-12 && apart.1 > 0.05, "{surface:?}: {}", tensions[599]);
+        assert!(tensions.windows(2).skip(100).all(|pair| pair[1] <= pair[0] + 1e-12), "{surface:?}");
+        let (pressed, _) = opened(apart, -1e-4, 640);
+        let (_, again) = opened(pressed, 1e-4, 300);
+        let peak = again.into_iter().fold(0.0, f64::max);
+        assert!((peak / strength - 1.0).abs() < 0.02, "{surface:?}: {peak} again");
+    }
+}
+
+/// `I1 I2/I3` of every stress on the surface is that of triaxial compression at the friction angle, `9 + 8 tan^2(phi)`.
+#[test]
+fn matsuoka_and_nakais_invariants_are_those_of_the_friction_angle() {
+    for (degrees, tolerance) in [(1.0, 1e-6), (20.0, 1e-3), (30.0, 1e-3), (40.0, 1e-2), (50.0, 0.06)] {
+        let angle = f64::to_radians(degrees);
+        let m = Material::<f64>::new(1.0, 0.2, angle, 0.0, YieldSurface::MatsuokaNakai);
+        let want = 9.0 + 8.0 * angle.tan().powi(2);
+        let (mut dice, mut seen) = (Dice::new(17), 0);
+        for (return_map, _) in (0..500).flat_map(|_| MAPS) {
+            let trial = plus_diagonal(dice.many::<6>(0.02), -0.01);
+            let (tau, strain, q) = return_map(&m, trial, 0.0);
+            // What was elastic, or has no stress left, is not on the surface.
+            if q > 0.0 || (0..6).all(|i| (strain[i] - trial[i]).abs() < 1e-9) {
+                continue;
+            }
+            let i1 = trace(tau);
+            let i2 = 0.5 * (i1 * i1 - inner(tau, tau));
+            let found = i1 * i2 / determinant(tau);
+            assert!((found / want - 1.0).abs() < tolerance, "{degrees} deg: {found}, not {want}");
+            seen += 1;
+        }
+        assert!(seen > 200, "{degrees} deg: {seen} on the surface");
+    }
+}
+
 /// The paper's form: `F = U S V^T`, Hencky strains `ln s_i`, the same cone, `F' = U S' V^T`.
 #[test]
 fn the_strain_form_agrees_with_deformation_gradient_and_svd() {
     use nalgebra::{Matrix3, Vector3};
-    for (cohesion, (return_map, _)) in [0.0, 0.003].into_iter().flat_map(|c| MAPS.map(|map| (c, map))) {
-        let m = sand(cohesion);
+    let cases = [0.0, 0.003].into_iter().flat_map(|c| SURFACES.map(|s| (c, s)));
+    for ((cohesion, surface), (return_map, _)) in cases.flat_map(|case| MAPS.map(|map| (case, map))) {
+        let m = sand(cohesion, surface);
         let mut dice = Dice::new(77);
         let mut f = Matrix3::<f64>::identity();
         let (mut strain, mut q) = ([0.0; 6], 0.0);
@@ -237,15 +307,17 @@ fn the_strain_form_agrees_with_deformation_gradient_and_svd() {
             let t = eps.sum();
             let e = eps - Vector3::repeat(t / 3.0);
             let n = e.norm();
+            let (narrowing, _) = m.narrowing(LODE_FACTOR * e.product() / n.powi(3));
+            let excess = n + m.slope * (t - m.apex) / narrowing;
             let (new, branch) = if t >= m.apex {
                 volume = t - m.apex;
                 (Vector3::repeat(m.apex / 3.0), 2)
-            } else if n + m.slope * (t - m.apex) <= 0.0 {
+            } else if excess <= 0.0 {
                 volume = 0.0;
                 (eps, 0)
             } else {
                 volume = 0.0;
-                (eps - e * ((n + m.slope * (t - m.apex)) / n), 1)
+                (eps - e * (excess / n), 1)
             };
             seen[branch] += 1;
             f = u * Matrix3::from_diagonal(&new.map(f64::exp)) * v_t;

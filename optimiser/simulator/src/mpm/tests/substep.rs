@@ -3,6 +3,7 @@
 //! All numbers are scaled to order one, so that a random direction moves each of them by its own measure.
 
 use crate::mpm::Model;
+use crate::mpm::bodies::Bodies;
 use crate::mpm::contact::{BodyState, BodyStateBar};
 use crate::mpm::g2p::TileToParticlesAdjoint;
 use crate::mpm::gather::{Gathered, Rows, Sent, gather, gather_gradient, gather_with_gradient};
@@ -21,6 +22,7 @@ use crate::mpm::tests::{
     to_tiles,
 };
 use crate::real::Real;
+use crate::scene::{VolumeCorrection, YieldSurface};
 use crate::shape::SignedDistance;
 use crate::small::{Mat3, Vec3, mul_vec, sub, tr_mul_vec};
 
@@ -130,10 +132,22 @@ fn stir(state: &mut State<f64>, dice: &mut Dice) {
     }
 }
 
-/// A bowl that pushes down and forward into stirred powder on the floor, tilted, turning.
-fn scooping() -> (Model<f64>, State<f64>, BodyState<f64>) {
+/// Powders of every law.
+const POWDERS: [(YieldSurface, VolumeCorrection); 3] = [
+    (YieldSurface::DruckerPrager, VolumeCorrection::Strain),
+    (YieldSurface::MatsuokaNakai, VolumeCorrection::Strain),
+    (YieldSurface::DruckerPrager, VolumeCorrection::Grid),
+];
+
+/// A bowl that pushes down and forward into stirred powder on the floor, tilted, turning. Where volume is held to the grid's density,
+/// every seventh particle believes to be looser than it is; the others lie looser than they believe.
+fn scooping_of(
+    (yield_surface, volume_correction): (YieldSurface, VolumeCorrection),
+) -> (Model<f64>, State<f64>, Bodies<f64>) {
     let mut dice = Dice::new(71);
-    let scene = empty_bench([0.064; 3]);
+    let mut scene = empty_bench([0.064; 3]);
+    scene.powder.yield_surface = yield_surface;
+    scene.powder.volume_correction = volume_correction;
     let model = Model::<f64>::new(&scene);
     let tool = BodyState {
         velocity: [0.12, 0.03, -0.1],
@@ -142,6 +156,7 @@ fn scooping() -> (Model<f64>, State<f64>, BodyState<f64>) {
             &standing([0.029, 0.033, 0.022]),
             &[0.0, 0.0, 0.0, 0.1, 0.7, -0.2, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
         )
+        .tool
     };
     // Powder around the bowl and in it, a little of it in the surface.
     let clear = |x: &[f64; 3]| {
@@ -153,7 +168,12 @@ fn scooping() -> (Model<f64>, State<f64>, BodyState<f64>) {
     let points: Vec<_> = points.into_iter().filter(clear).collect();
     let mut state = State::new(&model, &Particles::at_rest(&points)).unwrap();
     stir(&mut state, &mut dice);
-    (model, state, tool)
+    if model.holds_volume {
+        for (g, l, _) in state.particles.clone().occupied().filter(|(.., id)| id % 7 == 0) {
+            state.particles.groups[g].q[0][l] = 0.6;
+        }
+    }
+    (model, state, Bodies { tool, gates: Vec::new() })
 }
 
 /// Three numbers along each axis.
@@ -354,7 +374,11 @@ fn inner_nodes(a: &[Nodes<f64>], b: &[Nodes<f64>]) -> f64 {
 
 #[test]
 fn particle_to_grid_has_taylor_slope_two() {
-    let (model, state, _) = scooping();
+    POWDERS.into_iter().for_each(particle_to_grid_gradient);
+}
+
+fn particle_to_grid_gradient(powder: (YieldSurface, VolumeCorrection)) {
+    let (model, state, _) = scooping_of(powder);
     let mut dice = Dice::new(53);
     let momentum = 1.0 / (model.mass * SPEED);
     let nodes_bar =
@@ -374,11 +398,18 @@ fn particle_to_grid_has_taylor_slope_two() {
             block,
             input: &state.particles.groups[range.clone()],
             nodes_bar: &nodes_bar,
+            holds_volume: false,
             bar: &mut bar[range],
         });
     }
     let gradient = simulate_with_gradient(&state.particles, &bar);
-    assert_gradient("particle to grid", 1e-3, &f, &numbers(&state.particles), &gradient);
+    assert_gradient(
+        &format!("particle to grid, {powder:?}"),
+        1e-3,
+        &f,
+        &numbers(&state.particles),
+        &gradient,
+    );
 }
 
 /// The tiles' numbers as variables: momentum over typical momentum, mass over a particle's mass.
@@ -389,7 +420,11 @@ fn tile_units(model: &Model<f64>) -> [f64; 4] {
 
 #[test]
 fn grid_update_has_taylor_slope_two_in_momentum_mass_and_the_tools_motion() {
-    let (model, state, tool) = scooping();
+    [POWDERS[0], POWDERS[2]].into_iter().for_each(grid_update_gradient);
+}
+
+fn grid_update_gradient(powder: (YieldSurface, VolumeCorrection)) {
+    let (model, state, bodies) = scooping_of(powder);
     let mut dice = Dice::new(54);
     let units = tile_units(&model);
     // Every node of every tile holds mass; what no tile reaches is no node of the grid.
@@ -400,8 +435,9 @@ fn grid_update_has_taylor_slope_two_in_momentum_mass_and_the_tools_motion() {
             [v[0], v[1], v[2], m]
         })
         .collect();
-    let mut weights =
-        random_nodes(state.layout.nodes.len(), [1.0 / SPEED, 1.0 / SPEED, 1.0 / SPEED, 0.0], &mut dice);
+    let of_density = if model.holds_volume { 1.0 } else { 0.0 };
+    let unit = [1.0 / SPEED, 1.0 / SPEED, 1.0 / SPEED, of_density];
+    let mut weights = random_nodes(state.layout.nodes.len(), unit, &mut dice);
     let reached = tiles_at_nodes(&state);
     for (w, r) in weights.iter_mut().flatten().zip(reached.iter().flatten()) {
         *w = w.map(|w| if *r > 0.0 { w } else { 0.0 });
@@ -412,13 +448,13 @@ fn grid_update_has_taylor_slope_two_in_momentum_mass_and_the_tools_motion() {
     };
     let count = tiles.len();
     let f = |x: &[f64]| {
-        let tool = moved(&tool, &scaled(&x[count..], &TOOL_SIZES));
-        let (_, velocity) = on_grid(&model, &tool, &state, &as_tiles(&x[..count]));
+        let bodies = moved(&bodies, &scaled(&x[count..], &TOOL_SIZES));
+        let (_, velocity) = on_grid(&model, &bodies, &state, &as_tiles(&x[..count]));
         inner_nodes(&weights, &velocity)
     };
-    let (momentum, _) = on_grid(&model, &tool, &state, &as_tiles(&tiles));
+    let (momentum, _) = on_grid(&model, &bodies, &state, &as_tiles(&tiles));
     let bar_tiles = shared_out(&state, &weights, &reached);
-    let (bars, tool_bar) = grid_adjoint(&model, &tool, &state, &bar_tiles, &momentum);
+    let (bars, tool_bar) = grid_adjoint(&model, &bodies, &state, &bar_tiles, &momentum);
     let mut gradient = Vec::new();
     for block in &state.layout.blocks {
         let mut tile = empty_tile();
@@ -427,7 +463,39 @@ fn grid_update_has_taylor_slope_two_in_momentum_mass_and_the_tools_motion() {
     }
     gradient.extend(tool_gradient(&tool_bar));
     let x: Vec<f64> = tiles.iter().copied().chain([0.0; 12]).collect();
-    assert_gradient("grid update", 1e-4, &f, &x, &gradient);
+    assert_gradient(&format!("grid update, {powder:?}"), 1e-4, &f, &x, &gradient);
+    let (masses, motion) = x.split_at(count);
+    let tool_only = |d: &[f64]| f(&[masses, d].concat());
+    assert_gradient(&format!("grid update, tool, {powder:?}"), 1e-4, &tool_only, motion, &gradient[count..]);
+}
+
+/// How many particles' volume corrections are lowered and raised by what the grid sees.
+fn bounds_met(
+    model: &Model<f64>,
+    bodies: &Bodies<f64>,
+    state: &State<f64>,
+    velocity: &[Nodes<f64>],
+) -> (usize, usize) {
+    let after = to_particles(model, bodies, state, velocity);
+    let change = |(g, l, _): (usize, usize, u32)| after[g].q[0][l] - state.particles.groups[g].q[0][l];
+    let changes: Vec<f64> = state.particles.occupied().map(change).collect();
+    let count = |of: &dyn Fn(f64) -> bool| changes.iter().filter(|change| of(**change)).count();
+    (count(&|change| change < 0.0), count(&|change| change > 0.0))
+}
+
+/// From the cotangent of the logarithmic volume, which `bar.c[0]` is, to those of strain and correction.
+fn through_volume(input: &Group<f64>, bar: &mut Group<f64>) {
+    use nalgebra::Matrix3;
+    for l in 0..LANES {
+        let [xx, yy, zz, xy, xz, yz] = input.strain_of(l);
+        let b = Matrix3::identity() + Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz);
+        let inverse = b.try_inverse().unwrap() * (0.5 * bar.c[0][l]);
+        let entries = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
+        for (k, entry) in entries.into_iter().enumerate() {
+            bar.strain[k][l] = inverse[entry];
+        }
+        bar.q[0][l] += bar.c[0][l];
+    }
 }
 
 /// How many tiles reach each node.
@@ -452,7 +520,7 @@ fn shared_out(state: &State<f64>, values: &[Nodes<f64>], reached: &[[f64; BLOCK_
 
 fn grid_adjoint(
     model: &Model<f64>,
-    tool: &BodyState<f64>,
+    bodies: &Bodies<f64>,
     state: &State<f64>,
     velocity_bar_tiles: &[Tile<f64>],
     momentum: &[Nodes<f64>],
@@ -462,9 +530,10 @@ fn grid_adjoint(
     for ((node, momentum), momentum_bar) in state.layout.nodes.iter().zip(momentum).zip(&mut bars) {
         total.add(&model.arch.dispatch(UpdateNodesAdjoint {
             model,
-            tool,
+            bodies,
             node,
             velocity_bar_tiles: state.tiles(velocity_bar_tiles),
+            holds_volume: state.holds_volume(model),
             momentum,
             momentum_bar,
         }));
@@ -474,19 +543,35 @@ fn grid_adjoint(
 
 #[test]
 fn grid_to_particle_has_taylor_slope_two_in_positions_velocities_and_the_tools_motion() {
-    let (model, state, tool) = scooping();
+    POWDERS.into_iter().for_each(grid_to_particle_gradient);
+}
+
+fn grid_to_particle_gradient(powder: (YieldSurface, VolumeCorrection)) {
+    let (model, mut state, bodies) = scooping_of(powder);
     let mut dice = Dice::new(55);
-    let velocity = random_nodes(state.layout.nodes.len(), [SPEED, SPEED, SPEED, 0.0], &mut dice);
-    let measure = Measure::random(state.particles.occupied().count(), 0..15, &mut dice);
+    let mut velocity = random_nodes(state.layout.nodes.len(), [SPEED, SPEED, SPEED, 0.0], &mut dice);
+    let mut measure = Measure::random(state.particles.occupied().count(), 0..15, &mut dice);
+    if model.holds_volume {
+        // Block by block loose and dense, so that there are places with little slope; and volumes as they are after the return.
+        for (n, nodes) in velocity.iter_mut().enumerate() {
+            nodes.iter_mut().for_each(|node| node[3] = [0.65, 1.2][n % 2] + 0.01 * dice.roll());
+        }
+        measure.0.iter_mut().for_each(|weights| weights[21] = dice.roll() / SIZES[21]);
+        state.particles.groups.iter_mut().for_each(|group| group.c = [Lanes::ZERO; 9]);
+        let (above, below) = bounds_met(&model, &bodies, &state, &velocity);
+        assert!(above > 50 && below > 50, "{above} too loose, {below} too dense");
+    }
+    let state = state;
     let particles = 22 * state.particles.occupied().count();
     let nodes = velocity.as_flattened().as_flattened();
     let f = |x: &[f64]| {
         let state = with_numbers(&state, &x[..particles]);
         let (at_nodes, tool_numbers) = x[particles..].split_at(nodes.len());
-        let of = |n: &[f64]| std::array::from_fn(|k| std::array::from_fn(|c| SPEED * n[4 * k + c]));
+        let unit = |c: usize| if c < 3 { SPEED } else { 1.0 };
+        let of = |n: &[f64]| std::array::from_fn(|k| std::array::from_fn(|c| unit(c) * n[4 * k + c]));
         let velocity: Vec<Nodes<f64>> = at_nodes.chunks(4 * BLOCK_NODES).map(of).collect();
-        let tool = moved(&tool, &scaled(tool_numbers, &TOOL_SIZES));
-        measure.of(&state.particles, &to_particles(&model, &tool, &state, &velocity))
+        let bodies = moved(&bodies, &scaled(tool_numbers, &TOOL_SIZES));
+        measure.of(&state.particles, &to_particles(&model, &bodies, &state, &velocity))
     };
     let mut bar = measure.cotangent(&state.particles);
     let mut tiles = vec![empty_tile(); state.layout.blocks.len()];
@@ -496,71 +581,93 @@ fn grid_to_particle_has_taylor_slope_two_in_positions_velocities_and_the_tools_m
         let input = &state.particles.groups[range.clone()];
         tool_bar.add(&model.arch.dispatch(TileToParticlesAdjoint {
             model: &model,
-            tool: &tool,
+            bodies: &bodies,
             block,
             velocity: &velocity,
+            holds_volume: model.holds_volume,
             input,
             bar: &mut bar[range],
             tile_bar,
         }));
     }
-    // Only the positions' cotangents are results of this stage.
-    for g in &mut bar {
-        *g = Group { x: g.x, ..Group::ZERO };
+    // Only the cotangents of positions and, where it is held, of volume are results of this stage.
+    for (g, input) in bar.iter_mut().zip(&state.particles.groups) {
+        *g = Group { x: g.x, c: g.c, q: g.q, ..Group::ZERO };
+        if model.holds_volume {
+            through_volume(input, g);
+        }
+        *g = Group { x: g.x, strain: g.strain, q: g.q, ..Group::ZERO };
     }
     let mut gradient = simulate_with_gradient(&state.particles, &bar);
     for node in &state.layout.nodes {
         // The fourth number at a node is no velocity.
-        gradient.extend(
-            state
-                .tiles(&tiles)
-                .sum(node)
-                .iter()
-                .flat_map(|b| [b[0] * SPEED, b[1] * SPEED, b[2] * SPEED, 0.0]),
-        );
+        let sums = state.tiles(&tiles).sum(node);
+        gradient.extend(sums.iter().flat_map(|b| [b[0] * SPEED, b[1] * SPEED, b[2] * SPEED, b[3]]));
     }
     gradient.extend(tool_gradient(&tool_bar));
     let mut x = numbers(&state.particles);
-    x.extend(nodes.iter().map(|v| v / SPEED));
+    x.extend(nodes.iter().enumerate().map(|(n, v)| if n % 4 < 3 { v / SPEED } else { *v }));
     x.extend([0.0; 12]);
-    assert_gradient("grid to particle", 1e-4, &f, &x, &gradient);
+    assert_gradient(&format!("grid to particle, {powder:?}"), 1e-4, &f, &x, &gradient);
 }
 
 #[test]
 fn a_whole_substep_has_taylor_slope_two_in_the_state_and_the_tools_motion() {
-    let (model, state, tool) = scooping();
+    POWDERS.into_iter().for_each(whole_substep_gradient);
+}
+
+fn whole_substep_gradient(powder: (YieldSurface, VolumeCorrection)) {
+    let (model, state, bodies) = scooping_of(powder);
     let mut dice = Dice::new(56);
     let count = state.particles.occupied().count();
     let measure = Measure::random(count, 0..22, &mut dice);
     let f = |x: &[f64]| {
         let mut state = with_numbers(&state, &x[..22 * count]);
-        let tool = moved(&tool, &scaled(&x[22 * count..], &TOOL_SIZES));
-        Workspace::new().substep(&model, &tool, &mut state).unwrap();
+        let bodies = moved(&bodies, &scaled(&x[22 * count..], &TOOL_SIZES));
+        Workspace::new().substep(&model, &bodies, &mut state).unwrap();
         measure.of(&state.particles, &state.particles.groups)
     };
     let mut after = state.clone();
     let mut workspace = Workspace::new();
-    workspace.substep(&model, &tool, &mut after).unwrap();
+    workspace.substep(&model, &bodies, &mut after).unwrap();
+    if model.holds_volume {
+        let free = Model { holds_volume: false, ..model.clone() };
+        let mut unheld = state.clone();
+        Workspace::new().substep(&free, &bodies, &mut unheld).unwrap();
+        let change = |(g, l, _): (usize, usize, u32)| {
+            after.particles.groups[g].q[0][l] - unheld.particles.groups[g].q[0][l]
+        };
+        let changes: Vec<f64> = after.particles.occupied().map(change).collect();
+        let count = |of: &dyn Fn(f64) -> bool| changes.iter().filter(|change| of(**change)).count();
+        let (above, below) = (count(&|change| change < 0.0), count(&|change| change > 0.0));
+        assert!(above > 20 && below > 20, "{above} too loose, {below} too dense");
+    }
     let mut bar = measure.cotangent(&after.particles);
     workspace.sort_adjoint(&after, &mut bar);
-    let tool_bar = workspace.substep_adjoint(&model, &tool, &state, None, &mut bar);
+    let tool_bar = workspace.substep_adjoint(&model, &bodies, &state, None, &mut bar);
     let mut gradient = simulate_with_gradient(&state.particles, &bar);
     gradient.extend(tool_gradient(&tool_bar));
     let mut x = numbers(&state.particles);
     x.extend([0.0; 12]);
-    assert_gradient("whole substep", 1e-4, &f, &x, &gradient);
+    assert_gradient(&format!("whole substep, {powder:?}"), 1e-4, &f, &x, &gradient);
 
     // The tool alone: among thousands of particles its share would hide.
     let (particles, motion) = x.split_at(22 * count);
     let tool_only = |d: &[f64]| f(&[particles, d].concat());
-    assert_gradient("whole substep, tool", 1e-4, &tool_only, motion, &gradient[22 * count..]);
+    assert_gradient(
+        &format!("whole substep, tool, {powder:?}"),
+        1e-4,
+        &tool_only,
+        motion,
+        &gradient[22 * count..],
+    );
 }
 
 /// A cohesive, hence elastic, cloud that flies and spins through the blocks.
 fn flying_cloud() -> (Model<f64>, State<f64>) {
     let mut dice = Dice::new(81);
     let mut model = Model::<f64>::new(&empty_bench([0.080; 3]));
-    model.material = Material::new(1e4, 0.2, 0.6, 4e3);
+    model.material = Material::new(1e4, 0.2, 0.6, 4e3 / libm::tan(0.6), YieldSurface::DruckerPrager);
     let points = lattice([0.014, 0.016, 0.018], [0.026, 0.028, 0.030], 0.003, &mut dice);
     let mut state = State::new(&model, &Particles::at_rest(&points)).unwrap();
     let middle = [0.020, 0.022, 0.024];
@@ -586,7 +693,7 @@ fn flying_cloud() -> (Model<f64>, State<f64>) {
 fn cotangents_survive_sorting() {
     const SUBSTEPS: usize = 60;
     let (model, first) = flying_cloud();
-    let tool = far_away();
+    let bodies = far_away();
     let count = first.particles.occupied().count();
     let mut dice = Dice::new(57);
     let measure = Measure::random(count, 0..22, &mut dice);
@@ -596,7 +703,7 @@ fn cotangents_survive_sorting() {
         let mut state = with_numbers(&first, x);
         let mut workspace = Workspace::new();
         for _ in 0..SUBSTEPS {
-            workspace.substep(&model, &tool, &mut state).unwrap();
+            workspace.substep(&model, &bodies, &mut state).unwrap();
         }
         measure.of(&state.particles, &state.particles.groups)
     };
@@ -615,14 +722,14 @@ fn cotangents_survive_sorting() {
             (0..groups * crate::mpm::particles::LANES).map(|i| i as u32).collect()
         };
         states.push((state.clone(), order, groups));
-        workspace.substep(&model, &tool, &mut state).unwrap();
+        workspace.substep(&model, &bodies, &mut state).unwrap();
         needed += usize::from(state.sorted_from.is_some());
     }
     let mut after = state;
     let mut bar = measure.cotangent(&after.particles);
     for (state, order, groups) in states.into_iter().rev() {
         workspace.sort_adjoint(&after, &mut bar);
-        workspace.substep_adjoint(&model, &tool, &state, None, &mut bar);
+        workspace.substep_adjoint(&model, &bodies, &state, None, &mut bar);
         if state.sorted_from.is_none() {
             let sorted = bar.clone();
             sort_adjoint(&sorted, &order, groups, &mut bar);

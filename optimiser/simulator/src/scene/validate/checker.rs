@@ -2,9 +2,9 @@
 
 use std::fmt::Display;
 
-use crate::scene::error::{MAX_NAME_CHARS, container_path, is_name};
+use crate::scene::error::{MAX_NAME_CHARS, is_name, listed_path};
 use crate::scene::figures::{about, list, plain};
-use crate::scene::{Container, SceneError};
+use crate::scene::{Container, Gate, SceneError};
 
 /// Result of a check.
 pub(super) type Checked = Result<(), SceneError>;
@@ -62,8 +62,16 @@ impl Range {
 
 /// What messages call the containers, in their order.
 pub(super) fn container_paths(containers: &[Container]) -> Vec<String> {
-    let names: Vec<&str> = containers.iter().map(|container| container.name.as_str()).collect();
-    (0..names.len()).map(|index| container_path(&names, index)).collect()
+    listed_paths("container", containers.iter().map(|container| container.name.as_str()).collect())
+}
+
+/// What messages call the gates, in their order.
+pub(super) fn gate_paths(gates: &[Gate]) -> Vec<String> {
+    listed_paths("gate", gates.iter().map(|gate| gate.name.as_str()).collect())
+}
+
+fn listed_paths(list: &str, names: Vec<&str>) -> Vec<String> {
+    (0..names.len()).map(|index| listed_path(list, &names, index)).collect()
 }
 
 /// Writes refusals in the name of one file.

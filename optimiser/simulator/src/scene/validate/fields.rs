@@ -1,10 +1,10 @@
 //! The range of every single field, as documented at the field.
 
-use super::checker::{Checked, Checker, Range, container_paths};
+use super::checker::{Checked, Checker, Range, container_paths, gate_paths};
 use crate::scene::figures::plain;
 use crate::scene::{
-    Container, ContainerShape, Cuboid, Domain, Limits, MAX_CUBOIDS, Objective, Observation, Optimiser,
-    Powder, Quantity, Scene, Skill, Time, Tool, ToolShape,
+    Container, ContainerShape, Cuboid, Domain, Gate, GateOpening, GateShape, Limits, MAX_CUBOIDS, Objective,
+    Observation, Optimiser, Powder, Quantity, Scene, Skill, Time, Tool, ToolShape,
 };
 use powderline_shared::plan::{PERIOD_US_MAX, PERIOD_US_MIN};
 
@@ -20,6 +20,9 @@ pub(super) fn check(checker: &Checker<'_>, scene: &Scene) -> Checked {
     time(checker, &scene.time)?;
     for (path, one) in container_paths(&scene.containers).iter().zip(&scene.containers) {
         container(checker, path, one, scene.domain.cell_m)?;
+    }
+    for (path, one) in gate_paths(&scene.gates).iter().zip(&scene.gates) {
+        gate(checker, path, one, scene.domain.cell_m)?;
     }
     tool(checker, &scene.tool, scene.domain.cell_m)?;
     skill(checker, &scene.skill)?;
@@ -46,6 +49,9 @@ fn powder(checker: &Checker<'_>, powder: &Powder) -> Checked {
     checker.number("powder.density_kg_m3", powder.density_kg_m3, Range::closed(10.0, 25_000.0))?;
     checker.number("powder.friction_angle_deg", powder.friction_angle_deg, Range::closed(0.0, 60.0))?;
     checker.number("powder.cohesion_pa", powder.cohesion_pa, Range::closed(0.0, 1e5))?;
+    if let Some(strength_pa) = powder.tensile_strength_pa {
+        checker.number("powder.tensile_strength_pa", strength_pa, Range::closed(0.0, 1e7))?;
+    }
     checker.number("powder.viscosity_pa_s", powder.viscosity_pa_s, Range::closed(0.0, 100.0))
 }
 
@@ -71,6 +77,34 @@ fn container(checker: &Checker<'_>, path: &str, container: &Container, cell_m: f
         ContainerShape::Cylinder { inner_radius_m, inner_height_m } => {
             checker.number(&field("shape.inner_radius_m"), *inner_radius_m, inner)?;
             checker.number(&field("shape.inner_height_m"), *inner_height_m, inner)
+        }
+    }
+}
+
+fn gate(checker: &Checker<'_>, path: &str, gate: &Gate, cell_m: f64) -> Checked {
+    let field = |name: &str| format!("{path}.{name}");
+    checker.name(&field("name"), &gate.name)?;
+    checker.vector(&field("position_m"), &gate.position_m, WORLD_M)?;
+    checker.number(&field("yaw_deg"), gate.yaw_deg, TURN_DEG)?;
+    checker.number(&field("friction"), gate.friction, FRICTION)?;
+    checker.number(&field("opens_at_s"), gate.opens_at_s, Range::closed(0.0, 1e4))?;
+    match &gate.shape {
+        GateShape::Box { size_m } => {
+            checker.vector(&field("shape.size_m"), size_m, Range::above(0.0, 10.0))?;
+            wall(checker, &field("shape.size_m"), gate.shape.least_thickness_m(), cell_m)?;
+        }
+        GateShape::Tube { inner_radius_m, height_m, wall_thickness_m } => {
+            let inner = Range::closed(cell_m, 10.0);
+            checker.number(&field("shape.inner_radius_m"), *inner_radius_m, inner)?;
+            checker.number(&field("shape.height_m"), *height_m, inner)?;
+            wall(checker, &field("shape.wall_thickness_m"), *wall_thickness_m, cell_m)?;
+        }
+    }
+    match &gate.opening {
+        GateOpening::Vanish {} => Ok(()),
+        GateOpening::Slide { velocity_m_s, travel_m } => {
+            checker.vector(&field("opening.velocity_m_s"), velocity_m_s, Range::closed(-10.0, 10.0))?;
+            checker.number(&field("opening.travel_m"), *travel_m, Range::above(0.0, 10.0))
         }
     }
 }

@@ -6,7 +6,10 @@ use crate::scene::error::MAX_NAME_CHARS;
 use crate::scene::figures::{about, at_most, list, plain};
 use crate::scene::solid::{Hull, TOUCH_M, Vec3, Wall};
 use crate::scene::tool_body::PlacedTool;
-use crate::scene::{BLOCK_CELLS, MAX_CELLS, MAX_CFL, MAX_PARTICLES, MAX_SUBSTEPS, MAX_VISCOUS_LOSS, Scene};
+use crate::scene::{
+    BLOCK_CELLS, FillShape, MAX_CELLS, MAX_CFL, MAX_PARTICLES, MAX_SUBSTEPS, MAX_VISCOUS_LOSS, Scene,
+    YieldSurface,
+};
 
 /// World directions with the name of their coordinate and their sign.
 pub(super) const SIDES: [(Vec3, usize); 6] = [
@@ -35,6 +38,7 @@ pub(super) fn check_size(checker: &Checker<'_>, scene: &Scene) -> Checked {
             ));
         }
     }
+    check_fill_shape(checker, scene)?;
     let cells = scene.block_counts().iter().map(|blocks| (blocks * BLOCK_CELLS) as f64).product::<f64>();
     too_many(checker, scene, cells, MAX_CELLS as f64, "grid cells, padding included,")?;
     too_many(checker, scene, scene.particle_count() as f64, MAX_PARTICLES as f64, "particles")?;
@@ -46,6 +50,26 @@ pub(super) fn check_size(checker: &Checker<'_>, scene: &Scene) -> Checked {
         ));
     }
     Ok(())
+}
+
+/// A round column is as long as wide.
+fn check_fill_shape(checker: &Checker<'_>, scene: &Scene) -> Checked {
+    let [length_m, width_m, _] = scene.powder.fill_size_m();
+    // The extents are differences of rounded numbers.
+    let is_round = (length_m - width_m).abs() <= TOUCH_M;
+    if scene.powder.fill_shape == FillShape::Box || is_round {
+        return Ok(());
+    }
+    Err(checker.invalid(
+        "powder.fill_shape",
+        "\"cylinder\"",
+        format!(
+            "the box from powder.fill_min_m to powder.fill_max_m is {} m long in x and {} m in y; the same in both would be \
+             right",
+            about(length_m, 4),
+            about(width_m, 4)
+        ),
+    ))
 }
 
 fn too_many(checker: &Checker<'_>, scene: &Scene, count: f64, limit: f64, what: &str) -> Checked {
@@ -106,6 +130,10 @@ pub(super) fn check_cfl(checker: &Checker<'_>, scene: &Scene) -> Checked {
     ))
 }
 
+/// Steepest friction angle of a Drucker-Prager cone, degrees: the sine of 36.87 degrees is 0.6, from which on a stress on it
+/// has a tensile principal value in triaxial extension.
+const MAX_ROUND_CONE_DEG: f64 = 36.8;
+
 /// What the powder's numbers have to do with each other.
 pub(super) fn check_powder_law(checker: &Checker<'_>, scene: &Scene) -> Checked {
     let powder = &scene.powder;
@@ -122,6 +150,17 @@ pub(super) fn check_powder_law(checker: &Checker<'_>, scene: &Scene) -> Checked 
             ),
         ));
     }
+    if powder.yield_surface == YieldSurface::DruckerPrager && powder.friction_angle_deg > MAX_ROUND_CONE_DEG {
+        return Err(checker.invalid(
+            "powder.friction_angle_deg",
+            plain(powder.friction_angle_deg),
+            format!(
+                "a Drucker-Prager cone that steep carries tension in triaxial extension; at most {} would be right, or \
+                 powder.yield = \"matsuoka_nakai\"",
+                plain(MAX_ROUND_CONE_DEG)
+            ),
+        ));
+    }
     if powder.cohesion_pa > 0.0 && powder.friction_angle_deg < 1.0 {
         return Err(checker.invalid(
             "powder.cohesion_pa",
@@ -132,7 +171,19 @@ pub(super) fn check_powder_law(checker: &Checker<'_>, scene: &Scene) -> Checked 
             ),
         ));
     }
-    Ok(())
+    let apex_pa = powder.apex_tension_pa();
+    match powder.tensile_strength_pa {
+        Some(strength_pa) if strength_pa > apex_pa * (1.0 + 1e-9) => Err(checker.invalid(
+            "powder.tensile_strength_pa",
+            plain(strength_pa),
+            format!(
+                "with this cohesion and friction angle the apex of the yield surface is at a tension of {}; at most that would \
+                 be right",
+                about(apex_pa, 4)
+            ),
+        )),
+        _ => Ok(()),
+    }
 }
 
 /// Containers: how many, their names, inside the domain, clear of each other.
@@ -228,7 +279,7 @@ pub(super) fn check_objective(checker: &Checker<'_>, scene: &Scene) -> Checked {
             format!("it must lie in the domain, which goes from [0, 0, 0] to {}", list(&scene.domain.size_m)),
         ));
     }
-    if objective.aim == Aim::Amount && scene.source().holds_box(p_target, p_target) {
+    if objective.aim == Aim::Amount && scene.source().holds_point(p_target) {
         return Err(checker.invalid(
             "objective.p_target_m",
             list(&p_target),
@@ -280,27 +331,30 @@ fn named_container(checker: &Checker<'_>, scene: &Scene, field: &str, name: &str
 /// Powder inside the domain and inside the source container.
 pub(super) fn check_powder(checker: &Checker<'_>, scene: &Scene) -> Checked {
     let powder = &scene.powder;
-    let fill = powder.fill_box();
     let below_zero = powder.fill_min_m.iter().any(|low| *low < -TOUCH_M);
     let (field, value) = if below_zero {
         ("powder.fill_min_m", powder.fill_min_m)
     } else {
         ("powder.fill_max_m", powder.fill_max_m)
     };
-    inside_domain(checker, scene, field, &value, "the powder", |direction| fill.support(direction))?;
+    inside_domain(checker, scene, field, &value, "the powder", |direction| powder.fill_support(direction))?;
     let source = scene.source();
-    if source.holds_box(powder.fill_min_m, powder.fill_max_m) {
+    if source.holds_powder(powder) {
         return Ok(());
     }
     let (floor_m, rim_m) = (source.position_m[2], source.position_m[2] + source.inner_height_m());
-    let reaches = |wall: &Wall| wall.beyond_m(|direction| fill.support(direction));
+    let reaches = |wall: &Wall| wall.beyond_m(|direction| powder.fill_support(direction));
+    let filled = match powder.fill_shape {
+        FillShape::Box => "box",
+        FillShape::Cylinder => "column",
+    };
     let walls = source.walls();
     let why = match walls.iter().max_by(|a, b| reaches(a).total_cmp(&reaches(b))) {
         Some(wall) if source.holds_heights(powder.fill_min_m[2], powder.fill_max_m[2]) => {
-            format!("that box goes {} m into the {}", about(reaches(wall), 2), wall.name)
+            format!("that {filled} goes {} m into the {}", about(reaches(wall), 2), wall.name)
         }
         _ => format!(
-            "that box is not inside container {:?}, which goes from z = {} to {}",
+            "that {filled} is not inside container {:?}, which goes from z = {} to {}",
             source.name,
             plain(floor_m),
             about(rim_m, 6)
@@ -313,7 +367,7 @@ pub(super) fn check_powder(checker: &Checker<'_>, scene: &Scene) -> Checked {
     ))
 }
 
-/// Tool at its start pose: inside the domain, clear of powder and containers.
+/// Tool at its start pose: inside the domain, clear of powder, containers and shut gates.
 pub(super) fn check_start(checker: &Checker<'_>, scene: &Scene) -> Checked {
     let start = scene.tool.start_position_m;
     let tool = PlacedTool::new(scene, start, scene.tool.start_pitch_deg);
@@ -330,7 +384,7 @@ pub(super) fn check_start(checker: &Checker<'_>, scene: &Scene) -> Checked {
         ))
     };
     let clears = |solid: &Hull| tool.body_clears(solid) && tool.handle_clears(solid);
-    if !clears(&scene.powder.fill_box()) {
+    if !clears(&scene.powder.fill_hull()) {
         return overlap("the powder".to_owned());
     }
     for one in &scene.containers {
@@ -339,6 +393,11 @@ pub(super) fn check_start(checker: &Checker<'_>, scene: &Scene) -> Checked {
         }
         if one.pieces().iter().any(|piece| !clears(piece)) {
             return overlap(format!("the floor of container {:?}", one.name));
+        }
+    }
+    for gate in &scene.gates {
+        if !gate.pieces().iter().all(clears) {
+            return overlap(format!("gate {:?}, which is shut then", gate.name));
         }
     }
     Ok(())

@@ -2,6 +2,7 @@
 
 mod checker;
 mod fields;
+mod gates;
 mod layout;
 mod reach;
 
@@ -16,8 +17,10 @@ impl Scene {
     /// [`super::MAX_PARTICLES`]; substeps of a rollout within [`super::MAX_SUBSTEPS`]; CFL number
     /// and viscous loss; cohesion needs friction; containers within the domain and clear of each
     /// other, names unique; source and target among them, the target point within the domain, no
-    /// more wanted than there is; the powder within the source; the tool at its start within domain
-    /// and workspace, clear of containers and powder, its deepest scoop above the source's floor;
+    /// more wanted than there is; the powder within the source; gates, their names unique, within
+    /// the domain and clear of the powder while they are shut, none too fast; the tool at its start
+    /// within domain and workspace, clear of containers, shut gates and powder, its deepest scoop
+    /// above the source's floor;
     /// every skill within domain and workspace, its longest within the horizon, its speeds within
     /// the limits.
     ///
@@ -34,6 +37,7 @@ impl Scene {
         layout::check_containers(&checker, self)?;
         layout::check_objective(&checker, self)?;
         layout::check_powder(&checker, self)?;
+        gates::check(&checker, self)?;
         layout::check_start(&checker, self)?;
         reach::check(&checker, self)
     }
