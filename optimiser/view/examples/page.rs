@@ -8,15 +8,17 @@ use std::path::{Path, PathBuf};
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use powderline_shared::pose::Pose;
+use powderline_simulator::scene::{GateOpening, GateShape};
 use powderline_view::mesh::Mesh;
 use powderline_view::page::{Chart, Figure, Mark, Page, Recorder, Row, Scale, Series, Table, Tone};
-use powderline_view::{Bench, Container, Destination, Frame, Role, Sink, ViewError};
+use powderline_view::{Bench, Container, Destination, Frame, Gate, Role, Sink, ViewError};
 
 const PARTICLES: usize = 12_500;
 const FRAMES: usize = 500;
 const PERIOD_S: f64 = 0.01;
 const SOURCE_M: [f64; 3] = [0.13, 0.12, 0.004];
 const TARGET_M: [f64; 3] = [0.36, 0.12, 0.004];
+const PLATE_M: [f64; 3] = [0.25, 0.12, 0.0];
 
 fn main() -> Result<(), ViewError> {
     let folder = PathBuf::from(std::env::args().nth(1).unwrap_or_else(|| ".".into()));
@@ -94,12 +96,38 @@ fn bench() -> Bench {
             Container { name: "box".into(), role: Role::Source, mesh: source },
             Container { name: "beaker".into(), role: Role::Target, mesh: target },
         ],
+        gates: gates(),
         tool: Mesh::bowl(0.03, 0.002).and(Mesh::capsule([0.0, 0.032, 0.0], [0.0, 0.09, 0.06], 0.004)),
         target_m: TARGET_M,
         particles: PARTICLES,
         period_s: PERIOD_S,
         frames: FRAMES,
     }
+}
+
+/// A pipe that is gone after 1.2 s, and a plate that slides towards the reader for a second after 2 s.
+fn gates() -> Vec<Gate> {
+    let gate = |name: &str, opens_at_s, position_m: [f64; 3], shape, opening, mesh: Mesh| {
+        let [x, y, z] = position_m;
+        let name = name.into();
+        let law = powderline_simulator::scene::Gate {
+            name,
+            position_m,
+            yaw_deg: 0.0,
+            friction: 0.4,
+            opens_at_s,
+            shape,
+            opening,
+        };
+        Gate { law, mesh: mesh.moved(&Isometry3::translation(x, y, z)) }
+    };
+    let pipe = GateShape::Tube { inner_radius_m: 0.03, height_m: 0.05, wall_thickness_m: 0.004 };
+    let plate = GateShape::Box { size_m: [0.004, 0.12, 0.1] };
+    let slide = GateOpening::Slide { velocity_m_s: [0.0, -0.06, 0.0], travel_m: 0.06 };
+    vec![
+        gate("pipe", 1.2, TARGET_M, pipe, GateOpening::Vanish {}, Mesh::pipe(0.03, 0.05, 0.004)),
+        gate("slide", 2.0, PLATE_M, plate, slide, Mesh::block([-0.002, -0.06, 0.0], [0.002, 0.06, 0.1])),
+    ]
 }
 
 /// From 0 to 1 between two times, gently.

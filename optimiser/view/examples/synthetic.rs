@@ -13,10 +13,11 @@ use std::time::Instant;
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use powderline_shared::pose::Pose;
+use powderline_simulator::scene::{GateOpening, GateShape};
 use powderline_view::export::{Format, Series};
 use powderline_view::mesh::Mesh;
 use powderline_view::picture::{Animation, Camera, Colouring, Containers, Look, Stills};
-use powderline_view::{Bench, Container, Destination, Frame, Role, Sink, ViewError};
+use powderline_view::{Bench, Container, Destination, Frame, Gate, Role, Sink, ViewError};
 use serde_json::{Value, json};
 
 const PERIOD_S: f64 = 0.01;
@@ -137,6 +138,7 @@ fn play(motion: &Motion, every: usize, sink: &mut dyn Sink) -> Result<(), ViewEr
 struct Expected {
     contents: Value,
     tool: Mesh,
+    gates: Vec<Gate>,
 }
 
 impl Expected {
@@ -148,7 +150,7 @@ impl Expected {
             "frames": [],
             "destinations": {},
         });
-        Self { contents, tool: bench.tool.clone() }
+        Self { contents, tool: bench.tool.clone(), gates: bench.gates.clone() }
     }
 }
 
@@ -158,6 +160,7 @@ impl Sink for Expected {
         let speeds = frame.velocities_m_s.iter().map(|velocity| {
             [velocity.iter().map(|part| f64::from(*part).powi(2)).sum::<f64>().sqrt(), 0.0, 0.0]
         });
+        let gates = self.gates.iter().filter_map(|gate| gate.at(frame.time_s)).reduce(Mesh::and);
         let moment = json!({
             "index": frame.index,
             "time_s": frame.time_s,
@@ -165,6 +168,7 @@ impl Sink for Expected {
             "velocities_m_s": sums(frame.velocities_m_s.iter().map(|at| at.map(f64::from))),
             "speeds_m_s": sums(speeds).map(|sums| sums[0]),
             "tool": solid(&self.tool.clone().moved(&at)),
+            "gates": gates.map(|gates| solid(&gates)),
             "pose": pose(&frame.tool),
             "planned": frame.planned.as_ref().map(pose),
         });
@@ -236,12 +240,40 @@ fn bench() -> Bench {
             container("source", Role::Source, SOURCE_M, 0.030),
             container("target", Role::Target, TARGET_M, 0.040),
         ],
+        gates: gates(),
         tool: Mesh::bowl(BOWL_M, 0.004).and(Mesh::capsule([-BOWL_M - 0.002, 0.0, 0.0], handle, 0.004)),
         target_m: [0.176, 0.048, 0.010],
         particles: Motion::new().bed_m.len(),
         period_s: PERIOD_S,
         frames: FRAMES,
     }
+}
+
+/// A pipe in the target that is gone after 1.5 s, and a plate between the boxes that slides down for a second after 2.5 s.
+fn gates() -> Vec<Gate> {
+    let law = |name: &str, opens_at_s, position_m, shape, opening| powderline_simulator::scene::Gate {
+        name: name.to_owned(),
+        position_m,
+        yaw_deg: 0.0,
+        friction: 0.4,
+        opens_at_s,
+        shape,
+        opening,
+    };
+    let at = |[x, y, z]: [f64; 3]| Isometry3::translation(x, y, z);
+    let pipe = GateShape::Tube { inner_radius_m: 0.012, height_m: 0.030, wall_thickness_m: 0.004 };
+    let plate_m = [0.116, 0.048, 0.040];
+    let slide = GateOpening::Slide { velocity_m_s: [0.0, 0.0, -0.035], travel_m: 0.035 };
+    vec![
+        Gate {
+            law: law("pipe", 1.5, TARGET_M, pipe, GateOpening::Vanish {}),
+            mesh: Mesh::pipe(0.012, 0.030, 0.004).moved(&at(TARGET_M)),
+        },
+        Gate {
+            law: law("plate", 2.5, plate_m, GateShape::Box { size_m: [0.004, 0.04, 0.03] }, slide),
+            mesh: Mesh::block([-0.002, -0.02, 0.0], [0.002, 0.02, 0.03]).moved(&at(plate_m)),
+        },
+    ]
 }
 
 /// The tool at a time.

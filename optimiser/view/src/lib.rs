@@ -12,6 +12,7 @@ pub mod page;
 pub mod picture;
 pub mod whole;
 
+use nalgebra::Isometry3;
 use powderline_shared::pose::Pose;
 pub use powderline_simulator::rollout::Destination;
 
@@ -28,6 +29,8 @@ pub struct Bench {
     pub cell_m: f64,
     /// Containers, world frame.
     pub containers: Vec<Container>,
+    /// Walls that are there until they open.
+    pub gates: Vec<Gate>,
     /// The tool in its own frame: origin at the middle of its opening, +z out of it, +x the direction in which it pours.
     pub tool: Mesh,
     /// The point that the loss draws the powder to.
@@ -49,6 +52,24 @@ pub struct Container {
     pub role: Role,
     /// World frame.
     pub mesh: Mesh,
+}
+
+/// A gate.
+#[derive(Clone, Debug)]
+pub struct Gate {
+    /// Its name, and where it is when.
+    pub law: powderline_simulator::scene::Gate,
+    /// Where it is shut, world frame.
+    pub mesh: Mesh,
+}
+
+impl Gate {
+    /// Where it is at a time after the motion's start, if it is there.
+    #[must_use]
+    pub fn at(&self, time_s: f64) -> Option<Mesh> {
+        let [x, y, z] = self.law.displacement_m(time_s)?;
+        Some(self.mesh.clone().moved(&Isometry3::translation(x, y, z)))
+    }
 }
 
 /// What a container is for.

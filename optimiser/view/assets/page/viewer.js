@@ -1,4 +1,4 @@
-// The replay: powder, tool and containers in 3-D, played by time. Needs `powder.js` in front of it.
+// The replay: powder, tool, containers and gates in 3-D, played by time. Needs `powder.js` in front of it.
 
 /**
  * Colours along a scale, from its low end to its high end, ever darker. All are warm: blue and grey are what the powder
@@ -286,6 +286,7 @@ function makeStage({ THREE, OrbitControls }, replay, host) {
     source: new THREE.Group(),
     target: new THREE.Group(),
     bystander: new THREE.Group(),
+    gate: new THREE.Group(),
     tool: glass(THREE, about.tool, '--tool', 0.5, 0.9),
     planned: new THREE.Group(),
     path: path(THREE, about.poses, 0.1 * about.cell_m, '--executed'),
@@ -294,6 +295,11 @@ function makeStage({ THREE, OrbitControls }, replay, host) {
     // Faint: the powder within is to keep its colour.
     layers[role].add(glass(THREE, mesh, `--${role}`, 0.07, 0.9));
   }
+  const gates = about.gates.map(({ mesh, moved_m: moved }) => {
+    const solid = glass(THREE, mesh, '--gate', 0.07, 0.9);
+    layers.gate.add(solid);
+    return { solid, moved };
+  });
   const plannedTool = ghost(THREE, about.tool);
   const plannedPoses = about.planned.filter((pose) => pose);
   layers.planned.add(plannedTool, path(THREE, plannedPoses, 0.1 * about.cell_m, '--planned'));
@@ -332,6 +338,12 @@ function makeStage({ THREE, OrbitControls }, replay, host) {
       const at = replay.at(time);
       grains.show(at);
       place(layers.tool, about.poses[at.from], about.poses[at.to], at.share);
+      for (const { solid, moved } of gates) {
+        // Between the last frame that has it and the first that has not, it belongs to the nearer one.
+        const [from, to] = [moved[at.from], moved[at.to]];
+        solid.visible = Boolean(at.share < 0.5 ? from : to);
+        if (from ?? to) solid.position.set(...(from ?? to)).lerp(new THREE.Vector3(...(to ?? from)), at.share);
+      }
       const [a, b] = [about.planned[at.from], about.planned[at.to]];
       plannedTool.visible = Boolean(a ?? b);
       if (a ?? b) place(plannedTool, a ?? b, b ?? a, at.share);
@@ -373,11 +385,11 @@ function makeStage({ THREE, OrbitControls }, replay, host) {
   };
 }
 
-/** What should be in the picture: containers, and the tool wherever it goes. */
+/** What should be in the picture: containers, shut gates, and the tool wherever it goes. */
 function extentOf(THREE, about) {
   const box = new THREE.Box3();
   const reach = new THREE.Box3().setFromArray(about.tool.points_m).getBoundingSphere(new THREE.Sphere());
-  about.containers.forEach(({ mesh }) => box.union(new THREE.Box3().setFromArray(mesh.points_m)));
+  [...about.containers, ...about.gates].forEach(({ mesh }) => box.union(new THREE.Box3().setFromArray(mesh.points_m)));
   [...about.poses, ...about.planned].filter((pose) => pose).forEach((pose) => {
     const centre = reach.center.clone().applyQuaternion(new THREE.Quaternion(...pose.slice(3)));
     centre.add(new THREE.Vector3(...pose));
@@ -561,11 +573,12 @@ function bindKeys(replay, clock) {
   });
 }
 
-/** The containers' names beside their colours; no colour of what is not there. */
-function showRoles(containers) {
+/** Names of containers and gates beside their colours; no colour of what is not there. */
+function showRoles({ containers, gates }) {
+  const bodies = [...containers, ...gates.map(({ name }) => ({ name, role: 'gate' }))];
   document.querySelectorAll('[data-of]').forEach((word) => {
     const role = word.dataset.of;
-    const names = containers.filter((container) => container.role === role).map(({ name }) => name);
+    const names = bodies.filter((body) => body.role === role).map(({ name }) => name);
     if (!names.length) word.closest('label').remove();
     else if (names.join() !== role) word.textContent += `: ${names.join(', ')}`;
   });
@@ -580,7 +593,7 @@ function bindSettings(replay, stage, changed) {
   };
   element('colours').addEventListener('change', (event) => colour(event.target.value));
   if (about.destinations === null) document.querySelector('[value=destination]').closest('label').remove();
-  showRoles(about.containers);
+  showRoles(about);
   if (!about.planned.some((pose) => pose)) document.querySelector('[data-planned]').remove();
   colour('speed');
   element('layers').addEventListener('change', (event) => {

@@ -24,15 +24,16 @@ use nalgebra::Isometry3;
 use powderline_shared::pose::Pose;
 
 use crate::mesh::Mesh;
-use crate::{Bench, Destination, Frame, Sink, ViewError};
+use crate::{Bench, Destination, Frame, Gate, Sink, ViewError};
 
 /// What a series is written for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
     /// XML PolyData, to be opened as `series.pvd` by ParaView: `powder-NNNNN.vtp` with velocity (m/s), speed (m/s) and
-    /// particle number at each point, `tool-NNNNN.vtp`, `containers.vtp`.
+    /// particle number at each point, `tool-NNNNN.vtp`, `containers.vtp`, and `gates-NNNNN.vtp` while a gate is there.
     Vtk,
-    /// Binary PLY: `powder-NNNNN.ply` with x, y, z (m), vx, vy, vz and speed (m/s), `tool-NNNNN.ply`, `containers.ply`.
+    /// Binary PLY: `powder-NNNNN.ply` with x, y, z (m), vx, vy, vz and speed (m/s), `tool-NNNNN.ply`, `containers.ply`,
+    /// and `gates-NNNNN.ply` while a gate is there.
     Ply,
     /// `particles.csv`, a row for each particle and time, and `tool.csv`, a row for each time.
     Csv,
@@ -44,6 +45,7 @@ pub struct Series {
     folder: PathBuf,
     every: usize,
     tool: Mesh,
+    gates: Vec<Gate>,
     /// Digits of a frame's number.
     digits: usize,
     writer: Writer,
@@ -89,12 +91,18 @@ impl Series {
             Format::Csv => Writer::Csv(csv::Tables::new(&folder)?),
         };
         let digits = bench.frames.saturating_sub(1).max(1).ilog10() as usize + 1;
-        Ok(Self { folder, every, tool: bench.tool.clone(), digits: digits.max(4), writer })
+        let (tool, gates) = (bench.tool.clone(), bench.gates.clone());
+        Ok(Self { folder, every, tool, gates, digits: digits.max(4), writer })
     }
 
     /// The tool where it is.
     fn tool(&self, pose: &Pose) -> Mesh {
         self.tool.clone().moved(&Isometry3::from_parts(pose.position_m.into(), pose.orientation))
+    }
+
+    /// The gates that are there, if there are any.
+    fn gates(&self, time_s: f64) -> Option<Mesh> {
+        self.gates.iter().filter_map(|gate| gate.at(time_s)).reduce(Mesh::and)
     }
 }
 
@@ -103,22 +111,30 @@ impl Sink for Series {
         if !frame.index.is_multiple_of(self.every) {
             return Ok(());
         }
-        let tool = self.tool(&frame.tool);
+        let (tool, gates) = (self.tool(&frame.tool), self.gates(frame.time_s));
+        let bodies = [("tool", Some(&tool)), ("gates", gates.as_ref())];
+        let mut bodies = bodies.into_iter().filter_map(|(part, mesh)| Some((part, mesh?)));
         let name = |part: &str, ending: &str| {
             format!("{part}-{:0digits$}.{ending}", frame.index, digits = self.digits)
         };
         match &mut self.writer {
             Writer::Vtk(collection) => {
-                let names = ["powder", "tool"].map(|part| name(part, "vtp"));
-                write(&self.folder.join(&names[0]), |file| vtk::powder(file, frame))?;
-                write(&self.folder.join(&names[1]), |file| vtk::mesh(file, &tool))?;
-                collection.add(frame.time_s, names);
+                let mut parts = vec![("powder", name("powder", "vtp"))];
+                write(&self.folder.join(&parts[0].1), |file| vtk::powder(file, frame))?;
+                for (part, mesh) in bodies {
+                    let name = name(part, "vtp");
+                    write(&self.folder.join(&name), |file| vtk::mesh(file, mesh))?;
+                    parts.push((part, name));
+                }
+                collection.add(frame.time_s, parts);
                 Ok(())
             }
             Writer::Ply => {
                 write(&self.folder.join(name("powder", "ply")), |file| ply::powder(file, frame))?;
-                write(&self.folder.join(name("tool", "ply")), |file| {
-                    ply::mesh(file, &tool, Some(frame.time_s))
+                bodies.try_for_each(|(part, mesh)| {
+                    write(&self.folder.join(name(part, "ply")), |file| {
+                        ply::mesh(file, mesh, Some(frame.time_s))
+                    })
                 })
             }
             Writer::Csv(tables) => tables.add(frame),
@@ -218,14 +234,17 @@ mod tests {
         ] {
             let folder = folder.path().join(ending);
             play(format, &folder, 2).expect("a series");
-            let parts = ["powder", "tool"].into_iter();
-            let frames = parts.flat_map(|part| [0, 2, 4].map(|index| format!("{part}-{index:04}.{ending}")));
+            // After three of the frames the gate is gone.
+            let parts = [("powder", &[0, 2, 4][..]), ("tool", &[0, 2, 4]), ("gates", &[0, 2])].into_iter();
+            let frames = parts
+                .flat_map(|(part, of)| of.iter().map(move |index| format!("{part}-{index:04}.{ending}")));
             let others = others.iter().chain(&["destinations.csv"]).map(|name| (*name).to_owned());
             assert_eq!(names(&folder), frames.chain(others).collect());
         }
         let series = fs::read_to_string(folder.path().join("vtp/series.pvd")).expect("the series");
         let times: BTreeSet<&str> = series.split("timestep=\"").skip(1).map(|rest| &rest[..3]).collect();
         assert_eq!(times, BTreeSet::from(["0\" ", "0.5", "1\" "]));
+        assert_eq!(series.matches(r#"name="gates""#).count(), 2);
     }
 
     #[test]

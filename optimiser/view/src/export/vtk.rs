@@ -10,10 +10,13 @@ use super::particles;
 use crate::mesh::Mesh;
 use crate::{Frame, ViewError};
 
+/// What a file shows, and its name.
+pub(super) type Part = (&'static str, String);
+
 /// `series.pvd`: which files belong to which time.
 #[derive(Default)]
 pub(super) struct Collection {
-    moments: Vec<(f64, [String; 2])>,
+    moments: Vec<(f64, Vec<Part>)>,
 }
 
 impl Collection {
@@ -26,8 +29,8 @@ impl Collection {
         Ok(Self::default())
     }
 
-    pub(super) fn add(&mut self, time_s: f64, names: [String; 2]) {
-        self.moments.push((time_s, names));
+    pub(super) fn add(&mut self, time_s: f64, parts: Vec<Part>) {
+        self.moments.push((time_s, parts));
     }
 
     pub(super) fn finish(&self, folder: &Path) -> Result<(), ViewError> {
@@ -35,13 +38,10 @@ impl Collection {
             writeln!(file, r#"<?xml version="1.0"?>"#)?;
             writeln!(file, r#"<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">"#)?;
             writeln!(file, "  <Collection>")?;
-            for (time_s, [powder, tool]) in &self.moments {
+            for (time_s, parts) in &self.moments {
                 // The containers belong to every time: a part without one would not be shown there.
-                for (part, (name, path)) in
-                    [("powder", powder.as_str()), ("tool", tool), ("containers", CONTAINERS)]
-                        .iter()
-                        .enumerate()
-                {
+                let parts = parts.iter().map(|(name, path)| (*name, path.as_str()));
+                for (part, (name, path)) in parts.chain([("containers", CONTAINERS)]).enumerate() {
                     writeln!(
                         file,
                         r#"    <DataSet timestep="{time_s}" group="" part="{part}" name="{name}" file="{path}"/>"#

@@ -249,6 +249,7 @@ pub(super) struct About {
     target_m: [f64; 3],
     particles: usize,
     containers: Vec<ContainerAbout>,
+    gates: Vec<GateAbout>,
     tool: MeshAbout,
     times_s: Vec<f64>,
     /// Position (m) and quaternion (x, y, z, w).
@@ -268,6 +269,15 @@ struct ContainerAbout {
 }
 
 #[derive(Clone, Debug, Serialize)]
+struct GateAbout {
+    name: String,
+    /// Where it is shut.
+    mesh: MeshAbout,
+    /// In each frame how far it is from there, metres; null where it is no longer there.
+    moved_m: Vec<Option<[f64; 3]>>,
+}
+
+#[derive(Clone, Debug, Serialize)]
 struct MeshAbout {
     points_m: Vec<f64>,
     corners: Vec<u32>,
@@ -281,6 +291,14 @@ impl About {
             role: role_name(container.role),
             mesh: MeshAbout::new(&container.mesh),
         });
+        let gates = bench.gates.iter().map(|gate| GateAbout {
+            name: gate.law.name.clone(),
+            mesh: MeshAbout::new(&gate.mesh),
+            moved_m: kept
+                .iter()
+                .map(|frame| gate.law.displacement_m(frame.time_s).map(|moved_m| moved_m.map(rounded)))
+                .collect(),
+        });
         let known = destinations.len() == bench.particles;
         Self {
             name: bench.name.clone(),
@@ -289,6 +307,7 @@ impl About {
             target_m: bench.target_m,
             particles: bench.particles,
             containers: containers.collect(),
+            gates: gates.collect(),
             tool: MeshAbout::new(&bench.tool),
             times_s: kept.iter().map(|frame| rounded(frame.time_s)).collect(),
             poses: kept.iter().map(|frame| numbers(&frame.tool)).collect(),
@@ -338,6 +357,7 @@ fn rounded(number: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use powderline_simulator::scene::GateOpening;
     use std::io::Read as _;
 
     fn bench(particles: usize, period_s: f64) -> Bench {
@@ -346,6 +366,7 @@ mod tests {
             size_m: [0.4, 0.2, 0.3],
             cell_m: 0.01,
             containers: Vec::new(),
+            gates: Vec::new(),
             tool: Mesh::bowl(0.03, 0.002),
             target_m: [0.3, 0.1, 0.0],
             particles,
@@ -481,6 +502,22 @@ mod tests {
         let replay = recorder.into_replay().expect("frames came");
         assert_eq!(replay.frames(), 100);
         assert!(replay.powder_bytes() < 2 * 6 * 1000, "{}", replay.powder_bytes());
+    }
+
+    #[test]
+    fn gates_are_told_where_they_are_in_each_frame_that_is_left() {
+        let gate = crate::picture::sample::gate();
+        let mut slid = gate.clone();
+        slid.law.opening = GateOpening::Slide { velocity_m_s: [0.0, 0.0, 0.04], travel_m: 0.02 };
+        let bench = Bench { gates: vec![gate, slid], ..bench(4, 0.01) };
+        let replay = recorded(&bench, 100, usize::MAX).into_replay().expect("frames came");
+        let [gone, moved] = [0, 1].map(|gate| &replay.about.gates[gate].moved_m);
+        for (at, time_s) in replay.about.times_s.iter().enumerate() {
+            let moved_m = rounded(0.04 * (time_s - 0.75).max(0.0));
+            assert_eq!(gone[at], (*time_s < 0.7499).then_some([0.0; 3]), "{time_s} s");
+            assert_eq!(moved[at], Some([0.0, 0.0, moved_m]), "{time_s} s");
+        }
+        assert_eq!([gone.len(), moved.len()], [51; 2]);
     }
 
     #[test]

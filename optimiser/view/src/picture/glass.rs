@@ -1,7 +1,8 @@
-//! Containers that the powder is seen through.
+//! Containers and gates that the powder is seen through.
 
+use super::Body;
 use super::camera::View;
-use super::facet::{Facet, unit};
+use super::facet::unit;
 use super::raster::fragments;
 
 /// Width of the line along a fold, in samples.
@@ -21,7 +22,7 @@ pub(super) struct Layer {
     cover: f32,
 }
 
-/// All layers, sample after sample, in each from back to front. They stand still, as the camera does.
+/// All layers, sample after sample, in each from back to front.
 pub(super) struct Glass {
     layers: Vec<Layer>,
     /// Where each sample's layers begin, and where the last one's end.
@@ -29,10 +30,10 @@ pub(super) struct Glass {
 }
 
 impl Glass {
-    /// Containers with their colours, linear.
-    pub(super) fn new(view: &View, containers: &[(Vec<Facet>, [f32; 3])]) -> Self {
+    /// Some bodies.
+    pub(super) fn new<'a>(view: &View, bodies: impl Iterator<Item = &'a Body>) -> Self {
         let mut found: Vec<(u32, Layer)> = Vec::new();
-        for (facets, colour) in containers {
+        for Body { facets, colour, .. } in bodies {
             for facet in facets {
                 fragments(view, facet, |fragment| {
                     let sight = unit(&(view.eye - fragment.point_m));

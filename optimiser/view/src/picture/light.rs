@@ -4,6 +4,8 @@
 //! maps of all directions together give ambient occlusion and soft shadows, the same whichever way the camera looks and
 //! without noise. A pixel has four samples, and each of them asks a quarter of the directions.
 
+use std::borrow::Cow;
+
 use rayon::prelude::*;
 
 use super::facet::{Facet, unit};
@@ -25,6 +27,12 @@ const THROUGH: f32 = 0.72;
 
 /// Light that comes from below, scattered by the floor, as a share of that on a level surface.
 const BOUNCE: f32 = 0.22;
+
+/// What shades in one moment, a map for each light.
+pub(super) struct Maps<'a> {
+    opaque: Vec<Map>,
+    translucent: Cow<'a, [Map]>,
+}
 
 /// Directions, and the region of space that their maps cover.
 pub(super) struct Lights {
@@ -53,20 +61,38 @@ impl Lights {
         let texel_m = texel_m.clamp(radius_m / 320.0, radius_m / 32.0);
         let size = (2.0 * radius_m / texel_m).ceil() as usize;
         let mut lights = Self { lights: directions(azimuth_rad), middle_m, size, texel_m, walls: Vec::new() };
-        lights.walls = (0..lights.lights.len()).map(|light| lights.map(light, &[], 0.0, walls)).collect();
+        lights.walls = (0..lights.lights.len())
+            .map(|light| lights.map(lights.nothing(), light, &[], 0.0, walls))
+            .collect();
         lights
     }
 
-    /// The maps for powder of a radius and for solids.
-    pub(super) fn maps(&self, powder_m: &[V], radius_m: f32, solids: &[Facet]) -> Vec<Map> {
-        (0..self.lights.len())
+    /// The maps for powder of a radius, for solids, and for translucent walls besides those that are always there.
+    pub(super) fn maps(
+        &self,
+        powder_m: &[V],
+        radius_m: f32,
+        solids: &[Facet],
+        more_walls: &[Facet],
+    ) -> Maps<'_> {
+        let opaque = (0..self.lights.len())
             .into_par_iter()
-            .map(|light| self.map(light, powder_m, radius_m, solids))
-            .collect()
+            .map(|light| self.map(self.nothing(), light, powder_m, radius_m, solids))
+            .collect();
+        let with_more = |(light, map): (usize, &Map)| self.map(map.clone(), light, &[], 0.0, more_walls);
+        let translucent = match more_walls {
+            [] => Cow::Borrowed(&self.walls[..]),
+            _ => Cow::Owned(self.walls.par_iter().enumerate().map(with_more).collect()),
+        };
+        Maps { opaque, translucent }
     }
 
-    fn map(&self, light: usize, powder_m: &[V], radius_m: f32, solids: &[Facet]) -> Map {
-        let mut map = vec![f32::NEG_INFINITY; self.size * self.size];
+    fn nothing(&self) -> Map {
+        vec![f32::NEG_INFINITY; self.size * self.size]
+    }
+
+    /// A map with more in it.
+    fn map(&self, mut map: Map, light: usize, powder_m: &[V], radius_m: f32, solids: &[Facet]) -> Map {
         let reach = radius_m / self.texel_m;
         for centre in powder_m {
             let [x, y, height] = self.place(light, centre);
@@ -102,7 +128,7 @@ impl Lights {
     }
 
     /// Light on a surface in one of a pixel's samples; 1 on a level surface that nothing shades.
-    pub(super) fn at(&self, maps: &[Map], sample: usize, point_m: &V, normal: &V) -> f32 {
+    pub(super) fn at(&self, maps: &Maps<'_>, sample: usize, point_m: &V, normal: &V) -> f32 {
         // A surface must not shade itself by the coarseness of the map.
         let point_m = point_m + normal * (1.5 * self.texel_m);
         let mut sum = BOUNCE * (0.5 - 0.5 * normal.z);
@@ -116,14 +142,14 @@ impl Lights {
     }
 
     /// Share of a light that reaches a point.
-    fn passes(&self, maps: &[Map], light: usize, point_m: &V) -> f32 {
+    fn passes(&self, maps: &Maps<'_>, light: usize, point_m: &V) -> f32 {
         let [x, y, height] = self.place(light, point_m);
         let inside = |value: f32| value >= 0.0 && value < self.size as f32;
         if !inside(x) || !inside(y) {
             return 1.0;
         }
         let texel = y as usize * self.size + x as usize;
-        match (maps[light][texel] > height, self.walls[light][texel] > height) {
+        match (maps.opaque[light][texel] > height, maps.translucent[light][texel] > height) {
             (true, _) => 0.0,
             (false, true) => THROUGH,
             (false, false) => 1.0,

@@ -1,7 +1,7 @@
 //! Still pictures and animations, drawn without a GPU.
 //!
 //! A depth buffer holds the nearest surface of each sample, two by two samples to a pixel. Light comes from a sky and a
-//! large lamp (see `light`), containers are laid over the powder as translucent layers, or cut open. The same input
+//! large lamp (see `light`), containers and gates are laid over the powder as translucent layers, or cut open. The same input
 //! gives the same bytes, whatever the number of threads; those of the current rayon pool are used.
 //!
 //! ```no_run
@@ -29,7 +29,7 @@ use powderline_shared::pose::Pose;
 use rayon::prelude::*;
 
 use crate::mesh::Mesh;
-use crate::{Bench, Container, Destination, Frame, Role, ViewError};
+use crate::{Bench, Container, Destination, Frame, Gate, Role, ViewError};
 
 pub use animation::{Animation, Progress};
 pub use camera::Camera;
@@ -39,7 +39,7 @@ use camera::View;
 use facet::{Facet, facets};
 use glass::Glass;
 use label::Pen;
-use light::Lights;
+use light::{Lights, Maps};
 use raster::{Canvas, Finish, Texel};
 
 type V = nalgebra::Vector3<f32>;
@@ -147,15 +147,37 @@ impl Image {
     }
 }
 
+/// Something that powder may be seen through, or that is cut open.
+struct Body {
+    facets: Vec<Facet>,
+    middle: V,
+    /// Linear.
+    colour: [f32; 3],
+}
+
+impl Body {
+    fn new(mesh: &Mesh, colour: Rgb) -> Self {
+        Self { facets: facets(mesh), middle: middle(mesh), colour: linear(colour) }
+    }
+
+    fn moved(&self, by: &V) -> Self {
+        let still = UnitQuaternion::identity();
+        let facets = self.facets.iter().map(|facet| facet.moved(&still, by)).collect();
+        Self { facets, middle: self.middle + by, colour: self.colour }
+    }
+}
+
 /// Draws moments of one bench with one camera.
 pub struct Painter {
     camera: Camera,
     look: Look,
     view: View,
     lights: Lights,
+    containers: Vec<Body>,
+    /// The containers, if they are seen through.
     glass: Glass,
-    /// Containers that are cut open: surface, middle, colour.
-    cut: Vec<(Vec<Facet>, V, [f32; 3])>,
+    /// Gates where they are shut, and where they are when.
+    gates: Vec<(Body, Gate)>,
     tool: Vec<Facet>,
     ruler: Ruler,
     radius_m: f32,
@@ -173,21 +195,18 @@ impl Painter {
         points.extend(ruler.ends_m);
         let size_px = [look.width_px * FINE, look.height_px * FINE];
         let view = View::framing(camera, size_px, &points);
-        let containers: Vec<_> =
-            bench.containers.iter().map(|it| (facets(&it.mesh), linear(tint(it)))).collect();
-        let walls: Vec<Facet> = containers.iter().flat_map(|(facets, _)| facets.iter().cloned()).collect();
+        let containers: Vec<_> = bench.containers.iter().map(|it| Body::new(&it.mesh, tint(it))).collect();
+        let walls = all_facets(&containers);
         let size = V::from(bench.size_m.map(|size| size as f32));
         let texel_m = bench.cell_m as f32 / 6.0;
         let azimuth_rad = camera.azimuth_deg.to_radians() as f32;
         let lights = Lights::new(0.5 * size, 0.62 * facet::length(&size), texel_m, azimuth_rad, &walls);
         let is_glass = look.containers == Containers::Translucent;
-        let glass = Glass::new(&view, if is_glass { &containers } else { &[] });
-        let middles = bench.containers.iter().map(|container| middle(&container.mesh));
-        let cut = containers.iter().zip(middles).map(|((facets, colour), at)| (facets.clone(), at, *colour));
-        let cut = if is_glass { Vec::new() } else { cut.collect() };
+        let glass = Glass::new(&view, containers.iter().filter(|_| is_glass));
+        let gates = bench.gates.iter().map(|gate| (Body::new(&gate.mesh, GATE), gate.clone())).collect();
         let radius_m = RADIUS_CELLS * bench.cell_m as f32;
         let (tool, camera, look) = (facets(&bench.tool), *camera, look.clone());
-        Ok(Self { camera, look, view, lights, glass, cut, tool, ruler, radius_m })
+        Ok(Self { camera, look, view, lights, containers, glass, gates, tool, ruler, radius_m })
     }
 
     /// Draws a frame. `destinations` may be empty, unless they are what is to be seen.
@@ -197,10 +216,13 @@ impl Painter {
     }
 
     fn paint(&self, moment: &Moment, destinations: &[Destination]) -> Image {
-        let tool = self.tool_at(&moment.tool);
-        let canvas = self.surfaces(moment, &tool, destinations);
+        let (tool, gates) = (self.tool_at(&moment.tool), self.gates_at(moment.time_s));
+        let canvas = self.surfaces(moment, &tool, &gates, destinations);
         let places: Vec<V> = moment.powder.iter().map(place).filter(is_finite).collect();
-        let maps = self.lights.maps(&places, self.radius_m, &tool);
+        let maps = self.lights.maps(&places, self.radius_m, &tool, &all_facets(&gates));
+        let glass = self.is_glass() && !gates.is_empty();
+        let glass = glass.then(|| Glass::new(&self.view, self.containers.iter().chain(&gates)));
+        let seen = Seen { canvas, maps, glass: glass.as_ref().unwrap_or(&self.glass) };
         let background = linear(self.look.background);
         let shades = Shades::new();
         let mut rgb = vec![0; 3 * self.look.width_px * self.look.height_px];
@@ -209,8 +231,8 @@ impl Painter {
                 let mut sum = [0.0; 3];
                 for sample in 0..SAMPLES {
                     let at = (FINE * column + sample % FINE, FINE * row + sample / FINE);
-                    let seen = self.sample(&canvas, &maps, sample, at, &background);
-                    sum = [0, 1, 2].map(|part| sum[part] + seen[part].min(1.0) / SAMPLES as f32);
+                    let colour = self.sample(&seen, sample, at, &background);
+                    sum = [0, 1, 2].map(|part| sum[part] + colour[part].min(1.0) / SAMPLES as f32);
                 }
                 *pixel = sum.map(|part| shades.of(part));
             }
@@ -232,11 +254,30 @@ impl Painter {
         self.tool.iter().map(|facet| facet.moved(&turn, &by)).collect()
     }
 
+    /// The gates that are there at a time.
+    fn gates_at(&self, time_s: f64) -> Vec<Body> {
+        let at = |(body, gate): &(Body, Gate)| {
+            Some(body.moved(&V::from(gate.law.displacement_m(time_s)?.map(|along_m| along_m as f32))))
+        };
+        self.gates.iter().filter_map(at).collect()
+    }
+
+    fn is_glass(&self) -> bool {
+        self.look.containers == Containers::Translucent
+    }
+
     /// What is seen where, behind translucent walls.
-    fn surfaces(&self, moment: &Moment, tool: &[Facet], destinations: &[Destination]) -> Canvas<'_> {
+    fn surfaces(
+        &self,
+        moment: &Moment,
+        tool: &[Facet],
+        gates: &[Body],
+        destinations: &[Destination],
+    ) -> Canvas<'_> {
         let mut canvas = Canvas::floor(&self.view);
         let facing = self.camera.facing();
-        for (facets, middle, colour) in &self.cut {
+        let cut = self.containers.iter().chain(gates).filter(|_| !self.is_glass());
+        for Body { facets, middle, colour } in cut {
             canvas.cut(facets, middle, &facing, [*colour, colour.map(|part| 0.55 * part)]);
         }
         if self.look.labels {
@@ -273,25 +314,24 @@ impl Painter {
     /// The colour in one of a pixel's samples, linear.
     fn sample(
         &self,
-        canvas: &Canvas<'_>,
-        maps: &[Vec<f32>],
+        seen: &Seen<'_>,
         sample: usize,
         (column, row): (usize, usize),
         background: &[f32; 3],
     ) -> [f32; 3] {
         let index = row * self.view.size_px[0] + column;
-        let texel = &canvas.texels[index];
+        let texel = &seen.canvas.texels[index];
         if texel.finish == Finish::Empty {
-            return self.glass.over(index, texel.depth_m, *background);
+            return seen.glass.over(index, texel.depth_m, *background);
         }
         let point = self.view.eye + self.view.world(&self.view.ray(column, row)) * texel.depth_m;
-        let light = self.lights.at(maps, sample, &point, &texel.normal);
+        let light = self.lights.at(&seen.maps, sample, &point, &texel.normal);
         let colour = match texel.finish {
             Finish::Metal => self.metal(texel, &point, light),
             Finish::Floor => background.map(|part| part * light.min(1.0)),
             Finish::Matt | Finish::Empty => texel.albedo.map(|part| part * light),
         };
-        self.glass.over(index, texel.depth_m, colour)
+        seen.glass.over(index, texel.depth_m, colour)
     }
 
     /// Polished metal: it reflects a sky that is bright above and a floor that is darker.
@@ -328,6 +368,14 @@ impl Painter {
             Colouring::Destination => pen.key(image, corner, &key(destinations)),
         }
     }
+}
+
+/// What there is to be seen in a moment.
+struct Seen<'a> {
+    /// Behind translucent walls.
+    canvas: Canvas<'a>,
+    maps: Maps<'a>,
+    glass: &'a Glass,
 }
 
 /// One frame, kept.
@@ -407,6 +455,9 @@ fn key(destinations: &[Destination]) -> Vec<(Rgb, String)> {
         .collect()
 }
 
+/// Colour of gates.
+const GATE: Rgb = [134, 112, 160];
+
 fn tint(container: &Container) -> Rgb {
     match container.role {
         Role::Source => [118, 132, 158],
@@ -421,6 +472,10 @@ fn middle(mesh: &Mesh) -> V {
         mesh.points_m.iter().map(|point| point[axis]).reduce(pick).unwrap_or(0.0)
     };
     V::from([0, 1, 2].map(|axis| 0.5 * (end(axis, f64::min) + end(axis, f64::max)) as f32))
+}
+
+fn all_facets(bodies: &[Body]) -> Vec<Facet> {
+    bodies.iter().flat_map(|body| body.facets.iter().cloned()).collect()
 }
 
 /// A ruler on the floor before the bench, in five parts.
@@ -567,6 +622,8 @@ fn check(bench: &Bench, camera: &Camera, look: &Look) -> Result<(), ViewError> {
 
 #[cfg(test)]
 mod tests {
+    use powderline_simulator::scene::GateOpening;
+
     use super::sample::{bare, bench, frame, look, positions};
     use super::*;
 
@@ -574,7 +631,7 @@ mod tests {
 
     /// A bench without container and tool, whose cells are so large that a particle covers hundreds of pixels.
     fn empty_bench() -> Bench {
-        Bench { cell_m: 0.04, containers: Vec::new(), tool: Mesh::default(), ..bench() }
+        Bench { cell_m: 0.04, containers: Vec::new(), gates: Vec::new(), tool: Mesh::default(), ..bench() }
     }
 
     fn painter(bench: &Bench, look: &Look) -> Painter {
@@ -647,6 +704,30 @@ mod tests {
             assert!(one == draw(2, containers), "drawn with two threads");
         }
         assert!(draw(1, Containers::Translucent) != draw(1, Containers::CutOpen));
+    }
+
+    #[test]
+    fn gates_are_drawn_where_they_are_while_they_are_there() {
+        let slid = |travel_m: f64| {
+            let mut gate = sample::gate();
+            let velocity_m_s = [0.0, 0.0, 0.04];
+            gate.law.opening = GateOpening::Slide { velocity_m_s, travel_m };
+            Bench { gates: vec![gate], ..bench() }
+        };
+        for containers in [Containers::Translucent, Containers::CutOpen] {
+            let drawn = |bench: &Bench, index: usize| {
+                let look = Look { containers, labels: false, ..look() };
+                painter(bench, &look).draw(&frame(index, &positions(0)), &[])
+            };
+            let without = Bench { gates: Vec::new(), ..bench() };
+            assert!(drawn(&bench(), 2) != drawn(&without, 2), "it is there");
+            assert!(drawn(&bench(), 3) == drawn(&without, 3), "it has gone");
+            // After half a second a gate of 40 mm/s is 20 mm away, however far it goes on.
+            let [near, far] = [0.02, 0.03].map(slid);
+            assert!(drawn(&near, 2) == drawn(&bench(), 2), "not yet");
+            assert!(drawn(&near, 5) == drawn(&far, 5) && drawn(&near, 5) != drawn(&near, 4), "on its way");
+            assert!(drawn(&near, 9) == drawn(&near, 5) && drawn(&far, 9) != drawn(&near, 9), "at its end");
+        }
     }
 
     /// Containers stand on the floor; where their own floor is cut through, none of the floor below may be seen.

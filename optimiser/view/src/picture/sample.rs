@@ -1,10 +1,11 @@
 //! A small bench and its frames, for tests.
 
 use powderline_shared::pose::Pose;
+use powderline_simulator::scene::{GateOpening, GateShape};
 
 use super::{Colouring, Containers, Look};
 use crate::mesh::Mesh;
-use crate::{Bench, Container, Frame, Role};
+use crate::{Bench, Container, Frame, Gate, Role};
 
 /// One box and a bowl; a frame every quarter of a second, which binary numbers hold exactly.
 pub(crate) fn bench() -> Bench {
@@ -15,12 +16,28 @@ pub(crate) fn bench() -> Bench {
         size_m: [0.1, 0.1, 0.1],
         cell_m: 0.01,
         containers: vec![Container { name: "source".to_owned(), role: Role::Source, mesh }],
+        gates: vec![gate()],
         tool: Mesh::bowl(0.012, 0.002),
         target_m: [0.05; 3],
         particles: 3,
         period_s: 0.25,
         frames: 21,
     }
+}
+
+/// A plate before the box that is gone from frame 3 on.
+pub(crate) fn gate() -> Gate {
+    let law = powderline_simulator::scene::Gate {
+        name: "lid".to_owned(),
+        position_m: [0.05, 0.02, 0.0],
+        yaw_deg: 0.0,
+        friction: 0.4,
+        opens_at_s: 0.75,
+        shape: GateShape::Box { size_m: [0.04, 0.004, 0.03] },
+        opening: GateOpening::Vanish {},
+    };
+    let mesh = Mesh::block([0.03, 0.018, 0.0], [0.07, 0.022, 0.03]);
+    Gate { law, mesh }
 }
 
 /// A small picture with everything in it.
