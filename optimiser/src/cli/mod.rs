@@ -1,10 +1,11 @@
 //! The `optimise` command: arguments, progress, files, words.
 //!
-//! Exit codes: 0 success; 1 the command failed, or a plan did not reproduce; 2 the input makes no sense, or asks for what cannot be
-//! done; 3 a run is finished and its plan written, but misses the wanted amount by more than the tolerance; 130 interrupted;
-//! 141 nobody reads the output any more. Results go to standard output, progress and errors (one sentence) to standard
-//! error. With `--json` standard output holds one JSON object and nothing else: the command's, or, where it came to none,
-//! `error` with the sentence and `exit_code`. Only arguments that cannot be parsed leave it empty.
+//! Exit codes: 0 success; 1 the command failed, a plan did not reproduce, or a line of `validate` no longer holds; 2
+//! the input makes no sense, or asks for what cannot be done; 3 a run is finished and its plan written, but misses
+//! the wanted amount by more than the tolerance; 130 interrupted; 141 nobody reads the output any more. Results go to
+//! standard output, progress and errors (one sentence) to standard error. With `--json` standard output holds one
+//! JSON object and nothing else: the command's, or, where it came to none, `error` with the sentence and `exit_code`.
+//! Only arguments that cannot be parsed leave it empty.
 
 mod bench;
 mod check;
@@ -31,6 +32,7 @@ mod size;
 mod steps;
 #[cfg(test)]
 mod tests;
+mod validate;
 
 pub use check::{CheckArgs, CheckReport, MemoryRow};
 pub use error::CliError;
@@ -59,7 +61,7 @@ use std::{
     after_help = "Without a command, `optimise [OPTIONS] [SCENE]` means `optimise run [OPTIONS] [SCENE]`.\n\n\
     Exit codes:\n  \
     0    success\n  \
-    1    the command failed, or a plan did not reproduce\n  \
+    1    the command failed, a plan did not reproduce, or a line of `validate` no longer holds\n  \
     2    the input makes no sense\n  \
     130  interrupted (Ctrl-C)\n  \
     141  nobody reads the output any more (as in `| head`)"
@@ -96,6 +98,8 @@ enum Command {
     Compare(compare::CompareArgs),
     /// Compare the gradient with finite differences
     Gradcheck(gradcheck::GradcheckArgs),
+    /// Say how true the powder is: what is measured, the reference, its source, the tolerance
+    Validate(validate::ValidateArgs),
     /// Measure what each stage of the simulator takes
     #[command(after_help = "The scene that is called bench runs by `optimise`, or `optimise run bench`.")]
     Bench(bench::BenchArgs),
@@ -203,6 +207,7 @@ fn run_command(cli: Cli, context: &mut Context<'_>) -> Result<(), CliError> {
         Some(Command::Export(arguments)) => export::execute(&arguments, context),
         Some(Command::Compare(arguments)) => compare::execute(&arguments, context),
         Some(Command::Gradcheck(arguments)) => gradcheck::execute(&arguments, context),
+        Some(Command::Validate(arguments)) => validate::execute(&arguments, context),
         Some(Command::Bench(arguments)) => bench::execute(&arguments, context),
         Some(Command::Completions(arguments)) => shell::completions(arguments, context),
         Some(Command::Man(arguments)) => shell::man(&arguments, context),

@@ -76,7 +76,7 @@ pub(super) enum Motion {
 }
 
 impl Task {
-    /// Where the motion takes the tool through a container, of which the simulation says nothing.
+    /// Where the motion takes the tool through a container or a gate, of which the simulation says nothing.
     pub(super) fn collision(&self) -> Option<Collision> {
         let map = SkillMap::new(&self.scene);
         let start = map.start_pose();

@@ -14,7 +14,7 @@ use clap::Args;
 use powderline_shared::plan::PlanHeader;
 use powderline_simulator::{
     rollout::{Evaluation, Workload, check_memory},
-    scene::{ToolPart, figures::mass},
+    scene::{Obstacle, ToolPart, figures::mass},
     skill::{Collision, Theta},
 };
 use serde::Serialize;
@@ -34,7 +34,7 @@ pub(super) struct SimulateArgs {
 struct Report {
     scene: String,
     scene_digest: String,
-    /// Where the motion takes the tool through a container: nothing that an arm may do.
+    /// Where the motion takes the tool through a container or a gate: nothing that an arm may do.
     collision: Option<CollisionReport>,
     seed: u64,
     precision: &'static str,
@@ -57,7 +57,10 @@ struct Report {
 struct CollisionReport {
     /// Of the tool: `body` or `handle`.
     part: &'static str,
-    container: String,
+    /// Its name, if it is a container.
+    container: Option<String>,
+    /// Its name, if it is a gate.
+    gate: Option<String>,
     /// From the beginning of the motion.
     at_s: f64,
     /// In words.
@@ -71,7 +74,11 @@ impl From<Collision> for CollisionReport {
             ToolPart::Body => "body",
             ToolPart::Handle => "handle",
         };
-        Self { part, container: collision.container, at_s: collision.at_s, sentence }
+        let (container, gate) = match collision.obstacle {
+            Obstacle::Gate(name) => (None, Some(name)),
+            Obstacle::Container(name) => (Some(name), None),
+        };
+        Self { part, container, gate, at_s: collision.at_s, sentence }
     }
 }
 

@@ -31,6 +31,7 @@ mod compare;
 mod export;
 mod motion;
 mod pages;
+mod validate;
 
 /// Exit code of a run whose plan misses the wanted amount, as after few epochs with this stand-in.
 const MISSED: u8 = 3;
@@ -297,6 +298,8 @@ fn arguments_are_consistent() {
         "scenes --json",
         "new mine.toml --from bench-small",
         "completions fish",
+        "validate vial --full --threads 2",
+        "validate --short --write kept --commit abc --json",
         "export p --format csv",
         "export --plan p --format vtk",
         "export p --format csv --arm ur5e --base -1,0,0,0,0,-90 --tool 0,0,0.1,0,0,0 --near -1,2,3,4,5,6",
@@ -313,6 +316,9 @@ fn arguments_are_consistent() {
         "simulate --plan p --seed 1",
         "simulate --executed e",
         "simulate --theta 0,0,0,0,0 --executed e",
+        "validate --short --full",
+        "validate --threads 0",
+        "validate --commit abc",
         "export --format csv",
         "export p",
         "export p --plan p --format csv",

@@ -103,6 +103,7 @@ fn a_failure_is_an_object_too() {
     for (arguments, code, about) in [
         (&["check", "bnch", "--json"][..], 2, "did you mean `bench`?"),
         (&["gradcheck", "bnch", "--json"], 2, "no file called `bnch`"),
+        (&["validate", "bnch", "--json"], 2, "did you mean `bench`?"),
         (&["simulate", "bench", "--theta", "0,0,0,0", "--json"], 2, "there are 4"),
         (&["render", "bench", "--theta", "0,0,0,0,0", "--at", "99", "--json"], 2, "--at asks for 99 s"),
         (&["compare", "bench", "--seeds", "1,1", "--json"], 2, "twice"),

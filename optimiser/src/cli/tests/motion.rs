@@ -1,6 +1,7 @@
 //! Which motion it is, and what is the matter with it.
 
 use super::*;
+use powderline_simulator::scene::{Gate, GateOpening, GateShape, Obstacle};
 
 /// A finished run of a scene that is no embedded one.
 fn run_of_ones_own(place: &Place) -> String {
@@ -68,6 +69,7 @@ fn a_skill_through_a_wall_is_said_first() {
     fs::write(&file, scene.to_toml()).unwrap();
     let (theta, collision) = powderline_simulator::skill::colliding_skill(&scene).unwrap();
     let through = format!("--theta={}", theta.map(|x| x.to_string()).join(","));
+    let Obstacle::Container(container) = collision.obstacle.clone() else { panic!("{collision}") };
     let sentence = format!("{collision}: the simulated tool can do that, an arm cannot");
 
     let done = optimise(&["simulate", &file, &through]);
@@ -79,7 +81,7 @@ fn a_skill_through_a_wall_is_said_first() {
     let found = &report["collision"];
     assert_eq!(
         (&found["container"], &found["sentence"]),
-        (&collision.container.into(), &sentence.clone().into())
+        (&Value::from(container), &Value::from(sentence.clone()))
     );
     assert_eq!((&found["part"], found["at_s"].as_f64()), (&"body".into(), Some(collision.at_s)));
 
@@ -92,4 +94,32 @@ fn a_skill_through_a_wall_is_said_first() {
     let high = optimise(&["simulate", &file, "--theta", "0,0,1,0,0", "--json"]);
     assert!(serde_json::from_str::<Value>(&high.out).unwrap()["collision"].is_null());
     assert!(!optimise(&["simulate", &file, "--theta", "0,0,1,0,0"]).out.contains("Warning"));
+}
+
+#[test]
+fn a_skill_through_a_gate_is_said_and_one_after_it_has_opened_is_not() {
+    let place = Place::new();
+    let mut scene = Scene::load("bench-small").unwrap();
+    scene.gates = vec![Gate {
+        name: "lock".into(),
+        position_m: [0.084, 0.032, 0.0],
+        yaw_deg: 0.0,
+        friction: 0.4,
+        opens_at_s: 9.0,
+        shape: GateShape::Box { size_m: [0.004, 0.060, 0.120] },
+        opening: GateOpening::Vanish {},
+    }];
+    let mut collision = |opens_at_s: f64| {
+        scene.gates[0].opens_at_s = opens_at_s;
+        let file = place.text("lock.toml");
+        fs::write(&file, scene.to_toml()).unwrap();
+        let done = optimise(&["simulate", &file, "--theta", "0,0,0,0,0", "--json"]);
+        assert_eq!(done.code, 0, "{}", done.err);
+        serde_json::from_str::<Value>(&done.out).unwrap()["collision"].clone()
+    };
+    let found = collision(9.0);
+    assert_eq!((&found["gate"], &found["container"]), (&"lock".into(), &Value::Null));
+    let sentence = found["sentence"].as_str().unwrap();
+    assert!(sentence.starts_with("the tool's body would pass through gate \"lock\" at "), "{sentence}");
+    assert!(collision(found["at_s"].as_f64().unwrap() - 0.05).is_null());
 }
