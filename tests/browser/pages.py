@@ -84,7 +84,7 @@ const bytes = (colour) => {
 const style = getComputedStyle(document.documentElement);
 return {
   powder: globalThis.powderline.stage.powderColours.map(bytes),
-  containers: ['--source', '--target', '--bystander'].map((name) => bytes(style.getPropertyValue(name))),
+  containers: ['--source', '--target', '--bystander', '--gate'].map((name) => bytes(style.getPropertyValue(name))),
 };
 """
 
@@ -202,10 +202,12 @@ class Report:
         for entry in self.driver.get_log("performance"):
             message = json.loads(entry["message"])["message"]
             if message["method"] == "Network.requestWillBeSent":
-                url = message["params"]["request"]["url"]
-                # `chrome:` is the browser's own empty page, from before it was sent to the report.
-                own = url == self.path.as_uri() or url.startswith(("blob:", "data:", "chrome:"))
-                check(own, f"the page asked for {url}")
+                url, document = message["params"]["request"]["url"], message["params"]["documentURL"]
+                # The browser's own first page, with frames and requests of its own, from before it was sent to the report.
+                if document.startswith(("chrome:", "chrome-untrusted:")):
+                    continue
+                own = url == self.path.as_uri() or url.startswith(("blob:", "data:"))
+                check(own, f"{document} asked for {url}")
         entries = [entry for entry in self.driver.get_log("browser") if entry["level"] != "INFO"]
         # Pixels are read by this test, not by the page.
         loud = [entry["message"] for entry in entries if "stall due to ReadPixels" not in entry["message"]]
@@ -368,6 +370,7 @@ class Report:
             pictures[self.frame()] = self.pixels()["hash"]
         check(len(set(pictures.values())) >= min(len(times), 3), "pictures of different times are alike")
         self.check_tool(times)
+        self.check_gates(times)
 
     def check_tool(self, times):
         """The tool is where its pose says, and between two frames between them."""
@@ -377,6 +380,19 @@ class Report:
         self.settle()
         drawn = self.script("return powderline.stage.layers.tool.position.toArray()")
         check(math.dist(drawn, poses[middle][:3]) < 1e-6, f"the tool is at {drawn}")
+
+    def check_gates(self, times):
+        """Every gate is where the page's frames have it, and is not drawn where it is no longer there."""
+        for frame in range(0, len(times), max(1, len(times) // 12)):
+            self.script("powderline.clock.set(arguments[0])", times[frame])
+            self.settle()
+            told = self.script("return powderline.replay.about.gates.map((gate) => gate.moved_m[arguments[0]])", frame)
+            drawn = self.script("return powderline.stage.layers.gate.children.map((gate) => gate.visible"
+                                " ? gate.position.toArray() : null)")
+            check(len(drawn) == len(told), f"{len(drawn)} of {len(told)} gates are drawn")
+            for there, wanted in zip(drawn, told):
+                same = math.dist(there, wanted) < 1e-6 if there and wanted else there == wanted
+                check(same, f"at {times[frame]} s a gate is at {there}, not at {wanted}")
 
     def check_playing(self):
         self.scrub(0)

@@ -95,7 +95,8 @@ def check_vtk(folder, expected):
     named = {name for files in parts.values() for name in files.values()}
     same("vtk: files", named, {path.name for path in folder.glob("*.vtp")})
     for one, files in zip(frames(expected), parts.values()):
-        same("series.pvd: parts", sorted(files), ["containers", "powder", "tool"])
+        gates = ["gates"] if one["frame"]["gates"] else []
+        same("series.pvd: parts", sorted(files), ["containers", *gates, "powder", "tool"])
         data = read_vtk(folder / files["powder"])
         count = expected["particles"]
         same(f"{files['powder']}: cells", data.GetNumberOfVerts(), count)
@@ -108,6 +109,8 @@ def check_vtk(folder, expected):
         same(f"{files['powder']}: numbers", value("particle").tolist(), list(range(count)))
         powder(files["powder"], one, points_of(data), value("velocity"), value("speed"))
         solid(files["tool"], *surface_of(read_vtk(folder / files["tool"])), one["frame"]["tool"])
+        for name in gates:
+            solid(files[name], *surface_of(read_vtk(folder / files[name])), one["frame"][name])
         surface = surface_of(read_vtk(folder / files["containers"]))
         solid(files["containers"], *surface, expected["containers"])
     destinations(folder, expected)
@@ -134,10 +137,11 @@ def surface_of(data):
 
 def check_ply(folder, expected):
     numbers = [f"{frame['index']:04}" for frame in expected["frames"]]
-    names = [f"{part}-{number}.ply" for part in ("powder", "tool") for number in numbers]
+    bodies = [["tool", *(["gates"] if frame["gates"] else [])] for frame in expected["frames"]]
+    names = [f"{part}-{number}.ply" for number, of in zip(numbers, bodies) for part in ("powder", *of)]
     same("ply: files", {path.name for path in folder.glob("*.ply")}, {"containers.ply", *names})
-    for one, number in zip(frames(expected), numbers):
-        for name in (f"powder-{number}.ply", f"tool-{number}.ply"):
+    for one, number, of in zip(frames(expected), numbers, bodies):
+        for name in (f"{part}-{number}.ply" for part in ("powder", *of)):
             header = (folder / name).read_bytes().split(b"end_header")[0].decode()
             same(f"{name}: time", f"comment time_s {one['frame']['time_s']:g}" in header.splitlines(), True)
         name = f"powder-{number}.ply"
@@ -145,9 +149,10 @@ def check_ply(folder, expected):
         values = cloud.metadata["_ply_raw"]["vertex"]["data"]
         velocities = numpy.stack([values[axis].ravel() for axis in ("vx", "vy", "vz")], axis=1)
         powder(name, one, cloud.vertices, velocities, values["speed"].ravel())
-        name = f"tool-{number}.ply"
-        mesh = trimesh.load(folder / name, process=False)
-        solid(name, mesh.vertices, mesh.faces, one["frame"]["tool"])
+        for part in of:
+            name = f"{part}-{number}.ply"
+            mesh = trimesh.load(folder / name, process=False)
+            solid(name, mesh.vertices, mesh.faces, one["frame"][part])
     mesh = trimesh.load(folder / "containers.ply", process=False)
     solid("containers.ply", mesh.vertices, mesh.faces, expected["containers"])
     destinations(folder, expected)
@@ -222,6 +227,8 @@ def spoilings(expected):
         ("a file's presence", "vtk", lambda at: (at / f"{name}.vtp").unlink()),
         ("a velocity", "ply", lambda at: spoil_byte(at / f"{name}.ply", 6)),
         ("a corner of a triangle", "ply", lambda at: spoil_byte(at / "containers.ply", 4)),
+        ("a gate's presence", "ply", lambda at: (at / "gates-0100.ply").unlink()),
+        ("a gate's place", "vtk", lambda at: shutil.copy(at / "gates-0300.vtp", at / "gates-0400.vtp")),
         ("a time", "ply", lambda at: spoil_bytes(at / "powder-0500.ply", b"time_s 5", b"time_s 6")),
         ("a position", "csv", lambda at: spoil_number(at / "particles.csv", 4321, 3)),
         ("two particles' order", "csv", lambda at: swap_rows(at / "particles.csv", 100)),

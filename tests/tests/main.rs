@@ -7,6 +7,7 @@
 
 mod changelog;
 mod executed;
+mod guide;
 mod interrupted;
 mod links;
 mod next;

@@ -1,0 +1,26 @@
+//! What the guide has a reader write.
+
+use powderline_simulator::scene::{FillShape, Scene, embedded_scene};
+use powderline_simulator::skill::{SkillMap, collision};
+
+#[test]
+fn the_column_of_the_guide_is_a_scene() {
+    let guide = include_str!("../../optimiser/guide/scenes.md");
+    let blocks: Vec<&str> =
+        guide.split("```toml\n").skip(1).map(|rest| rest.split("```").next().unwrap()).collect();
+    let [lines, gate] = blocks[..] else { panic!("{blocks:?}") };
+    let key = |line: &str| line.split(" =").next().unwrap_or_default().to_owned();
+    let changed = |line: &str| lines.lines().find(|new| key(new) == key(line)).unwrap_or(line).to_owned();
+    let bench = embedded_scene("bench").unwrap();
+    let text: Vec<String> = bench.lines().map(changed).collect();
+    let scene = Scene::from_toml("column.toml", &format!("{}\n{gate}", text.join("\n"))).unwrap();
+    assert_eq!((scene.gates.len(), scene.powder.fill_shape), (1, FillShape::Cylinder));
+    assert_eq!(text.iter().zip(bench.lines()).filter(|(new, old)| new != old).count(), lines.lines().count());
+    // The pipe is out of the spoon's way by then.
+    let map = SkillMap::new(&scene);
+    let motion = map.quantise(&[0.0; 5]).unwrap().controls;
+    assert_eq!(collision(&scene, map.start_pose(), &motion), None);
+    let mut shut = scene.clone();
+    shut.gates[0].opens_at_s = 9.0;
+    assert!(collision(&shut, map.start_pose(), &motion).is_some());
+}
