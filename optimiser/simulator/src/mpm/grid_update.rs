@@ -7,7 +7,7 @@ use crate::mpm::density::{inverse_room, room_beside};
 use crate::mpm::layout::{BLOCK_EDGE, BLOCK_NODES, NodeBlock, Nodes};
 use crate::mpm::obstacle::{Collider, NearbyCollider};
 use crate::mpm::particles::{LANES, Lanes, set_vec, vec_of};
-use crate::mpm::sleep::wakes;
+use crate::mpm::sleep::can_wake;
 use crate::mpm::tiles::Tiles;
 use crate::real::Real;
 use crate::shape::{SignedDistance, with_solid};
@@ -52,7 +52,7 @@ pub(crate) struct UpdateNodes<'a, T> {
 }
 
 impl<T: Real> pulp::NullaryFnOnce for UpdateNodes<'_, T> {
-    /// Whether any node moves too fast for sleepers.
+    /// Whether any node moves so fast that it can wake sleepers.
     type Output = bool;
 
     #[inline(always)]
@@ -88,7 +88,7 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodes<'_, T> {
             }
         }
         self.model.sleep_speed > T::ZERO
-            && self.velocity.iter().zip(self.momentum).any(|(v, p)| p[3] > T::ZERO && wakes(self.model, v))
+            && self.velocity.iter().zip(self.momentum).any(|(v, p)| p[3] > T::ZERO && can_wake(self.model, v))
     }
 }
 

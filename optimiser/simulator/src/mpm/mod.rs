@@ -40,7 +40,7 @@ pub(crate) mod tiles;
 pub(crate) mod timings;
 
 /// Raised with every change of what a substep computes: a run is not resumed by another physics.
-pub const PHYSICS_VERSION: u32 = 4;
+pub const PHYSICS_VERSION: u32 = 5;
 
 use std::marker::PhantomData;
 

@@ -3,9 +3,10 @@
 //! A block of particles whose speeds `|v|` and `|C| dx` have stayed below the scene's `sleep_speed_m_s` for [`QUIET_S`], and
 //! that the tool is not near, falls asleep: its particles stay as they are, and what they send to the grid stays what it
 //! was, so that neighbours that are awake still rest on it. Nodes to which sleepers alone send are not computed. It wakes when the
-//! tool comes within [`TOOL_MARGIN_CELLS`], when a gate that moves or has just gone is as near, when one of its nodes moves at
-//! more than [`WAKE_RATIO`] times that speed, or when a sort brings it a new particle or takes one away. Beside a gate that
-//! stays where it is it sleeps as beside a wall.
+//! tool comes within [`TOOL_MARGIN_CELLS`], when a gate that moves or has just gone is as near, when one of its nodes moves
+//! otherwise than when it fell asleep, by more than [`WAKE_RATIO`] times that speed, or when a sort brings it a new particle or
+//! takes one away. Above a free surface there are nodes with so little mass that gravity moves them in every substep, and no
+//! particle with them: hence otherwise. Beside a gate that stays where it is a block sleeps as beside a wall.
 //!
 //! Backwards a sleeper's cotangents stay as they are, like its particles: how its weight on its neighbours depends on them is
 //! left out. What these decisions remember is part of the state, and gates go by time, so a rollout that restarts from a state
@@ -15,17 +16,18 @@ use std::sync::Arc;
 
 use crate::mpm::Model;
 use crate::mpm::bodies::Bodies;
-use crate::mpm::layout::{Block, Layout, Nodes, any_shared, empty_tile};
+use crate::mpm::layout::{Block, Layout, Nodes, any_shared, empty_tile, load_tile};
 use crate::mpm::p2g::ParticlesToTile;
 use crate::mpm::particles::{EMPTY_LANE, Group, LANES};
 use crate::mpm::stencil::Tile;
 use crate::real::Real;
+use crate::small::dot;
 
 /// How long a block has to be quiet before it falls asleep, s.
 pub(crate) const QUIET_S: f64 = 0.03;
 /// Distance from the tool, or from a gate that stirs, to the nearest cell that may sleep, in cells.
 pub(crate) const TOOL_MARGIN_CELLS: usize = 2;
-/// Speed of a node that wakes, over the speed of particles that may sleep.
+/// Change of a node's velocity that wakes, over the speed of particles that may sleep.
 pub(crate) const WAKE_RATIO: f64 = 2.0;
 
 /// What is to be known of a block's rest.
@@ -42,6 +44,8 @@ pub(crate) struct SleepState<T> {
 struct SleepingBlock<T> {
     /// What its particles send to the grid.
     tile: Tile<T>,
+    /// Velocities of its nodes when it fell asleep.
+    velocity: Tile<T>,
     /// The particles. All states in which it sleeps share them, and need not have them among their own.
     groups: Vec<Group<T>>,
 }
@@ -86,15 +90,20 @@ pub(crate) fn all_awake<T: Copy>(layout: &Layout) -> Vec<SleepState<T>> {
     layout.blocks.iter().map(|_| SleepState::AWAKE).collect()
 }
 
-/// Whether a node of this velocity wakes those who send to it; one that is no number does.
+/// Whether a node of this velocity can wake those who send to it; one that is no number does.
 #[inline(always)]
-pub(crate) fn wakes<T: Real>(model: &Model<T>, [x, y, z, _]: &[T; 4]) -> bool {
+pub(crate) fn can_wake<T: Real>(model: &Model<T>, &[x, y, z, _]: &[T; 4]) -> bool {
     let limit = T::from_f64(WAKE_RATIO) * model.sleep_speed;
-    let still = *x * *x + *y * *y + *z * *z <= limit * limit;
+    let still = dot([x, y, z], [x, y, z]) <= limit * limit;
     !still
 }
 
-/// Whether a sleeper is disturbed. `moving` are the node blocks in which any node moves that fast.
+/// Whether a node of this velocity, which was another when a block fell asleep, wakes the block.
+fn wakes<T: Real>(model: &Model<T>, now: &[T; 4], then: &[T; 4]) -> bool {
+    can_wake(model, now) && can_wake(model, &std::array::from_fn(|k| now[k] - then[k]))
+}
+
+/// Whether a sleeper is disturbed. `moving` are the node blocks in which any node moves so fast that it could.
 pub(crate) fn is_disturbed<T: Real>(
     model: &Model<T>,
     block: &Block,
@@ -106,7 +115,9 @@ pub(crate) fn is_disturbed<T: Real>(
     any_shared(
         block,
         |node_block| moving[node_block],
-        |node_block, node, at| sleeper.tile[at][3] > T::ZERO && wakes(model, &velocity[node_block][node]),
+        |node_block, node, at| {
+            sleeper.tile[at][3] > T::ZERO && wakes(model, &velocity[node_block][node], &sleeper.velocity[at])
+        },
     )
 }
 
@@ -135,10 +146,11 @@ pub(crate) fn next_state<T: Real>(
     SleepState { quiet, sleeper: None }
 }
 
-/// Lets those fall asleep that have been quiet long enough.
+/// Lets those fall asleep that have been quiet long enough. The nodes are those of this layout.
 pub(crate) fn fall_asleep<T: Real>(
     model: &Model<T>,
     layout: &Layout,
+    velocity: &[Nodes<T>],
     groups: &[Group<T>],
     rest: &mut [SleepState<T>],
 ) {
@@ -149,7 +161,9 @@ pub(crate) fn fall_asleep<T: Real>(
         }
         let groups = &groups[block.first_group..block.first_group + block.groups()];
         unused.resize(groups.len(), Group::ZERO);
-        let mut sleeper = SleepingBlock { tile: empty_tile(), groups: groups.to_vec() };
+        let mut sleeper =
+            SleepingBlock { tile: empty_tile(), velocity: empty_tile(), groups: groups.to_vec() };
+        load_tile(block, velocity, &mut sleeper.velocity);
         let (from, state, tile) = (Some(groups), &mut unused[..], &mut sleeper.tile);
         model.arch.dispatch(ParticlesToTile { model, block, from, state, tile });
         rest.sleeper = Some(Arc::new(sleeper));
@@ -181,7 +195,7 @@ pub(crate) fn after_sort<T: Copy>(
         let in_order = places.iter().zip(old_groups.start * LANES..).all(|(place, at)| *place as usize == at);
         match &before[b].sleeper {
             Some(sleeper) if !in_order => {
-                let sleeper = SleepingBlock { tile: sleeper.tile, groups: groups[range].to_vec() };
+                let sleeper = SleepingBlock { groups: groups[range].to_vec(), ..**sleeper };
                 SleepState { quiet: before[b].quiet, sleeper: Some(Arc::new(sleeper)) }
             }
             _ => before[b].clone(),

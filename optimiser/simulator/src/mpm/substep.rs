@@ -34,6 +34,8 @@ pub(crate) struct State<T> {
     stale: bool,
     /// Substeps since the last sort.
     age: u32,
+    /// Substeps since volumes were held to the grid's density.
+    since_held: u32,
     /// Of each block.
     rest: Vec<SleepState<T>>,
 }
@@ -48,21 +50,29 @@ const HOLD_EVERY: u32 = 4;
 impl<T: Real> State<T> {
     /// Whether volumes are held in the substep that begins here.
     pub(crate) fn holds_volume(&self, model: &Model<T>) -> bool {
-        model.holds_volume && self.age.is_multiple_of(HOLD_EVERY)
+        model.holds_volume && self.since_held == 0
     }
 
     /// Sorted state of the given particles.
     pub(crate) fn new(model: &Model<T>, particles: &Particles<T>) -> Result<Self, EscapedParticle> {
         let (particles, layout, _) = sort(&model.grid, particles, &mut BufferPool::empty())?;
         let rest = sleep::all_awake(&layout);
-        Ok(Self { particles, layout: Arc::new(layout), sorted_from: None, stale: false, age: 0, rest })
+        Ok(Self {
+            particles,
+            layout: Arc::new(layout),
+            sorted_from: None,
+            stale: false,
+            age: 0,
+            since_held: 0,
+            rest,
+        })
     }
 
     /// Nothing, to be written to.
     pub(crate) fn empty() -> Self {
         let layout = Arc::new(Layout { blocks: Vec::new(), nodes: Vec::new() });
         let particles = Particles { groups: Vec::new(), ids: Arc::new([]) };
-        Self { particles, layout, sorted_from: None, stale: false, age: 0, rest: Vec::new() }
+        Self { particles, layout, sorted_from: None, stale: false, age: 0, since_held: 0, rest: Vec::new() }
     }
 
     /// The same again.
@@ -83,6 +93,12 @@ impl<T: Real> State<T> {
         spare.return_groups(self.particles.groups);
     }
 
+    /// One substep more than these.
+    fn count(&mut self, age: u32, since_held: u32) {
+        self.age = age + 1;
+        self.since_held = (since_held + 1) % HOLD_EVERY;
+    }
+
     /// Sorts if a particle has come to the end of its block's reach.
     fn sort_if_due(&mut self, model: &Model<T>, spare: &mut BufferPool<T>) -> Result<(), EscapedParticle> {
         self.sorted_from = None;
@@ -97,6 +113,7 @@ impl<T: Real> State<T> {
                 sorted_from: Some((order.into(), groups)),
                 stale: false,
                 age: 0,
+                since_held: self.since_held,
             };
             std::mem::replace(self, sorted).recycle_into(spare);
         }
@@ -175,7 +192,7 @@ pub(crate) struct Workspace<T> {
     tiles: Vec<Tile<T>>,
     /// Of the latest substep.
     pub(crate) on_grid: OnGrid<T>,
-    /// The node blocks in which something moves too fast for sleepers.
+    /// The node blocks in which something moves so fast that it can wake sleepers.
     moving: Vec<bool>,
     momentum_bar: Vec<Nodes<T>>,
     /// Cotangents of the particles, between two gradients.
@@ -240,7 +257,7 @@ impl<T: Real> Workspace<T> {
         let holds = state.holds_volume(model);
         let groups = &mut state.particles.groups;
         self.particles_to_grid(model, bodies, holds, (&state.layout, &state.rest), None, groups);
-        state.age += 1;
+        state.count(state.age, state.since_held);
         self.grid_to_particles(model, bodies, holds, state)
     }
 
@@ -258,7 +275,7 @@ impl<T: Real> Workspace<T> {
         to.particles.ids = Arc::clone(&from.particles.ids);
         to.layout = Arc::clone(&from.layout);
         to.rest.clone_from(&from.rest);
-        to.age = from.age + 1;
+        to.count(from.age, from.since_held);
         let holds = from.holds_volume(model);
         let groups = &mut to.particles.groups;
         self.particles_to_grid(model, bodies, holds, (&from.layout, &from.rest), Some(input), groups);
@@ -304,7 +321,10 @@ impl<T: Real> Workspace<T> {
         state.rest = rest;
         state.stale = seen.iter().any(|seen| !seen.inside) || state.age >= SORT_EVERY;
         let sorted = state.sort_if_due(model, &mut self.spare);
-        sleep::fall_asleep(model, &state.layout, &state.particles.groups, &mut state.rest);
+        // After a sort the nodes are others; those who would fall asleep do so in the next substep.
+        if state.sorted_from.is_none() {
+            sleep::fall_asleep(model, &state.layout, velocity, &state.particles.groups, &mut state.rest);
+        }
         self.timings.mark(Stage::Sort);
         sorted
     }

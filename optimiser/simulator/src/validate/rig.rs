@@ -284,9 +284,9 @@ mod tests {
         rig.run(0.02, &meter).unwrap();
         let after = rig.velocities();
         let falling = -GRAVITY * 0.02;
-        assert!(after[8..].iter().all(|v| (v[0] - 0.1).abs() < 2e-3 && (v[2] - falling).abs() < 2e-3));
+        assert!(after[8..].iter().all(|v| (v[0] - 0.1).abs() < 3e-3 && (v[2] - falling).abs() < 3e-3));
         // They share some nodes, and the first ones those of the floor.
-        assert!(after[..8].iter().all(|v| v[0].abs() < 0.03 && v[2] > 0.5 * falling), "{after:?}");
+        assert!(after[..8].iter().all(|v| v[0].abs() < 0.03 && v[2] > 1.05 * falling), "{after:?}");
     }
 
     #[test]
