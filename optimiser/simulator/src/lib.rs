@@ -3,7 +3,7 @@
 //! the path.
 //!
 //! The powder is a continuum, moved by the moving least squares material point method (MLS-MPM)
-//! with Drucker-Prager or Matsuoka-Nakai plasticity, in contact with rigid containers, gates that open,
+//! with Matsuoka-Nakai or Drucker-Prager plasticity, in contact with rigid containers, gates that open,
 //! and a rigid tool by Coulomb friction. Every stage of a substep has its adjoint beside it, tested by
 //! Taylor slopes. The same scene, seed and precision give the same bits on any machine, for any number
 //! of threads and any memory budget.

@@ -12,7 +12,7 @@ use std::path::Path;
 use crate::mpm::particles::LANES;
 use crate::mpm::spare::{Size, state_bytes};
 use crate::real::Real;
-use crate::scene::{BLOCK_CELLS, Scene};
+use crate::scene::{BLOCK_CELLS, Scene, VolumeCorrection};
 use powderline_shared::plan::Precision;
 
 /// Numbers in a particle's state: position 3, velocity 3, affine velocity 9, elastic strain 6, volume correction 1.
@@ -91,15 +91,16 @@ impl Sizes {
 
     fn of<T: Real>(scene: &Scene, threads: usize) -> Self {
         // The motion with what its gradient needs for each control step, and the motions of the probes; the list of obstacles for
-        // each block of the grid; and each particle's place in the packing and at the end.
+        // each block of the grid, and what they leave of its nodes' room; and each particle's place in the packing and at the end.
         const PER_CONTROL_STEP: u64 = 720 + 16 * 104;
-        const PER_BLOCK: u64 = 64;
         const PER_PARTICLE: u64 = 120;
+        let rooms = scene.powder.volume_correction == VolumeCorrection::Grid;
+        let per_block = 64 + if rooms { (BLOCK_CELLS.pow(3) * size_of::<T>()) as u64 } else { 0 };
         let blocks: u64 = scene.block_counts().iter().map(|count| *count as u64).product();
         let fixed = PROCESS_BYTES
             + 2 * THREAD_BYTES * threads as u64
             + PER_CONTROL_STEP * u64::from(scene.time.horizon_steps)
-            + PER_BLOCK * blocks
+            + per_block * blocks
             + PER_PARTICLE * scene.particle_count() as u64;
         // A fifth for lanes that hold no particle.
         let groups = scene.particle_count().div_ceil(LANES) * 6 / 5;
@@ -172,7 +173,7 @@ pub(crate) fn min_checkpoints(steps: u64, passes: u32) -> u64 {
 }
 
 /// What is left free of a budget, for what is small and not counted one by one: some bytes, and a share.
-const LEAST_SLACK_BYTES: u64 = 4 << 20;
+const LEAST_SLACK_BYTES: u64 = 6 << 20;
 const SLACK_SHARE: u64 = 32;
 
 /// What a process may hold, and does.

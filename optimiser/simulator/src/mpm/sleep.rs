@@ -19,7 +19,7 @@ use crate::mpm::bodies::Bodies;
 use crate::mpm::layout::{Block, Layout, Nodes, any_shared, empty_tile, load_tile};
 use crate::mpm::p2g::ParticlesToTile;
 use crate::mpm::particles::{EMPTY_LANE, Group, LANES};
-use crate::mpm::stencil::Tile;
+use crate::mpm::stencil::{TILE_LENGTH, Tile};
 use crate::real::Real;
 use crate::small::dot;
 
@@ -44,8 +44,8 @@ pub(crate) struct SleepState<T> {
 struct SleepingBlock<T> {
     /// What its particles send to the grid.
     tile: Tile<T>,
-    /// Velocities of its nodes when it fell asleep.
-    velocity: Tile<T>,
+    /// Its nodes that could wake it already when it fell asleep, in order, and their velocities then.
+    unquiet: Vec<(u16, [T; 4])>,
     /// The particles. All states in which it sleeps share them, and need not have them among their own.
     groups: Vec<Group<T>>,
 }
@@ -98,9 +98,24 @@ pub(crate) fn can_wake<T: Real>(model: &Model<T>, &[x, y, z, _]: &[T; 4]) -> boo
     !still
 }
 
-/// Whether a node of this velocity, which was another when a block fell asleep, wakes the block.
-fn wakes<T: Real>(model: &Model<T>, now: &[T; 4], then: &[T; 4]) -> bool {
-    can_wake(model, now) && can_wake(model, &std::array::from_fn(|k| now[k] - then[k]))
+impl<T: Real> SleepingBlock<T> {
+    /// Whether this velocity of the tile's node wakes it.
+    fn is_woken_by(&self, model: &Model<T>, at: usize, now: &[T; 4]) -> bool {
+        if !self.sends_to(at) || !can_wake(model, now) {
+            return false;
+        }
+        match self.unquiet.binary_search_by_key(&at, |(node, _)| usize::from(*node)) {
+            Ok(found) => {
+                let (_, then) = self.unquiet[found];
+                can_wake(model, &std::array::from_fn(|k| now[k] - then[k]))
+            }
+            Err(_) => true,
+        }
+    }
+
+    fn sends_to(&self, at: usize) -> bool {
+        self.tile[at][3] > T::ZERO
+    }
 }
 
 /// Whether a sleeper is disturbed. `moving` are the node blocks in which any node moves so fast that it could.
@@ -115,9 +130,7 @@ pub(crate) fn is_disturbed<T: Real>(
     any_shared(
         block,
         |node_block| moving[node_block],
-        |node_block, node, at| {
-            sleeper.tile[at][3] > T::ZERO && wakes(model, &velocity[node_block][node], &sleeper.velocity[at])
-        },
+        |node_block, node, at| sleeper.is_woken_by(model, at, &velocity[node_block][node]),
     )
 }
 
@@ -154,18 +167,19 @@ pub(crate) fn fall_asleep<T: Real>(
     groups: &[Group<T>],
     rest: &mut [SleepState<T>],
 ) {
-    let mut unused = Vec::new();
+    let (mut unused, mut velocities) = (Vec::new(), empty_tile());
     for (block, rest) in layout.blocks.iter().zip(rest) {
         if rest.is_asleep() || rest.quiet < model.quiet_substeps {
             continue;
         }
         let groups = &groups[block.first_group..block.first_group + block.groups()];
         unused.resize(groups.len(), Group::ZERO);
-        let mut sleeper =
-            SleepingBlock { tile: empty_tile(), velocity: empty_tile(), groups: groups.to_vec() };
-        load_tile(block, velocity, &mut sleeper.velocity);
+        let mut sleeper = SleepingBlock { tile: empty_tile(), unquiet: Vec::new(), groups: groups.to_vec() };
         let (from, state, tile) = (Some(groups), &mut unused[..], &mut sleeper.tile);
         model.arch.dispatch(ParticlesToTile { model, block, from, state, tile });
+        load_tile(block, velocity, &mut velocities);
+        let unquiet = |at: &usize| sleeper.sends_to(*at) && can_wake(model, &velocities[*at]);
+        sleeper.unquiet = (0..TILE_LENGTH).filter(unquiet).map(|at| (at as u16, velocities[at])).collect();
         rest.sleeper = Some(Arc::new(sleeper));
     }
 }
@@ -195,7 +209,11 @@ pub(crate) fn after_sort<T: Copy>(
         let in_order = places.iter().zip(old_groups.start * LANES..).all(|(place, at)| *place as usize == at);
         match &before[b].sleeper {
             Some(sleeper) if !in_order => {
-                let sleeper = SleepingBlock { groups: groups[range].to_vec(), ..**sleeper };
+                let sleeper = SleepingBlock {
+                    groups: groups[range].to_vec(),
+                    unquiet: sleeper.unquiet.clone(),
+                    ..**sleeper
+                };
                 SleepState { quiet: before[b].quiet, sleeper: Some(Arc::new(sleeper)) }
             }
             _ => before[b].clone(),
