@@ -172,13 +172,16 @@ pub(crate) fn min_checkpoints(steps: u64, passes: u32) -> u64 {
     low
 }
 
-/// What is left free of a budget, for what is small and not counted one by one: some bytes, and a share.
+/// What is left free of a budget, for what is small and not counted one by one: some bytes, a share, and what the allocator
+/// keeps for each thread.
 const LEAST_SLACK_BYTES: u64 = 6 << 20;
 const SLACK_SHARE: u64 = 32;
+const THREAD_SLACK_BYTES: u64 = 256 << 10;
 
 /// What a process may hold, and does.
 pub(crate) struct Budget {
     bytes: u64,
+    threads: usize,
     /// What a gradient needs at least.
     least: u64,
     /// What it holds beside states that are kept, where the system does not tell.
@@ -192,7 +195,7 @@ impl Budget {
         let sizes = Sizes::of::<T>(scene, threads);
         let least = sizes.of_gradient(default_min_checkpoints(substeps(scene) as usize) as u64);
         let standing = sizes.fixed + (MOTION_STATES + ADJOINT_STATES) * sizes.state;
-        Self { bytes, least, standing, resident: Resident::new() }
+        Self { bytes, threads, least, standing, resident: Resident::new() }
     }
 
     /// Bytes that the process may take more than it has, if states hold `in_states`.
@@ -202,7 +205,8 @@ impl Budget {
     }
 
     fn limit(&self) -> u64 {
-        self.bytes.saturating_sub(LEAST_SLACK_BYTES + self.bytes / SLACK_SHARE)
+        let slack = LEAST_SLACK_BYTES + self.bytes / SLACK_SHARE + THREAD_SLACK_BYTES * self.threads as u64;
+        self.bytes.saturating_sub(slack)
     }
 
     /// Bytes that workers may take to follow several motions side by side.

@@ -23,8 +23,9 @@ use crate::rollout::{
 use crate::scene::Scene;
 use crate::skill::{Control, SkillMap, Theta};
 
-/// Memory of each worker when there are several, in states: its current state, its workspace, its sort buffers.
-const WORKER_STATES: u64 = 4;
+/// Memory of each worker when there are several, in settled states: its current state, its workspace, its sort buffers, all of them
+/// half as large again once the powder has spread.
+const WORKER_STATES: u64 = 6;
 
 /// Work of one adjoint substep in units of a forward one, for the progress bar.
 const ADJOINT_WORK: u64 = 3;
