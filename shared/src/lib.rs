@@ -3,7 +3,8 @@
 //! The optimiser writes a [`plan`], the executor plays it, the arm's controller performs it. What the three must agree
 //! on, to the last bit, lives here and only here: rotations ([`pose`]), quantised cumulative setpoints
 //! ([`displacement`]), motion limits ([`limits`]), fault codes ([`fault`]), the plan file ([`plan`]), what executor and arm
-//! say to each other ([`wire`]), the motion that the arm has made ([`trajectory`]) and which joints put its tool at a pose ([`arm`]).
+//! say to each other ([`wire`]), the motion that the arm has made ([`trajectory`]), which joints put its tool at a pose ([`arm`]),
+//! and how powder is accounted for ([`census`], [`mass`]).
 //!
 //! No `std`, no allocation, no unsafe code: the same crate runs on the host and on a microcontroller, and `libm` gives both
 //! the same bits. Nothing here is meant to panic; the lints below keep out what can be seen to, which is no proof.
@@ -24,6 +25,7 @@
 extern crate std;
 
 pub mod arm;
+pub mod census;
 pub mod displacement;
 pub mod fault;
 pub mod limits;

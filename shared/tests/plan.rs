@@ -2,15 +2,16 @@
 
 use std::convert::Infallible;
 
+use powderline_shared::census::Census;
 use powderline_shared::displacement::{Displacement, Lsb, Quantiser, Setpoint, StepCounts, pose_at};
 use powderline_shared::limits::{Limit, Limits};
 use powderline_shared::plan::{
     Crc32, FORMAT_VERSION, MAX_STEPS, PlanError, PlanHeader, PlanReader, PlanSummary, PlanWriter, Precision,
-    SliceSink, StartPose, Version, WriteError,
+    Prediction, SliceSink, StartPose, Version, WriteError,
 };
 use proptest::prelude::*;
 
-const GOLDEN: &[u8] = include_bytes!("golden/plan-v1.plan");
+const GOLDEN: &[u8] = include_bytes!("golden/plan-v2.plan");
 const STEPS: u32 = 100;
 
 fn header(step_count: u32) -> PlanHeader {
@@ -35,11 +36,13 @@ fn header(step_count: u32) -> PlanHeader {
             angular_acceleration_rad_s2: 10.0,
             angular_jerk_rad_s3: 200.0,
         },
-        predicted_loss: 1158.25,
-        predicted_indicator: -3,
-        predicted_transported_count: 853,
-        predicted_transported_kg: 0.0123,
-        predicted_spilled_count: 1,
+        predicted: Prediction {
+            loss_m: 1158.25,
+            indicator: -3,
+            wanted_kg: 0.0068,
+            particle_mass_kg: 8e-6,
+            census: Census { source: 2345, target: 853, rims: 4, tool: 3, spilled: 1, in_flight: 2 },
+        },
     }
 }
 
@@ -179,7 +182,11 @@ fn a_header_that_cannot_be_meant_is_refused_by_writer_and_reader() {
         (PlanHeader { lsb: Lsb { translation_nm: 0, ..fine.lsb }, ..fine }, "translation LSB"),
         (PlanHeader { lsb: Lsb { rotation_nrad: 0, ..fine.lsb }, ..fine }, "rotation LSB"),
         (PlanHeader { theta: [0.0, 1.5, 0.0, 0.0, 0.0], ..fine }, "theta"),
-        (PlanHeader { predicted_transported_kg: -1.0, ..fine }, "mass"),
+        (PlanHeader { predicted: Prediction { wanted_kg: -1.0, ..fine.predicted }, ..fine }, "wanted mass"),
+        (
+            PlanHeader { predicted: Prediction { particle_mass_kg: -1.0, ..fine.predicted }, ..fine },
+            "mass of a particle",
+        ),
         (PlanHeader { limits: Limits { linear_jerk_m_s3: -1.0, ..fine.limits }, ..fine }, "linear jerk"),
         (PlanHeader { limits: Limits { linear_jerk_m_s3: 0.01, ..fine.limits }, ..fine }, "linear jerk"),
         (PlanHeader { limits: Limits { workspace_min_m: [1.0; 3], ..fine.limits }, ..fine }, "workspace"),
@@ -188,8 +195,13 @@ fn a_header_that_cannot_be_meant_is_refused_by_writer_and_reader() {
     for value in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
         cases.push((PlanHeader { theta: [value; 5], ..fine }, "theta"));
         cases.push((PlanHeader { skill_parameters: [value; 5], ..fine }, "skill parameters"));
-        cases.push((PlanHeader { predicted_loss: value, ..fine }, "predicted loss"));
-        cases.push((PlanHeader { predicted_transported_kg: value, ..fine }, "mass"));
+        let predicted = |predicted| PlanHeader { predicted, ..fine };
+        cases.push((predicted(Prediction { loss_m: value, ..fine.predicted }), "predicted loss"));
+        cases.push((predicted(Prediction { wanted_kg: value, ..fine.predicted }), "wanted mass"));
+        cases.push((
+            predicted(Prediction { particle_mass_kg: value, ..fine.predicted }),
+            "mass of a particle",
+        ));
         let start = StartPose { position_m: [value; 3], ..fine.start };
         cases.push((PlanHeader { start, ..fine }, "start position"));
         let limits = Limits { angular_velocity_rad_s: value, ..fine.limits };
@@ -260,7 +272,7 @@ proptest! {
         seed: u64, indicator: i64, loss in -1e300..1e300,
     ) {
         let header = PlanHeader {
-            seed, predicted_indicator: indicator, predicted_loss: loss,
+            seed, predicted: Prediction { indicator, loss_m: loss, ..header(STEPS).predicted },
             ..header(u32::try_from(steps.len()).unwrap())
         };
         let (bytes, summary) = write(&header, &steps).unwrap();

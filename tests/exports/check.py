@@ -233,7 +233,7 @@ def spoilings(expected):
         ("a position", "csv", lambda at: spoil_number(at / "particles.csv", 4321, 3)),
         ("two particles' order", "csv", lambda at: swap_rows(at / "particles.csv", 100)),
         ("the tool's place", "csv", lambda at: spoil_number(at / "tool.csv", 2, 1)),
-        ("a destination", "csv", lambda at: spoil_text(at / "destinations.csv", "spilled", "left")),
+        ("a destination", "csv", lambda at: spoil_text(at / "destinations.csv", "spilled", "source")),
     ]
 
 

@@ -76,7 +76,7 @@ def turn(matrix):
 
 def read(path):
     data = path.read_bytes()
-    assert data[:8] == b"PWDLPLAN" and struct.unpack("<H", data[8:10]) == (1,), "magic and version"
+    assert data[:8] == b"PWDLPLAN" and struct.unpack("<H", data[8:10]) == (2,), "magic and version"
     assert zlib.crc32(data[:-4]) == struct.unpack("<I", data[-4:])[0], "checksum"
     body = Bytes(data[10:-4])
     digest = body.take(32).hex()
@@ -88,7 +88,9 @@ def read(path):
     start, orientation = numpy.array(body.floats(3)), of_quaternion(*body.floats(4))
     names = ["v", "a", "j", "w", "alpha", "zeta"]
     limits = {"min": body.floats(3), "max": body.floats(3), **dict(zip(names, body.floats(6)))}
-    body.floats(1), body.signed(), body.whole(), body.floats(1), body.whole()  # prediction
+    body.floats(1), body.signed(), body.floats(2)  # loss, indicator; masses wanted and of a particle
+    for _ in range(6):  # particles by where they end
+        body.whole()
     counts = numpy.array([[body.signed() for _ in range(6)] for _ in range(steps)], dtype=object).cumsum(axis=0)
     assert body.at == len(body.data), "bytes after the last step"
     cumulative = numpy.vstack([numpy.zeros(6), (counts * numpy.array([nano[0]] * 3 + [nano[1]] * 3) / 1e9).astype(float)])

@@ -54,8 +54,12 @@ impl Planned {
     }
 }
 
-fn numbers(report: &Value) -> [f64; 3] {
-    ["loss", "transported", "spilled"].map(|name| report[name].as_f64().unwrap())
+fn loss(report: &Value) -> f64 {
+    report["loss_m"].as_f64().unwrap()
+}
+
+fn arrives(report: &Value) -> u64 {
+    report["census"]["target"].as_u64().unwrap()
 }
 
 #[test]
@@ -66,30 +70,28 @@ fn powder_goes_where_the_executed_motion_takes_it() {
     // As planned: what is predicted. The displacements between poses differ from the plan's by rounding in the last of 64
     // bits, which the powder's 32-bit numbers do not see.
     let exact = planned.report(&planned.poses);
-    let [loss, transported, _] = numbers(&exact);
-    assert_eq!(exact["indicator"], exact["plan"]["indicator"]);
-    assert_eq!(exact["transported"], exact["plan"]["transported"]);
-    let predicted = exact["plan"]["loss"].as_f64().unwrap();
-    assert!((loss / predicted - 1.0).abs() < 1e-9, "{loss} and {predicted}");
-    assert!(transported > 0.0, "{exact}");
+    let predicted = &exact["plan"]["predicted"];
+    assert_eq!(exact["indicator"], predicted["indicator"]);
+    assert_eq!(exact["census"], predicted["census"]);
+    assert!((loss(&exact) / loss(predicted) - 1.0).abs() < 1e-9, "{exact}");
+    assert!(arrives(&exact) > 0, "{exact}");
 
     // A millimetre too high, from the tenth tick on: the bowl takes less.
     let raised = planned.report(&planned.raised(|tick| 1e-4 * tick.min(10) as f64));
     assert!((raised["executed"]["largest_deviation"]["mm"].as_f64().unwrap() - 1.0).abs() < 1e-9, "{raised}");
-    let [other_loss, ..] = numbers(&raised);
-    assert!((other_loss - loss).abs() > 1e-3 * loss, "{raised} {exact}");
-    assert_ne!(raised["transported"], exact["transported"]);
+    assert!((loss(&raised) - loss(&exact)).abs() > 1e-3 * loss(&exact), "{raised} {exact}");
+    assert_ne!(arrives(&raised), arrives(&exact));
 
     // An anchor that is a little off is where the arm begins; nobody puts it right.
     let beside = planned.report(&planned.raised(|_| 0.4e-3));
     assert!((beside["executed"]["end_deviation"]["mm"].as_f64().unwrap() - 0.4).abs() < 1e-9, "{beside}");
-    assert_ne!(numbers(&beside)[0].to_bits(), loss.to_bits());
+    assert_ne!(loss(&beside).to_bits(), loss(&exact).to_bits());
 
     // Stopped before it pours: nothing arrives, and what is in the bowl does not count as spilled.
     let stopped = planned.report(&planned.poses[..=steps / 2]);
     assert_eq!(stopped["executed"]["stopped_early"], true);
     assert_eq!(stopped["executed"]["simulated_steps"], steps);
-    assert_eq!(stopped["transported"], 0, "{stopped}");
+    assert_eq!(arrives(&stopped), 0, "{stopped}");
     let said = planned.execute(planned.header, &planned.poses[..=steps / 2], &[]).succeeded();
     assert!(said.contains(&format!("it ends at tick {} of {steps}", steps / 2)), "{said}");
 

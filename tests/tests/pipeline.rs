@@ -25,13 +25,20 @@ fn a_skill_is_optimised_played_and_reproduced_with_the_same_bits_for_any_number_
     assert_eq!(again["plan"]["reproduced"], true);
     let inspected = run(OPTIMISE, &["inspect", plan, "--json"]).json();
     for (name, others) in [
-        ("loss", [&again["plan"]["loss"], &inspected["predicted_loss"], &played["plan"]["predicted_loss"]]),
+        (
+            "loss_m",
+            [
+                &again["plan"]["predicted"]["loss_m"],
+                &inspected["predicted"]["loss_m"],
+                &played["plan"]["predicted"]["loss_m"],
+            ],
+        ),
         (
             "indicator",
             [
-                &again["plan"]["indicator"],
-                &inspected["predicted_indicator"],
-                &played["plan"]["predicted_indicator"],
+                &again["plan"]["predicted"]["indicator"],
+                &inspected["predicted"]["indicator"],
+                &played["plan"]["predicted"]["indicator"],
             ],
         ),
     ] {
@@ -64,7 +71,7 @@ fn the_wanted_amount_arrives_and_no_more() {
         let folder = place.path(if aim == Aim::All { "all" } else { "amount" });
         run(OPTIMISE, &[&file, "--epochs", "8", "--out", &folder]).finished();
         let plan = run(OPTIMISE, &["inspect", &format!("{folder}/skill.plan"), "--json"]).json();
-        plan["predicted_indicator"].as_i64().unwrap()
+        plan["predicted"]["indicator"].as_i64().unwrap()
     });
     assert!(amount.abs() <= 2 && all <= -10, "{amount} {all}");
 }

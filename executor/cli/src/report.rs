@@ -9,7 +9,7 @@ use powderline_shared::displacement::{Axis, Lsb, Setpoint};
 use powderline_shared::fault::{Fault, FaultCode};
 use powderline_shared::limits::PeakUse;
 use powderline_shared::mass::Mass;
-use powderline_shared::plan::{PlanReader, Precision, SKILL_PARAMETERS, StartPose};
+use powderline_shared::plan::{PlanReader, Precision, Prediction, SKILL_PARAMETERS, StartPose};
 use serde::Serialize;
 
 use crate::run::{FrameCounts, RunResult};
@@ -79,16 +79,8 @@ pub struct PlanFacts {
     pub step_count: u32,
     /// What one count is worth.
     pub lsb: Lsb,
-    /// Metres.
-    pub predicted_loss: f64,
-    /// Target count minus particles that arrive.
-    pub predicted_indicator: i64,
-    /// Particles.
-    pub predicted_transported_count: u32,
-    /// Kilograms.
-    pub predicted_transported_kg: f64,
-    /// Particles.
-    pub predicted_spilled_count: u32,
+    /// What it brings, as it was simulated.
+    pub predicted: Prediction,
 }
 
 /// Why an arm stopped.
@@ -234,11 +226,7 @@ impl PlanFacts {
             control_period_us: header.control_period_us,
             step_count: header.step_count,
             lsb: header.lsb,
-            predicted_loss: header.predicted_loss,
-            predicted_indicator: header.predicted_indicator,
-            predicted_transported_count: header.predicted_transported_count,
-            predicted_transported_kg: header.predicted_transported_kg,
-            predicted_spilled_count: header.predicted_spilled_count,
+            predicted: header.predicted,
         }
     }
 }
@@ -246,6 +234,7 @@ impl PlanFacts {
 impl fmt::Display for PlanFacts {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let digest: String = self.scene_digest.chars().take(12).collect();
+        let predicted = &self.predicted;
         writeln!(f, "Plan {} ({})", self.file, self.content_hash)?;
         writeln!(
             f,
@@ -269,18 +258,11 @@ impl fmt::Display for PlanFacts {
         )?;
         writeln!(
             f,
-            "  predicts  {} arrive ({} of {} wanted), {} spill",
-            Mass(self.predicted_transported_kg),
-            self.predicted_transported_count,
-            counted(
-                u32::try_from(
-                    self.predicted_indicator.saturating_add(self.predicted_transported_count.into())
-                )
-                .unwrap_or(0),
-                "particle",
-                "particles"
-            ),
-            self.predicted_spilled_count
+            "  predicts  {} ({}) of the {} wanted arrive; {}",
+            Mass(predicted.arrives_kg()),
+            counted(predicted.census.target, "particle", "particles"),
+            Mass(predicted.wanted_kg),
+            predicted.census.rest(predicted.particle_mass_kg)
         )
     }
 }
@@ -322,9 +304,19 @@ impl fmt::Display for Report {
             writeln!(f, "  lost      {lost} not there when the arm needed them")?;
         }
         if let Some(errors) = self.error_lsb {
-            let worst = errors.iter().fold(0.0_f64, |worst, error| worst.max(error.abs()));
-            let verdict = if self.within_half_lsb { "within half an LSB" } else { "more than half an LSB" };
-            writeln!(f, "  end pose  {worst:.3} LSB off the plan's end at most: {verdict}")?;
+            let verdict = match self.within_half_lsb {
+                true => "all within half a count of the wire",
+                false => "more than half a count of the wire",
+            };
+            let worst = |errors: &[f64], nano: u32| {
+                1e-6 * f64::from(nano) * errors.iter().fold(0.0_f64, |worst, error| worst.max(error.abs()))
+            };
+            let ([x, y, z, rx, ry, rz], lsb) = (errors, self.plan.lsb);
+            let (mm, mrad) = (worst(&[x, y, z], lsb.translation_nm), worst(&[rx, ry, rz], lsb.rotation_nrad));
+            writeln!(
+                f,
+                "  end pose  {mm:.4} mm and {mrad:.4} mrad off the plan's end along or about an axis, {verdict}"
+            )?;
         }
         let peak = &self.peak_use_percent;
         writeln!(

@@ -78,7 +78,7 @@ fn json_is_one_object_with_the_facts() {
     assert_eq!(report["within_half_lsb"], true);
     assert_eq!((&report["stop"], &report["standstill"]), (&Value::Null, &Value::from(true)));
     assert_eq!(report["ticks"]["applied"], 120);
-    assert_eq!(report["plan"]["predicted_transported_count"], 850);
+    assert_eq!(report["plan"]["predicted"]["census"]["target"], 850);
     assert_eq!(report["final_pose"], report["plan_end_pose"]);
     assert!(report["peak_use_percent"]["linear_velocity"].as_f64().unwrap() > 10.0);
 }

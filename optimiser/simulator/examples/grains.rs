@@ -24,6 +24,6 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         true
     };
     let (found, fates) = simulator.record(&recording, &mut observer, &mut |_, _| true)?;
-    println!("{} of {} particles arrive", found.transported, fates.len());
+    println!("{} of {} particles arrive", found.census.target, fates.len());
     Ok(())
 }

@@ -9,10 +9,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     // Depth, scooping angle, lift, transport, pouring angle: each from -1 to 1 within the scene's bounds.
     for theta in [[0.0, -0.5, 0.0, 0.0, 0.3], [0.5, -0.5, 0.0, 0.0, 0.3], [1.0, -0.5, 0.0, 0.0, 0.3]] {
         let found = simulator.evaluate(&theta, false, &mut |_, _| true)?;
-        let grams = 1e3 * scene.particle_mass_kg() * f64::from(found.transported);
+        let grams = 1e3 * scene.particle_mass_kg() * f64::from(found.census.target);
         println!(
-            "{theta:5.1?}: {grams:.3} g arrive, {} particles spill, loss {:.3} m",
-            found.spilled, found.loss
+            "{theta:5.1?}: {grams:.3} g arrive, {} particles are lost, loss {:.3} m",
+            found.census.lost(),
+            found.loss
         );
     }
     Ok(())

@@ -31,6 +31,6 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     );
     let mut simulator = Simulator::<f32>::new(&scene, &SimulatorSettings::default())?;
     let found = simulator.evaluate(&[0.5, -0.5, 0.0, 0.0, 0.3], false, &mut |_, _| true)?;
-    println!("{} particles arrive, {} spill", found.transported, found.spilled);
+    println!("{} particles arrive, {} are lost", found.census.target, found.census.lost());
     Ok(())
 }

@@ -30,9 +30,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let found = simulator.evaluate(&[0.6, 0.0, 0.0, 0.0, 0.3], false, &mut |_, _| true)?;
     let particle_g = 1e3 * scene.particle_mass_kg();
     println!(
-        "{:.2} g arrive, {:.2} g spill",
-        f64::from(found.transported) * particle_g,
-        f64::from(found.spilled) * particle_g
+        "{:.2} g arrive, {:.2} g are lost",
+        f64::from(found.census.target) * particle_g,
+        f64::from(found.census.lost()) * particle_g
     );
     Ok(())
 }

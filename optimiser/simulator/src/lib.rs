@@ -28,7 +28,7 @@
 //!
 //! // Simulate them. The closure is told the progress; `false` stops the run.
 //! let found = simulator.simulate(&controls, &mut |_done, _total| true)?;
-//! println!("loss {} m, {} particles in the target", found.loss, found.transported);
+//! println!("loss {} m, {} particles in the target", found.loss, found.census.target);
 //!
 //! // And the derivative of the loss by each of these displacements.
 //! let (_, gradient) = simulator.simulate_with_gradient(&controls, &mut |_, _| true)?;

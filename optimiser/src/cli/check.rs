@@ -15,7 +15,7 @@ use powderline_shared::plan::Precision;
 use powderline_simulator::memory::{MemoryEstimate, estimate_memory};
 use powderline_simulator::scene::figures::{about, mass};
 use powderline_simulator::scene::{Capacity, DEFAULT_SCENE, MAX_CFL, Scene};
-use powderline_simulator::skill::{SkillMap, colliding_skill};
+use powderline_simulator::skill::{SkillMap, check_passable, colliding_skill};
 
 /// Arguments of `optimise check`.
 #[derive(Debug, Args)]
@@ -97,7 +97,13 @@ pub(super) fn run(args: &CheckArgs, out: &mut dyn Write) -> Result<(), CliError>
     } else {
         write!(out, "{report}")?;
     }
-    scene.check_feasible().map_err(|error| CliError::Input(format!("{}: {error}", args.scene)))
+    infeasible(&scene).map_or(Ok(()), |why| Err(CliError::Input(format!("{}: {why}", args.scene))))
+}
+
+/// Why no skill of a valid scene can do what it wants, in one sentence.
+pub(super) fn infeasible(scene: &Scene) -> Option<String> {
+    let blocked = || check_passable(scene).err().map(|error| error.to_string());
+    scene.check_feasible().err().map(|error| error.to_string()).or_else(blocked)
 }
 
 impl CheckReport {
@@ -110,7 +116,7 @@ impl CheckReport {
             particles: scene.particle_count(),
             amounts: scene.into(),
             tool_capacity: scene.tool_capacity(),
-            infeasible: scene.check_feasible().err().map(|error| error.to_string()),
+            infeasible: infeasible(scene),
             cell_m: scene.domain.cell_m,
             cells: scene.cell_counts(),
             blocks: scene.block_counts(),
@@ -143,7 +149,8 @@ fn remarks(scene: &Scene) -> Vec<String> {
             "`optimise run` would pass over some skills of this range: with theta = {theta:?} {collision}"
         )
     });
-    scene.warnings().into_iter().chain(collision).chain(refusal).collect()
+    let grains = Amounts::from(scene).grains_too_large();
+    scene.warnings().into_iter().chain(grains).chain(collision).chain(refusal).collect()
 }
 
 impl MemoryRow {

@@ -570,7 +570,7 @@ impl Tracing {
             self.track.method.name(),
             self.track.seed,
             best.loss,
-            amounts.powder(best.transported),
+            amounts.powder(best.census.target),
             best.rollouts,
             count(tries.len() as i64, "rollout"),
             duration(seconds)
@@ -599,17 +599,18 @@ fn read_tries(folder: &RunFolder) -> Result<Vec<Try>, CliError> {
 /// Every try of every track.
 fn table(comparison: &Comparison) -> String {
     let mut text = String::from(
-        "method,seed,try,rollouts,seconds,loss_m,indicator,transported,spilled,on_tool,theta_0,theta_1,theta_2,theta_3,theta_4\n",
+        "method,seed,try,rollouts,seconds,loss_m,indicator,source,target,rims,tool,spilled,in_flight,theta_0,theta_1,theta_2,theta_3,theta_4\n",
     );
     for track in &comparison.tracks {
         for (index, one) in track.tries.iter().enumerate() {
-            let Try { loss, indicator, transported, spilled, on_tool, rollouts, seconds, theta } = one;
+            let Try { loss, indicator, census, rollouts, seconds, theta } = one;
+            let census = census.named().map(|(_, particles)| particles.to_string()).join(",");
             // Five cells, empty where the motion is no skill's.
             let theta = theta.map_or(",".repeat(4), |theta| theta.map(|value| value.to_string()).join(","));
             // Writing to a string does not fail.
             let _ = writeln!(
                 text,
-                "{},{},{index},{rollouts},{seconds:.3},{loss},{indicator},{transported},{spilled},{on_tool},{theta}",
+                "{},{},{index},{rollouts},{seconds:.3},{loss},{indicator},{census},{theta}",
                 track.method.name(),
                 track.seed
             );

@@ -10,7 +10,7 @@ use crate::report::{
 use clap::Args;
 use powderline_shared::{
     limits::{Limits, PeakUse},
-    plan::{MAX_FILE_BYTES, PlanHeader, PlanReader, SKILL_PARAMETERS, StartPose},
+    plan::{MAX_FILE_BYTES, PlanHeader, PlanReader, Prediction, SKILL_PARAMETERS, StartPose},
 };
 use powderline_simulator::scene::figures::mass;
 use serde::Serialize;
@@ -53,11 +53,7 @@ struct Report {
     /// Share of each limit that the motion uses; none when it breaks one.
     limit_use: Option<PeakUse>,
     limit_broken: Option<String>,
-    predicted_loss: f64,
-    predicted_indicator: i64,
-    predicted_transported: u32,
-    predicted_transported_kg: f64,
-    predicted_spilled: u32,
+    predicted: Prediction,
     /// What the run that made it found, where the plan still lies in its folder.
     run: Option<Finding>,
 }
@@ -129,11 +125,7 @@ impl Report {
             limits: header.limits,
             limit_use: checked.ok(),
             limit_broken: checked.err().map(|violation| violation.to_string()),
-            predicted_loss: header.predicted_loss,
-            predicted_indicator: header.predicted_indicator,
-            predicted_transported: header.predicted_transported_count,
-            predicted_transported_kg: header.predicted_transported_kg,
-            predicted_spilled: header.predicted_spilled_count,
+            predicted: header.predicted,
             run,
         }
     }
@@ -178,15 +170,14 @@ impl Report {
             }
             return writeln!(text);
         }
-        let wanted = self.predicted_indicator + i64::from(self.predicted_transported);
+        let Prediction { loss_m, wanted_kg, particle_mass_kg, census, .. } = self.predicted;
         writeln!(
             text,
-            "The plan brings {} ({}) of the {} wanted; {} spill. Its loss is {:.3} m.\n",
-            mass(self.predicted_transported_kg),
-            counted(self.predicted_transported),
-            grouped(wanted),
-            counted(self.predicted_spilled),
-            self.predicted_loss
+            "The plan brings {} ({}) of the {} wanted; {}. Its loss is {loss_m:.3} m.\n",
+            mass(self.predicted.arrives_kg()),
+            counted(census.target),
+            mass(wanted_kg),
+            census.rest(particle_mass_kg),
         )
     }
 

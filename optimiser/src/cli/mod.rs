@@ -62,7 +62,8 @@ use std::{
     Exit codes:\n  \
     0    success\n  \
     1    the command failed, a plan did not reproduce, or a line of `validate` no longer holds\n  \
-    2    the input makes no sense\n  \
+    2    the input makes no sense, or asks for what cannot be done\n  \
+    3    the plan is written, but misses the wanted amount by more than the tolerance\n  \
     130  interrupted (Ctrl-C)\n  \
     141  nobody reads the output any more (as in `| head`)"
 )]

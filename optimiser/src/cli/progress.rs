@@ -166,20 +166,27 @@ impl<'a> Progress<'a> {
         }
     }
 
-    /// Reports an epoch that is done, on a narrow terminal in fewer columns.
-    pub fn epoch(&mut self, record: &EpochRecord, amounts: &Amounts, epochs: u32, history: &[EpochRecord]) {
+    /// Reports an epoch that is done, of those until the last that is to come and of those that there might be; on a narrow
+    /// terminal in fewer columns.
+    pub fn epoch(
+        &mut self,
+        record: &EpochRecord,
+        amounts: &Amounts,
+        [last, epochs]: [u32; 2],
+        history: &[EpochRecord],
+    ) {
         let mean_s = history.iter().map(|record| record.seconds).sum::<f64>() / history.len().max(1) as f64;
-        let left_s = mean_s * f64::from(epochs - record.epoch);
-        let left = match record.epoch < epochs {
+        let left_s = mean_s * f64::from(last - record.epoch);
+        let left = match record.epoch < last {
             true => format!("  about {} left", duration(left_s)),
             false => String::new(),
         };
         let done = format!(
-            "epoch {:>3}/{epochs} {:>9} arrive ({:>7}) {:>8} spill  loss {:>8.3} m {:>5.1} s",
+            "epoch {:>3}/{epochs} {:>9} arrive ({:>7}) {:>8} lost  loss {:>8.3} m {:>5.1} s",
             record.epoch,
-            amounts.mass(record.transported),
-            signed(amounts.miss(record.transported)),
-            amounts.mass(record.spilled),
+            amounts.mass(record.census.target),
+            signed(amounts.miss(record.census.target)),
+            amounts.mass(record.census.lost()),
             record.loss,
             record.seconds,
         );
@@ -259,14 +266,14 @@ fn is_unicode(locale: &str) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use powderline_simulator::rollout::Census;
 
     fn record(epoch: u32) -> EpochRecord {
         EpochRecord {
             epoch,
             loss: 1158.9404,
             indicator: 146,
-            transported: 1854,
-            spilled: 3,
+            census: Census { target: 1854, spilled: 3, ..Census::default() },
             theta: [0.0; 5],
             seconds: 2.0,
             ..EpochRecord::default()
@@ -283,7 +290,7 @@ mod tests {
         let mut progress = Progress::new(&mut out, false);
         progress.begin("epoch 0/30", 30, &[]);
         progress.tick(1, 2);
-        progress.epoch(&record(0), &amounts(), 30, &[record(0)]);
+        progress.epoch(&record(0), &amounts(), [30; 2], &[record(0)]);
         let text = String::from_utf8(out).unwrap();
         assert_eq!(text.lines().count(), 1, "{text}");
         assert!(
@@ -350,20 +357,20 @@ mod tests {
     fn an_epoch_takes_one_row_of_eighty_columns() {
         let mut out = Vec::new();
         let mut progress = Progress::new(&mut out, true);
-        let widths: [fn() -> Option<usize>; 4] = [|| Some(120), || Some(95), || Some(80), || Some(79)];
+        let widths: [fn() -> Option<usize>; 4] = [|| Some(120), || Some(95), || Some(80), || Some(78)];
         for columns in widths {
             progress.columns = columns;
-            progress.epoch(&record(3), &amounts(), 30, &[record(3)]);
+            progress.epoch(&record(3), &amounts(), [30; 2], &[record(3)]);
         }
         let text = String::from_utf8(out).unwrap();
         let rows: Vec<&str> = text.split("\r\x1b[2K").skip(1).collect();
-        assert!(rows[0].ends_with("   24 mg spill  loss 1158.940 m   2.0 s  about 54 s left\n"), "{text}");
-        assert!(rows[1].ends_with("   24 mg spill  loss 1158.940 m   2.0 s\n"), "{text}");
+        assert!(rows[0].ends_with("   24 mg lost  loss 1158.940 m   2.0 s  about 54 s left\n"), "{text}");
+        assert!(rows[1].ends_with("   24 mg lost  loss 1158.940 m   2.0 s\n"), "{text}");
         assert_eq!(
             rows[2],
-            "epoch   3/30   14.83 g arrive ( -7.3 %)    24 mg spill  loss 1158.940 m   2.0 s\n"
+            "epoch   3/30   14.83 g arrive ( -7.3 %)    24 mg lost  loss 1158.940 m   2.0 s\n"
         );
-        assert_eq!(rows[3], "epoch 3/30 14.83 g arrive ( -7.3 %) 24 mg spill loss 1158.940 m 2.0 s\n");
+        assert_eq!(rows[3], "epoch 3/30 14.83 g arrive ( -7.3 %) 24 mg lost loss 1158.940 m 2.0 s\n");
     }
 
     #[test]

@@ -242,8 +242,8 @@ fn shows(task: &Task, epoch: Option<u32>) -> String {
 
 /// Whether an outcome is what was asked for.
 fn verdict(amounts: &Amounts, outcome: &Outcome) -> (Tone, String) {
-    let off = amounts.off(outcome.particles);
-    match amounts.is_met(outcome.particles) {
+    let off = amounts.off(outcome.census.target);
+    match amounts.is_met(outcome.census.target) {
         Some(true) => {
             (Tone::Good, format!("Brings the wanted amount: {off}, within {}.", amounts.tolerance()))
         }
@@ -255,7 +255,7 @@ fn verdict(amounts: &Amounts, outcome: &Outcome) -> (Tone, String) {
 }
 
 fn figures(amounts: &Amounts, outcome: &Outcome) -> Vec<Figure> {
-    let tone = match amounts.is_met(outcome.particles) {
+    let tone = match amounts.is_met(outcome.census.target) {
         Some(true) => Tone::Good,
         Some(false) => Tone::Bad,
         None => Tone::Plain,
@@ -263,9 +263,9 @@ fn figures(amounts: &Amounts, outcome: &Outcome) -> Vec<Figure> {
     let sign = if outcome.miss < 0.0 { "-" } else { "+" };
     vec![
         Figure::new("Wanted", &mass(amounts.wanted_kg)).with_note(&counted(amounts.wanted_particles)),
-        Figure::new("Arrives", &mass(outcome.mass_kg)).with_note(&counted(outcome.particles)),
+        Figure::new("Arrives", &mass(outcome.mass_kg)).with_note(&counted(outcome.census.target)),
         Figure::new("Error", &format!("{sign}{}", percent(outcome.miss.abs()))).toned(tone),
-        Figure::new("Spilled", &mass(outcome.spilled_kg)).with_note(&counted(outcome.spilled_particles)),
+        Figure::new("Lost", &mass(outcome.lost_kg)).with_note(&counted(outcome.census.lost())),
         Figure::new("Loss", &format!("{:.3} m", outcome.loss_m)),
     ]
 }
@@ -400,7 +400,7 @@ fn marked(mut chart: Chart, finding: &Finding) -> Chart {
 
 fn run_charts(record: &RunRecord, finding: &Finding) -> Vec<Chart> {
     let epochs = &record.epochs;
-    let grams = |record: &EpochRecord| 1e3 * finding.amounts.kg(record.transported);
+    let grams = |record: &EpochRecord| 1e3 * finding.amounts.kg(record.census.target);
     let wanted = |_: &EpochRecord| 1e3 * finding.amounts.wanted_kg;
     let parameters = |unit: &str, scale: f64| {
         (0..SKILL_PARAMETERS.len())
@@ -433,21 +433,22 @@ fn run_charts(record: &RunRecord, finding: &Finding) -> Vec<Chart> {
             "epoch",
             "weight, 0 to 1",
             by_parameter(epochs, |record| record.first_order_weight),
-        ),
+        )
+        .scaled(Scale::Share),
     ];
     charts.into_iter().map(|chart| marked(chart, finding)).collect()
 }
 
 fn epochs(epochs: &[Judged], finding: &Finding) -> Table {
-    let columns = ["epoch", "arrives", "particles", "error", "spilled", "loss, m", "seconds"];
+    let columns = ["epoch", "arrives", "particles", "error", "lost", "loss, m", "seconds"];
     let amounts = &finding.amounts;
     let row = |Judged { record, obstacle }: &Judged| PageRow {
         cells: vec![
             record.epoch.to_string(),
-            amounts.mass(record.transported),
-            record.transported.to_string(),
-            amounts.off(record.transported),
-            amounts.mass(record.spilled),
+            amounts.mass(record.census.target),
+            record.census.target.to_string(),
+            amounts.off(record.census.target),
+            amounts.mass(record.census.lost()),
             format!("{:.3}", record.loss),
             format!("{:.1}", record.seconds),
         ],
@@ -457,7 +458,7 @@ fn epochs(epochs: &[Judged], finding: &Finding) -> Table {
         },
     };
     Table {
-        title: "Epochs".into(),
+        title: "Epochs, before rounding to whole counts".into(),
         columns: columns.map(String::from).into(),
         rows: epochs.iter().map(row).collect(),
     }

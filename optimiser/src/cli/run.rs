@@ -1,11 +1,11 @@
 //! `optimise run`: the optimisation, from a scene (or a run to resume) to a plan.
 
 use super::{
-    CliError, Context, Interrupt, Progress, Resources, next,
+    CliError, Context, Interrupt, Progress, Resources, check, next,
     options::{DEFAULT_PRECISION, PrecisionArg},
 };
 use crate::{
-    optim::{EpochRecord, Method, Request, Search, SearchError, initial_theta},
+    optim::{EpochRecord, Method, Request, Search, SearchError, Step, initial_theta},
     report::{
         curves::Curves,
         finding::{Finding, Outcome},
@@ -19,7 +19,7 @@ use crate::{
 use clap::Args;
 use powderline_shared::plan::Precision;
 use powderline_simulator::{
-    rollout::{self, Evaluate, Evaluation, RolloutError, check_memory},
+    rollout::{self, Evaluate, Evaluation, Places, RolloutError, check_memory},
     scene::{DEFAULT_SCENE, Scene},
     skill::{SkillMap, Theta, colliding_skill},
 };
@@ -71,9 +71,11 @@ struct Line<'a> {
     #[serde(flatten)]
     record: &'a EpochRecord,
     /// What arrives, kilogram, and how far that is off the wanted mass, relative.
-    transported_kg: f64,
+    mass_kg: f64,
     miss: f64,
-    spilled_kg: f64,
+    /// What is lost, and all the powder by where it is, kilogram.
+    lost_kg: f64,
+    powder_kg: Places<f64>,
     /// Why the arm may not perform the motion.
     passed_over: Option<&'a str>,
     /// Whether the plan is made of it.
@@ -120,12 +122,12 @@ pub(super) fn execute(arguments: &RunArgs, context: &mut Context<'_>) -> Result<
     };
     let resumable = format!("the epochs before are saved, go on with: {}", resume_command(run.folder.path()));
     if run.record.state.finished {
-        let path = run.folder.path().display();
-        writeln!(
-            context.err,
-            "The run in {path} is finished; --epochs with more than {} prolongs it.",
-            run.record.state.search.epochs()
-        )?;
+        let (path, search) = (run.folder.path().display(), &run.record.state.search);
+        let prolongs = match search.is_settled() {
+            true => "the amount was met and nothing more gained; in a scene with optimiser.patience_epochs = 0 a run goes on to the last epoch".into(),
+            false => format!("--epochs with more than {} prolongs it", search.epochs()),
+        };
+        writeln!(context.err, "The run in {path} is finished; {prolongs}.")?;
     } else {
         run.complete(simulator.as_mut(), context).map_err(|error| error.with_remark(&resumable))?;
     }
@@ -162,7 +164,9 @@ impl Run {
     fn start(arguments: &RunArgs, context: &Context<'_>) -> Result<Begun, CliError> {
         let name = arguments.scene.as_deref().unwrap_or(DEFAULT_SCENE);
         let scene = Scene::load(name)?;
-        scene.check_feasible().map_err(|error| CliError::Input(format!("{name}: {error}")))?;
+        if let Some(why) = check::infeasible(&scene) {
+            return Err(CliError::Input(format!("{name}: {why}")));
+        }
         let map = SkillMap::new(&scene);
         map.check_all_corners().map_err(|error| CliError::Input(format!("{name}: {error}")))?;
         let seed = arguments.seed.unwrap_or(scene.powder.seed);
@@ -180,7 +184,7 @@ impl Run {
         folder.replace(SCENE, scene.to_toml().as_bytes())?;
         // A scene without a state would be in the way of a second attempt, and nothing to resume from either.
         folder.replace(STATE, &state.to_bytes()).inspect_err(|_| folder.discard(SCENE))?;
-        let method = Method::from(&scene.optimiser);
+        let method = Method::new(&scene, seed);
         Ok((Self { folder, method, record: RunRecord::new(scene, state) }, simulator))
     }
 
@@ -193,7 +197,8 @@ impl Run {
         }
         record.map.check_all_corners()?;
         let simulator = simulator(arguments, &record.scene, &record.state, context)?;
-        let run = Self { folder, method: Method::from(&record.scene.optimiser), record };
+        let method = Method::new(&record.scene, record.state.seed);
+        let run = Self { folder, method, record };
         // The state leads: a line too many or too few, from a run that was ended between two writes, is put right.
         run.write_metrics()?;
         run.folder.replace(STATE, &run.record.state.to_bytes())?;
@@ -231,18 +236,18 @@ impl Run {
             let task = format!("epoch {}/{epochs}", request.epoch);
             progress.begin(&task, epochs - request.epoch, self.record.state.search.history());
             let mut work = Work { simulator: &mut *simulator, progress, interrupt };
-            let (evaluation, losses) = self.evaluate_epoch(&request, &mut work)?;
-            self.save_epoch(&evaluation, &losses, progress)?;
+            let (evaluation, rings) = self.evaluate_epoch(&request, &mut work)?;
+            self.save_epoch(&evaluation, &rings, progress)?;
         }
         Ok(())
     }
 
-    /// The skill's evaluation, and the losses of the probes that it makes necessary.
+    /// The skill's evaluation, and the losses of the probes that it makes necessary, ring by ring.
     fn evaluate_epoch(
         &self,
         request: &Request,
         work: &mut Work<'_, '_>,
-    ) -> Result<(Evaluation, Vec<f64>), CliError> {
+    ) -> Result<(Evaluation, Vec<Vec<f64>>), CliError> {
         let cost = if request.want_gradient { GRADIENT_COST } else { 1.0 };
         let share = |done: f64, probes: usize| done / (cost + probes as f64);
         let search = &self.record.state.search;
@@ -258,23 +263,52 @@ impl Run {
             let mut evaluations = work.evaluate_all(&all, 0.0)?;
             (evaluations.remove(0), evaluations)
         };
-        Ok((evaluation, probes.iter().map(|evaluation| evaluation.loss).collect()))
+        let losses = |probes: Vec<Evaluation>| probes.iter().map(|evaluation| evaluation.loss).collect();
+        let mut rings: Vec<Vec<f64>> = vec![losses(probes)];
+        loop {
+            let wider = search.wider(&self.method, &evaluation, &rings)?;
+            if wider.is_empty() {
+                return Ok((evaluation, rings));
+            }
+            let thetas: Vec<Theta> = wider.into_iter().map(|probe| probe.theta).collect();
+            rings.push(losses(work.evaluate_all(&thetas, 0.0)?));
+        }
     }
 
     fn save_epoch(
         &mut self,
         evaluation: &Evaluation,
-        losses: &[f64],
+        rings: &[Vec<f64>],
         progress: &mut Progress<'_>,
     ) -> Result<(), CliError> {
         let seconds = (progress.seconds() * 1e3).round() / 1e3;
-        let record = *self.record.state.search.record(&self.method, evaluation, losses, seconds)?;
+        let record = *self.record.state.search.record(&self.method, evaluation, rings, seconds)?;
         self.record.push(record);
+        if self.finding()?.is_settled() && !self.record.state.search.is_done() {
+            self.record.state.search.settle();
+        }
         let (search, finding) = (&self.record.state.search, self.finding()?);
-        progress.epoch(&record, &finding.amounts, search.epochs(), search.history());
+        let last = if search.is_done() { record.epoch } else { search.epochs() };
+        progress.epoch(&record, &finding.amounts, [last, search.epochs()], search.history());
+        self.say_step(&record, progress);
         self.folder.append(METRICS, self.line(&finding, &record).as_bytes())?;
         self.folder.replace(STATE, &self.record.state.to_bytes())?;
         self.write_curves(&finding)
+    }
+
+    /// Says where the search had to look farther than usual.
+    fn say_step(&self, record: &EpochRecord, progress: &mut Progress<'_>) {
+        let usual = self.method.estimator.half_step;
+        let widest = record.half_step.unwrap_or(usual);
+        match record.step {
+            Step::Restart => progress.line(&format!(
+                "  no parameter leads anywhere, over +-{widest} of theta: the search begins anew from another skill"
+            )),
+            Step::Update if widest > usual => progress.line(&format!(
+                "  noise was all that +-{usual} of theta showed: the step goes by differences over +-{widest}"
+            )),
+            Step::Update | Step::None => {}
+        }
     }
 
     /// What the run has found so far.
@@ -286,9 +320,10 @@ impl Run {
         let outcome = Outcome::of_epoch(&finding.amounts, record);
         json_line(&Line {
             record,
-            transported_kg: outcome.mass_kg,
+            mass_kg: outcome.mass_kg,
             miss: outcome.miss,
-            spilled_kg: outcome.spilled_kg,
+            lost_kg: outcome.lost_kg,
+            powder_kg: outcome.powder_kg,
             passed_over: finding.obstacle(record.epoch),
             shipped: finding.is_shipped(record.epoch),
         })
@@ -304,16 +339,15 @@ impl Run {
     fn write_curves(&self, finding: &Finding) -> Result<(), CliError> {
         let search = &self.record.state.search;
         let curves = Curves {
-            title: &format!(
-                "{}, seed {}. {}",
-                self.record.scene.name,
-                self.record.state.seed,
-                finding.headline()
-            ),
+            title: [
+                &format!("{}, seed {}", self.record.scene.name, self.record.state.seed),
+                &finding.headline(),
+            ],
             history: search.history(),
             epochs: search.epochs(),
             curriculum_epochs: self.method.rule.curriculum_epochs,
             shipped: finding.epoch,
+            plan: finding.plan.as_ref(),
             passed_over: &finding.passed_over.iter().map(|passed| passed.epoch).collect::<Vec<_>>(),
             map: &self.record.map,
             amounts: &finding.amounts,
@@ -488,7 +522,7 @@ fn prolong(record: &mut RunRecord, epochs: u32) -> Result<(), CliError> {
             "--epochs is {epochs}, but the run has {now}; it can only be prolonged"
         )));
     }
-    if epochs > now {
+    if epochs > now && !state.search.is_settled() {
         state.search.extend(epochs);
         state.finished = false;
         // The last epoch is evaluated again, with a gradient.

@@ -11,7 +11,7 @@ use crate::report::{
     words::{hex, precision_name},
 };
 use clap::Args;
-use powderline_shared::plan::PlanHeader;
+use powderline_shared::plan::{PlanHeader, Prediction};
 use powderline_simulator::{
     rollout::{Evaluation, Workload, check_memory},
     scene::{Obstacle, ToolPart, figures::mass},
@@ -40,14 +40,9 @@ struct Report {
     precision: &'static str,
     theta: Theta,
     amounts: Amounts,
-    loss: f64,
     indicator: i64,
-    transported: u32,
-    transported_kg: f64,
-    /// How far that is off the wanted mass, relative.
-    miss: f64,
-    spilled: u32,
-    spilled_kg: f64,
+    #[serde(flatten)]
+    outcome: Outcome,
     seconds: f64,
     plan: Option<PlanReport>,
     executed: Option<ExecutedReport>,
@@ -86,10 +81,7 @@ impl From<Collision> for CollisionReport {
 #[derive(Serialize)]
 struct PlanReport {
     content_hash: String,
-    loss: f64,
-    indicator: i64,
-    transported: u32,
-    spilled: u32,
+    predicted: Prediction,
     /// Whether loss and indicator came out exactly so; nobody expects that of an executed motion.
     reproduced: Option<bool>,
 }
@@ -141,8 +133,8 @@ impl Report {
         let (theta, plan, executed) = match &task.motion {
             Motion::Skill(theta) => (*theta, None, None),
             Motion::Plan { header, content_hash, .. } => {
-                let reproduced = found.loss.to_bits() == header.predicted_loss.to_bits()
-                    && found.indicator == header.predicted_indicator;
+                let Prediction { loss_m, census, .. } = header.predicted;
+                let reproduced = found.loss.to_bits() == loss_m.to_bits() && found.census == census;
                 (header.theta, Some(PlanReport::new(header, *content_hash, Some(reproduced))), None)
             }
             Motion::Executed { header, content_hash, executed, .. } => {
@@ -151,7 +143,6 @@ impl Report {
             }
         };
         let amounts = Amounts::from(&task.scene);
-        let outcome = Outcome::of_evaluation(&amounts, found);
         Self {
             scene: task.scene.name.clone(),
             scene_digest: hex(&task.scene.digest()),
@@ -159,13 +150,8 @@ impl Report {
             seed: task.settings.seed,
             precision: precision_name(task.settings.precision),
             theta,
-            loss: found.loss,
             indicator: found.indicator,
-            transported: found.transported,
-            transported_kg: outcome.mass_kg,
-            miss: outcome.miss,
-            spilled: found.spilled,
-            spilled_kg: outcome.spilled_kg,
+            outcome: Outcome::of_evaluation(&amounts, found),
             seconds,
             amounts,
             plan,
@@ -176,24 +162,17 @@ impl Report {
 
 impl PlanReport {
     fn new(header: &PlanHeader, content_hash: u64, reproduced: Option<bool>) -> Self {
-        Self {
-            content_hash: format!("{content_hash:016x}"),
-            loss: header.predicted_loss,
-            indicator: header.predicted_indicator,
-            transported: header.predicted_transported_count,
-            spilled: header.predicted_spilled_count,
-            reproduced,
-        }
+        Self { content_hash: format!("{content_hash:016x}"), predicted: header.predicted, reproduced }
     }
 
     fn text(&self, amounts: &Amounts) -> String {
-        let loss = self.loss;
-        let [transported, spilled] =
-            [self.transported, self.spilled].map(|particles| amounts.powder(particles));
+        let Prediction { loss_m, census, .. } = self.predicted;
         match self.reproduced {
             Some(true) => "Loss and amount are exactly those that the plan predicts.\n".into(),
             _ => format!(
-                "The plan predicts that {transported} arrive and {spilled} spill, with a loss of {loss} m.\n"
+                "The plan predicts that {} arrive, with a loss of {loss_m} m. {}\n",
+                amounts.powder(census.target),
+                amounts.rest(&census)
             ),
         }
     }
@@ -201,15 +180,16 @@ impl PlanReport {
 
 impl Report {
     fn text(&self) -> String {
-        let Self { scene, seed, precision, loss, seconds, amounts, .. } = self;
+        let Self { scene, seed, precision, seconds, amounts, .. } = self;
+        let Outcome { census, loss_m, .. } = self.outcome;
         let warning = self.collision.as_ref().map(|collision| format!("Warning: {}.\n", collision.sentence));
         let mut text = warning.unwrap_or_default();
         text += &format!(
-            "{scene}, seed {seed}, {precision}: {} of the {} wanted arrive, {}; {} spill.\nLoss {loss} m, in {seconds:.1} s.\n",
-            amounts.powder(self.transported),
+            "{scene}, seed {seed}, {precision}: {} of the {} wanted arrive, {}.\n{}\nLoss {loss_m} m, in {seconds:.1} s.\n",
+            amounts.powder(census.target),
             mass(amounts.wanted_kg),
-            amounts.off(self.transported),
-            amounts.powder(self.spilled),
+            amounts.off(census.target),
+            amounts.rest(&census),
         );
         text += &self.plan.as_ref().map(|plan| plan.text(amounts)).unwrap_or_default();
         text += &self.executed.as_ref().map(ExecutedReport::text).unwrap_or_default();

@@ -93,7 +93,7 @@ impl Stepping<'_> {
             progress.line(&format!(
                 "{name}, seed {seed}: lowest loss {:.3} m ({} arrive), {}",
                 best.loss,
-                Amounts::from(self.scene).powder(best.transported),
+                Amounts::from(self.scene).powder(best.census.target),
                 duration(self.track.tries.last().map_or(0.0, |last| last.seconds))
             ));
         }
@@ -120,7 +120,7 @@ impl Stepping<'_> {
         }
         let history = records(&self.track.tries);
         if let Some(record) = history.last() {
-            progress.epoch(record, &self.scene.into(), epochs, &history);
+            progress.epoch(record, &self.scene.into(), [epochs; 2], &history);
         }
         self.folder.replace(STATE, &self.track.to_bytes())?;
         let line = self.track.tries.last().map(run::json_line).unwrap_or_default();
@@ -147,9 +147,9 @@ impl Stepping<'_> {
 fn records(tries: &[Try]) -> Vec<EpochRecord> {
     let mut before = 0.0;
     let record = |(epoch, one): (u32, &Try)| {
-        let Try { loss, indicator, transported, spilled, .. } = *one;
+        let Try { loss, indicator, census, .. } = *one;
         let seconds = one.seconds - std::mem::replace(&mut before, one.seconds);
-        EpochRecord { epoch, loss, indicator, transported, spilled, seconds, ..EpochRecord::default() }
+        EpochRecord { epoch, loss, indicator, census, seconds, ..EpochRecord::default() }
     };
     (0..).zip(tries).map(record).collect()
 }

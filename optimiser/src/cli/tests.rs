@@ -13,7 +13,9 @@ use powderline_shared::{
     trajectory::{Sample, TrajectoryHeader},
 };
 use powderline_simulator::{
-    rollout::{DisplacementGradient, Evaluation, Observer, Progress, Recording, RolloutError, Snapshot},
+    rollout::{
+        Census, DisplacementGradient, Evaluation, Observer, Progress, Recording, RolloutError, Snapshot,
+    },
     scene::{Amount, ContainerShape, Quantity},
     skill::{Control, SkillMap, Theta},
 };
@@ -71,7 +73,12 @@ impl Ends {
         let transported = (200.0 / loss) as u32;
         let indicator = 200 - i64::from(transported);
         (
-            Evaluation { loss, indicator, transported, spilled: 7, on_tool: 0, gradient: None },
+            Evaluation {
+                loss,
+                indicator,
+                census: Census { target: transported, spilled: 7, ..Census::default() },
+                gradient: None,
+            },
             error.map(|x| 2.0 * x),
         )
     }
@@ -149,7 +156,7 @@ impl Evaluate for Ends {
             tool = take.controls.get(step).map_or(tool, |control| tool.displaced(control));
         }
         let evaluation = self.simulate_from(take.anchor, take.controls, progress)?;
-        Ok((evaluation, vec![Destination::Remained, Destination::Tool]))
+        Ok((evaluation, vec![Destination::Source, Destination::Tool]))
     }
 }
 
@@ -415,7 +422,7 @@ fn every_place_says_the_same_of_a_run_also_when_epochs_were_passed_over() {
     let miss = -100.0 * found["plan"]["miss"].as_f64().unwrap();
     // Some passed-over epoch comes nearer: it is the one that a page without the rule would headline.
     let lines = metrics(&folder);
-    let arrives = |line: &Value| line["transported"].as_u64().unwrap();
+    let arrives = |line: &Value| line["census"]["target"].as_u64().unwrap();
     assert!(passed.iter().any(|one| arrives(&lines[*one as usize]) > arrives(&lines[epoch as usize])));
     for (number, line) in (0..).zip(&lines) {
         assert_eq!(line["shipped"], number == epoch, "{line}");
@@ -510,18 +517,17 @@ fn metrics_have_their_fields_in_order_and_one_line_per_epoch() {
             "epoch",
             "loss",
             "indicator",
-            "transported",
-            "spilled",
-            "on_tool",
+            "census",
             "theta",
             "gradient",
             "seconds",
             "adjoint",
             "differences",
             "first_order_weight",
-            "transported_kg",
+            "mass_kg",
             "miss",
-            "spilled_kg",
+            "lost_kg",
+            "powder_kg",
             "passed_over",
             "shipped",
         ];
@@ -677,7 +683,7 @@ fn damaged_state_is_refused() {
     for (broken, about) in [
         (&sound[..sound.len() / 2], "damaged"),
         (&sound[..0], "not a state file"),
-        (b"PLSTATE\0\x08\0\0\0".as_slice(), "version 8"),
+        (b"PLSTATE\0\x09\0\0\0".as_slice(), "version 9"),
     ] {
         fs::write(&path, broken).unwrap();
         assert_sentence(&optimise(&["--resume", &folder]), 2, about);
@@ -756,7 +762,7 @@ fn plan_reproduces_exactly() {
     assert_eq!((&report["seed"], &report["precision"]), (&4.into(), &"f32".into()));
     let bytes = fs::read(&plan).unwrap();
     let header = *PlanReader::new(&bytes).unwrap().header();
-    assert_eq!(report["loss"].as_f64().map(f64::to_bits), Some(header.predicted_loss.to_bits()));
+    assert_eq!(report["loss_m"].as_f64().map(f64::to_bits), Some(header.predicted.loss_m.to_bits()));
     assert_eq!(report["theta"][2].as_f64().map(f64::to_bits), Some(header.theta[2].to_bits()));
     let text = optimise(&["simulate", "--plan", &plan]).out;
     assert!(text.contains("exactly those that the plan predicts"), "{text}");
@@ -829,10 +835,11 @@ fn near(value: &Value, wanted: f64, tolerance: f64) -> bool {
 fn executed_exactly_as_planned_gives_what_the_plan_predicts() {
     let performed = Performed::new();
     let report = performed.report();
-    for name in ["indicator", "transported", "spilled"] {
-        assert_eq!(report[name], report["plan"][name], "{name}");
+    let predicted = &report["plan"]["predicted"];
+    for name in ["indicator", "census"] {
+        assert_eq!(report[name], predicted[name], "{name}");
     }
-    assert!(near(&report["loss"], report["plan"]["loss"].as_f64().unwrap(), 1e-12), "{report}");
+    assert!(near(&report["loss_m"], predicted["loss_m"].as_f64().unwrap(), 1e-12), "{report}");
     assert!(report["plan"]["reproduced"].is_null());
     let executed = &report["executed"];
     assert_eq!(executed["executed_steps"], performed.steps());
@@ -845,17 +852,17 @@ fn executed_exactly_as_planned_gives_what_the_plan_predicts() {
     let text = performed.simulate(&[]).out;
     assert!(
         text.contains("The plan predicts that")
-            && text.contains(&format!("({} particles) arrive", report["plan"]["transported"]))
+            && text.contains(&format!("({} particles) arrive", predicted["census"]["target"]))
             && text.contains("off the plan by 0.000 mm"),
         "{text}"
     );
-    assert_eq!(text.lines().count(), 4, "{text}");
+    assert_eq!(text.lines().count(), 5, "{text}");
 }
 
 #[test]
 fn deviations_of_an_executed_motion_are_found_and_count() {
     let mut performed = Performed::new();
-    let exact = performed.report()["loss"].as_f64().unwrap();
+    let exact = performed.report()["loss_m"].as_f64().unwrap();
     performed.poses[100] = moved(&performed.poses[100], 1e-3, 0.0);
     performed.poses[200] = moved(&performed.poses[200], 0.0, -7e-3);
     let report = performed.report();
@@ -864,14 +871,14 @@ fn deviations_of_an_executed_motion_are_found_and_count() {
     assert_eq!((&largest["mm_tick"], &largest["mrad_tick"]), (&100.into(), &200.into()));
     assert_eq!((&report["executed"]["end_deviation"]["mm"]), &0.0);
     // It comes back to where it should be, and the stand-in only looks at the end.
-    assert!(near(&report["loss"], exact, 1e-12));
+    assert!(near(&report["loss_m"], exact, 1e-12));
 
     // The whole motion beside the planned one, from the anchor on.
     let mut aside = Performed::new();
     aside.poses = aside.poses.iter().map(|pose| moved(pose, 0.4e-3, 0.0)).collect();
     let report = aside.report();
     assert!(near(&report["executed"]["end_deviation"]["mm"], 0.4, 1e-9));
-    assert!(!near(&report["loss"], exact, 1e-9), "{report}");
+    assert!(!near(&report["loss_m"], exact, 1e-9), "{report}");
 }
 
 #[test]
@@ -884,14 +891,14 @@ fn an_arm_that_stops_early_is_kept_where_it_stopped() {
     assert_eq!((&executed["stopped_early"], &executed["executed_steps"]), (&true.into(), &150.into()));
     assert_eq!(executed["simulated_steps"], planned);
     assert_eq!(executed["moves_at_end"], true);
-    assert_ne!(stopped["loss"], stopped["plan"]["loss"]);
+    assert_ne!(stopped["loss_m"], stopped["plan"]["predicted"]["loss_m"]);
     let text = performed.simulate(&[]).out;
     assert!(text.contains(&format!("it ends at tick 150 of {planned}")), "{text}");
     assert!(text.contains("still moves"), "{text}");
     // Recorded while it stands, up to the plan's end, it is the same motion.
     performed.poses.resize(planned + 1, performed.last());
     let recorded = performed.report();
-    assert_eq!(recorded["loss"], stopped["loss"]);
+    assert_eq!(recorded["loss_m"], stopped["loss_m"]);
     assert_eq!(
         (&recorded["executed"]["stopped_early"], &recorded["executed"]["moves_at_end"]),
         (&false.into(), &false.into())

@@ -50,6 +50,8 @@ impl Method {
     /// The scene as this method has it.
     pub fn scene(self, scene: &Scene) -> Scene {
         let mut scene = scene.clone();
+        // As many rollouts for each, whatever they have found.
+        scene.optimiser.patience_epochs = 0;
         match self {
             Self::GradientCurriculum => scene.optimiser.curriculum_epochs = scene.optimiser.epochs / 2,
             Self::GradientRounded => scene.skill.timing = Timing::Rounded,

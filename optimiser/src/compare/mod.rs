@@ -19,7 +19,10 @@ pub use method::Method;
 pub use summary::{Row, summarise};
 
 use crate::{optim::EpochRecord, report::amounts::Amounts};
-use powderline_simulator::{rollout::Evaluation, skill::Theta};
+use powderline_simulator::{
+    rollout::{Census, Evaluation},
+    skill::Theta,
+};
 use serde::{Deserialize, Serialize};
 
 /// What an adjoint takes, in rollouts, beside the rollout that it is the adjoint of.
@@ -34,12 +37,8 @@ pub struct Try {
     pub loss: f64,
     /// Wanted particles that did not arrive; negative if more did.
     pub indicator: i64,
-    /// Particles that arrived.
-    pub transported: u32,
-    /// Particles that were spilled.
-    pub spilled: u32,
-    /// Particles on the tool at the end.
-    pub on_tool: u32,
+    /// Particles by where they were at the end.
+    pub census: Census,
     /// Rollouts that the search has taken with this one.
     pub rollouts: u32,
     /// Seconds of simulation that it has taken with this one.
@@ -60,9 +59,7 @@ impl Try {
             theta,
             loss: found.loss,
             indicator: found.indicator,
-            transported: found.transported,
-            spilled: found.spilled,
-            on_tool: found.on_tool,
+            census: found.census,
             rollouts: before.saturating_add(rollouts),
             seconds: spent + seconds,
         }
@@ -70,8 +67,8 @@ impl Try {
 
     /// What was found.
     pub fn evaluation(&self) -> Evaluation {
-        let Self { loss, indicator, transported, spilled, on_tool, .. } = *self;
-        Evaluation { loss, indicator, transported, spilled, on_tool, gradient: None }
+        let Self { loss, indicator, census, .. } = *self;
+        Evaluation { loss, indicator, census, gradient: None }
     }
 }
 
@@ -91,8 +88,8 @@ impl Track {
     pub fn of_epochs(method: Method, seed: u64, history: &[EpochRecord]) -> Self {
         let mut tries: Vec<Try> = Vec::with_capacity(history.len());
         for record in history {
-            let EpochRecord { theta, loss, indicator, transported, spilled, on_tool, seconds, .. } = *record;
-            let found = Evaluation { loss, indicator, transported, spilled, on_tool, gradient: None };
+            let EpochRecord { theta, loss, indicator, census, seconds, .. } = *record;
+            let found = Evaluation { loss, indicator, census, gradient: None };
             tries.push(Try::after(tries.last(), Some(theta), &found, rollouts(record), seconds));
         }
         Self { method, seed, tries }
@@ -102,8 +99,7 @@ impl Track {
 /// Rollouts that an epoch of the gradient's search took.
 fn rollouts(record: &EpochRecord) -> u32 {
     let adjoint = if record.adjoint.iter().any(Option::is_some) { ADJOINT_ROLLOUTS } else { 0 };
-    let probes = 2 * record.differences.iter().flatten().count() as u32;
-    1 + adjoint + probes
+    1 + adjoint + record.probes
 }
 
 /// How many rollouts there are.
@@ -206,15 +202,8 @@ mod tests {
     use powderline_simulator::scene::Scene;
 
     pub(super) fn at(loss: f64) -> Evaluation {
-        let transported = (100.0 - loss) as u32;
-        Evaluation {
-            loss,
-            indicator: 100 - i64::from(transported),
-            transported,
-            spilled: 0,
-            on_tool: 0,
-            gradient: None,
-        }
+        let census = Census { target: (100.0 - loss) as u32, ..Census::default() };
+        Evaluation { loss, indicator: 100 - i64::from(census.target), census, gradient: None }
     }
 
     pub(super) fn track(method: Method, seed: u64, losses: &[f64]) -> Track {
@@ -258,7 +247,8 @@ mod tests {
 
     #[test]
     fn tries_are_read_with_a_skill_and_without() {
-        let saved = r#"{"theta":[0.1,0.2,0.3,0.4,0.5],"loss":2.5,"indicator":5,"transported":1,"spilled":0,"on_tool":2,
+        let saved = r#"{"theta":[0.1,0.2,0.3,0.4,0.5],"loss":2.5,"indicator":5,
+            "census":{"source":0,"target":1,"rims":0,"tool":2,"spilled":0,"in_flight":0},
             "rollouts":11,"seconds":3.5}"#;
         let read: Try = serde_json::from_str(saved).unwrap();
         assert_eq!((read.theta, read.rollouts), (Some([0.1, 0.2, 0.3, 0.4, 0.5]), 11));
@@ -269,8 +259,7 @@ mod tests {
 
     #[test]
     fn an_epoch_of_the_gradient_costs_what_it_computes() {
-        let record =
-            EpochRecord { differences: [Some(1.0), Some(1.0), None, None, None], ..EpochRecord::default() };
+        let record = EpochRecord { probes: 4, ..EpochRecord::default() };
         assert_eq!(rollouts(&record), 5);
         assert_eq!(rollouts(&EpochRecord { adjoint: [Some(1.0); 5], ..record }), 9);
         assert_eq!(rollouts(&EpochRecord::default()), 1);

@@ -17,7 +17,7 @@ use powderline_simulator::{
 };
 use serde::{Deserialize, Serialize};
 
-const SEAL: Seal = Seal { magic: *b"PLSTEPS\0", version: 2 };
+const SEAL: Seal = Seal { magic: *b"PLSTEPS\0", version: 3 };
 
 /// What a track's epochs depend on, beside the search itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -115,6 +115,7 @@ impl StepTrack {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use powderline_simulator::rollout::Census;
 
     fn scene() -> Scene {
         Scene::load("bench-small").expect("shipped")
@@ -128,7 +129,12 @@ mod tests {
     fn found(loss: f64, steps: usize) -> (Evaluation, Vec<DisplacementGradient>) {
         let slope = DisplacementGradient { per_metre: [1.0, 0.0, -2.0], per_radian: [0.0, 3.0, 0.0] };
         (
-            Evaluation { loss, indicator: 5, transported: 1, spilled: 0, on_tool: 0, gradient: None },
+            Evaluation {
+                loss,
+                indicator: 5,
+                census: Census { target: 1, ..Census::default() },
+                gradient: None,
+            },
             vec![slope; steps],
         )
     }

@@ -29,6 +29,7 @@
 //!   outlier in RMSprop's running mean would stop the component for dozens of epochs.
 //! - If alpha is below [`USELESS_WEIGHT`] in all components that take part, no adjoint is computed, g is g0.
 
+use super::search::WIDEST_HALF_STEP;
 use powderline_simulator::{
     scene::{self, GradientEstimator},
     skill::Theta,
@@ -152,6 +153,13 @@ impl From<&scene::Optimiser> for Estimator {
 }
 
 impl Estimator {
+    /// With differences over 2^`ring` times the distance; none where there are no differences, or where they would be too wide.
+    pub(super) fn widened(&self, ring: usize) -> Option<Self> {
+        let half_step = self.half_step * libm::exp2(ring as f64);
+        let is_right = ring == 0 || half_step <= WIDEST_HALF_STEP * (1.0 + 1e-9);
+        (self.gradient == GradientEstimator::Mixed && is_right).then_some(Self { half_step, ..*self })
+    }
+
     /// Whether the adjoint has to be computed.
     pub fn wants_adjoint(&self, state: &EstimatorState, place: &Place) -> bool {
         let useless = |trust: &Trust| trust.useless >= AGREEING && trust.is_fresh(place.epoch);
@@ -260,6 +268,11 @@ impl EstimatorState {
     /// Whether so many updates can have led here.
     pub(super) fn is_sound(&self, updates: u32) -> bool {
         self.residuals.len() <= RESIDUALS && self.components.iter().all(|trust| trust.is_sound(updates))
+    }
+
+    /// The same noise elsewhere, where nothing is known of the adjoint.
+    pub(super) fn elsewhere(&self) -> Self {
+        Self { components: [Trust::default(); 5], residuals: self.residuals.clone() }
     }
 
     /// Keeps second differences, the latest of them.

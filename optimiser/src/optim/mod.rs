@@ -14,7 +14,7 @@ pub use estimate::{
 };
 pub use rmsprop::{GradientError, Pace, RmsProp, RmsPropState};
 pub(crate) use search::is_loss;
-pub use search::{EpochRecord, Method, Request, Search, SearchError};
+pub use search::{EpochRecord, Method, Request, Restarts, Search, SearchError, Step, WIDEST_HALF_STEP};
 
 use powderline_simulator::skill::Theta;
 use rand_chacha::{
@@ -27,8 +27,15 @@ const THETA_STREAM: u64 = 0x0074_6865_7461;
 
 /// Draws the first theta uniformly from `ranges`, `[low, high]` for each component.
 pub fn initial_theta(ranges: &[[f64; 2]; 5], seed: u64) -> Theta {
+    drawn_theta(ranges, seed, 0)
+}
+
+/// The theta that is drawn after `before` others.
+fn drawn_theta(ranges: &[[f64; 2]; 5], seed: u64, before: u32) -> Theta {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     rng.set_stream(THETA_STREAM);
+    // Two words of 32 bits for each component.
+    rng.set_word_pos(10 * u128::from(before));
     ranges.map(|[low, high]| {
         let unit = (rng.next_u64() >> 11) as f64 * f64::EPSILON / 2.0;
         (low + unit * (high - low)).clamp(low, high)
@@ -48,6 +55,17 @@ mod tests {
             assert!(theta.iter().zip(RANGES).all(|(value, [low, high])| (low..=high).contains(value)));
             assert_eq!(theta.map(f64::to_bits), initial_theta(&RANGES, seed).map(f64::to_bits));
             assert_ne!(theta.map(f64::to_bits), initial_theta(&RANGES, seed + 1).map(f64::to_bits));
+        }
+    }
+
+    #[test]
+    fn draws_follow_one_another() {
+        let mut rng = ChaCha8Rng::seed_from_u64(7);
+        rng.set_stream(THETA_STREAM);
+        for before in 0..20 {
+            let whole = [[0.0, 1.0]; 5].map(|_| (rng.next_u64() >> 11) as f64 * f64::EPSILON / 2.0);
+            let drawn = drawn_theta(&[[0.0, 1.0]; 5], 7, before);
+            assert_eq!(drawn.map(f64::to_bits), whole.map(f64::to_bits), "{before}");
         }
     }
 

@@ -83,6 +83,8 @@ pub struct RmsPropState {
     pub paces: [Pace; 5],
     /// Updates made.
     pub updates: u32,
+    /// How many of them before the search began anew, from another theta.
+    pub before_restart: u32,
 }
 
 /// A gradient that no update can be made from.
@@ -109,12 +111,19 @@ impl From<&scene::Optimiser> for RmsProp {
 impl RmsPropState {
     /// Before the first update.
     pub fn new(theta: Theta) -> Self {
-        Self { theta, paces: [Pace::START; 5], updates: 0 }
+        Self { theta, paces: [Pace::START; 5], updates: 0, before_restart: 0 }
+    }
+
+    /// Anew from another theta: nothing is known of the slopes there.
+    pub(super) fn restarted(&self, theta: Theta) -> Self {
+        Self { theta, paces: [Pace::START; 5], updates: self.updates, before_restart: self.updates }
     }
 
     /// Whether updates can have led here.
     pub(super) fn is_sound(&self) -> bool {
-        check_theta(&self.theta).is_ok() && self.paces.iter().all(Pace::is_sound)
+        check_theta(&self.theta).is_ok()
+            && self.paces.iter().all(Pace::is_sound)
+            && self.before_restart <= self.updates
     }
 }
 
@@ -132,7 +141,8 @@ impl RmsProp {
         let mut next = RmsPropState { updates: state.updates + 1, ..*state };
         let active = self.active_components(state.updates);
         for (index, &g) in gradient.iter().enumerate().take(active) {
-            let before = if index < CURRICULUM_COMPONENTS { 0 } else { self.curriculum_epochs };
+            let late = if index < CURRICULUM_COMPONENTS { 0 } else { self.curriculum_epochs };
+            let before = late.max(state.before_restart);
             let (pace, step) = self
                 .step(&state.paces[index], g, noise[index], next.updates - before)
                 .ok_or(GradientError { index, value: g })?;

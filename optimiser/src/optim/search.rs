@@ -1,12 +1,17 @@
 //! A run of epochs: epoch e evaluates theta_e, records it, then updates; N epochs are N updates and N + 1
 //! evaluations, the last of them without gradient, since nothing follows it.
+//!
+//! No theta is evaluated twice. Where the noise leaves nothing of the gradient in any component, or all that is left points
+//! out of the range, theta would stay where it is: then the differences are taken over twice the distance, which halves
+//! their noise, up to [`WIDEST_HALF_STEP`]; and if that leads nowhere either, the search begins anew from another draw.
 
 use super::{
     Estimate, Estimator, EstimatorState, Findings, GradientError, Place, Probe, RmsProp, RmsPropState,
+    drawn_theta,
 };
 use powderline_simulator::{
-    rollout::Evaluation,
-    scene,
+    rollout::{Census, Evaluation},
+    scene::Scene,
     skill::{Theta, check_theta},
 };
 use serde::{Deserialize, Serialize};
@@ -15,6 +20,22 @@ use thiserror::Error;
 /// Losses are sums of distances, metres: more is not what comes of millions of particles within some metres, and too much
 /// for an axis.
 const MAX_LOSS_M: f64 = 1e12;
+
+/// Half-step beyond which differences are no slope any more, in units of theta, which goes from -1 to 1.
+pub const WIDEST_HALF_STEP: f64 = 0.4;
+
+/// What followed an epoch.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Step {
+    /// Nothing: it was the last.
+    #[default]
+    None,
+    /// An update along the gradient.
+    Update,
+    /// No direction led anywhere: the next epoch's theta is another draw.
+    Restart,
+}
 
 /// One evaluated epoch; one line of `metrics.jsonl`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -25,12 +46,8 @@ pub struct EpochRecord {
     pub loss: f64,
     /// Target count minus particles in the target container.
     pub indicator: i64,
-    /// Particles in the target container.
-    pub transported: u32,
-    /// Particles in no container and not on the tool.
-    pub spilled: u32,
-    /// Particles on the tool at the end.
-    pub on_tool: u32,
+    /// Particles by where they are at the end.
+    pub census: Census,
     /// Skill parameters that were evaluated.
     pub theta: Theta,
     /// What the update used as the gradient of the loss; none at the last epoch. In components that it does not
@@ -44,6 +61,12 @@ pub struct EpochRecord {
     pub differences: [Option<f64>; 5],
     /// Weight of the adjoint in the gradient, 0 to 1, in the components that the update changes.
     pub first_order_weight: [Option<f64>; 5],
+    /// Half-step of the differences, in units of theta; none where there are no differences.
+    pub half_step: Option<f64>,
+    /// Rollouts beside the one at theta, for the differences.
+    pub probes: u32,
+    /// What followed.
+    pub step: Step,
 }
 
 impl EpochRecord {
@@ -64,11 +87,24 @@ pub struct Method {
     pub rule: RmsProp,
     /// Where the gradient comes from.
     pub estimator: Estimator,
+    /// Where to begin anew.
+    pub restarts: Restarts,
 }
 
-impl From<&scene::Optimiser> for Method {
-    fn from(settings: &scene::Optimiser) -> Self {
-        Self { rule: settings.into(), estimator: settings.into() }
+/// Where a search begins anew that has nowhere to go: what its first theta was drawn from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Restarts {
+    /// `[low, high]` for each component.
+    pub ranges: [[f64; 2]; 5],
+    /// Seed of the draws.
+    pub seed: u64,
+}
+
+impl Method {
+    /// As the scene has it.
+    pub fn new(scene: &Scene, seed: u64) -> Self {
+        let restarts = Restarts { ranges: scene.skill.initial_theta, seed };
+        Self { rule: (&scene.optimiser).into(), estimator: (&scene.optimiser).into(), restarts }
     }
 }
 
@@ -121,6 +157,21 @@ pub struct Search {
     state: RmsPropState,
     estimates: EstimatorState,
     history: Vec<EpochRecord>,
+    settled: bool,
+}
+
+/// What an epoch's findings make of the search.
+struct Attempt {
+    estimate: Estimate,
+    estimates: EstimatorState,
+    state: RmsPropState,
+}
+
+impl Attempt {
+    /// Whether theta is another one after it.
+    fn moves(&self, from: &Theta) -> bool {
+        self.state.theta.map(f64::to_bits) != from.map(f64::to_bits)
+    }
 }
 
 impl Search {
@@ -131,6 +182,7 @@ impl Search {
             state: RmsPropState::new(theta),
             estimates: EstimatorState::default(),
             history: Vec::new(),
+            settled: false,
         }
     }
 
@@ -139,9 +191,10 @@ impl Search {
     pub fn is_sound(&self) -> bool {
         let updates = self.state.updates;
         // The last epoch is evaluated without an update.
-        let evaluated = self.history.len() - usize::from(self.is_done());
+        let evaluated = self.history.len() - usize::from(self.is_complete());
         updates <= self.epochs
             && evaluated == updates as usize
+            && !(self.settled && self.history.is_empty())
             && self.state.is_sound()
             && self.estimates.is_sound(updates)
             && (0..).zip(&self.history).all(|(epoch, record)| record.is_sound(epoch))
@@ -166,8 +219,30 @@ impl Search {
         method.estimator.probes(&self.estimates, &self.place(&method.rule), adjoint)
     }
 
-    /// Takes the answers to [`Search::next`] and [`Search::probes`], and updates theta unless this was the last
-    /// epoch.
+    /// The points whose losses are needed besides, now that `rings` hold those of [`Search::probes`] and of this function's
+    /// earlier answers; none if theta moves, or if no wider ring is left.
+    ///
+    /// # Errors
+    /// Those of [`Search::record`].
+    pub fn wider(
+        &self,
+        method: &Method,
+        evaluation: &Evaluation,
+        rings: &[Vec<f64>],
+    ) -> Result<Vec<Probe>, SearchError> {
+        let Some(estimator) = method.estimator.widened(rings.len()) else { return Ok(Vec::new()) };
+        if self.is_last() {
+            return Ok(Vec::new());
+        }
+        let attempt = self.attempt(method, evaluation, rings)?;
+        if attempt.moves(&self.state.theta) {
+            return Ok(Vec::new());
+        }
+        Ok(estimator.probes(&attempt.estimates.elsewhere(), &self.place(&method.rule), None))
+    }
+
+    /// Takes the answers to [`Search::next`], [`Search::probes`] and [`Search::wider`], and updates theta unless this was the
+    /// last epoch.
     ///
     /// # Errors
     /// Loss or gradient not finite, or one of them missing; the search is then unchanged.
@@ -175,61 +250,110 @@ impl Search {
         &mut self,
         method: &Method,
         evaluation: &Evaluation,
-        probes: &[f64],
+        rings: &[Vec<f64>],
         seconds: f64,
     ) -> Result<&EpochRecord, SearchError> {
         let RmsPropState { theta, updates: epoch, .. } = self.state;
         if !is_loss(evaluation.loss) {
             return Err(SearchError::Loss { epoch, loss: evaluation.loss });
         }
-        let (estimate, gradient) = if self.is_last() {
-            (Estimate::default(), None)
+        let (estimate, step) = if self.is_last() {
+            (Estimate::default(), Step::None)
         } else {
-            let estimate = self.update(method, evaluation, probes)?;
-            (estimate, Some(estimate.gradient))
+            self.update(method, evaluation, rings)?
         };
+        let widest = rings.len().saturating_sub(1);
+        let has_differences = estimate.differences.iter().any(Option::is_some);
         let record = EpochRecord {
             epoch,
             loss: evaluation.loss,
             indicator: evaluation.indicator,
-            transported: evaluation.transported,
-            spilled: evaluation.spilled,
-            on_tool: evaluation.on_tool,
+            census: evaluation.census,
             theta,
-            gradient,
+            gradient: (step != Step::None).then_some(estimate.gradient),
             seconds,
             adjoint: estimate.adjoint,
             differences: estimate.differences,
             first_order_weight: estimate.first_order_weight,
+            half_step: method
+                .estimator
+                .widened(widest)
+                .filter(|_| has_differences)
+                .map(|wide| wide.half_step),
+            probes: rings.iter().map(Vec::len).sum::<usize>() as u32,
+            step,
         };
         Ok(self.history.push_mut(record))
     }
 
-    /// Estimates the gradient and goes a step.
+    /// Goes a step along the estimated gradient, or begins anew where that is none.
     fn update(
         &mut self,
         method: &Method,
         evaluation: &Evaluation,
-        probes: &[f64],
-    ) -> Result<Estimate, SearchError> {
+        rings: &[Vec<f64>],
+    ) -> Result<(Estimate, Step), SearchError> {
+        if !self.wider(method, evaluation, rings)?.is_empty() {
+            return Err(SearchError::Missing { epoch: self.state.updates, missing: "a wider probe" });
+        }
+        let attempt = self.attempt(method, evaluation, rings)?;
+        let step = if attempt.moves(&self.state.theta) { Step::Update } else { Step::Restart };
+        (self.state, self.estimates) = match step {
+            Step::Restart => {
+                let Restarts { ranges, seed } = &method.restarts;
+                let theta = drawn_theta(ranges, *seed, 1 + self.restarts());
+                (attempt.state.restarted(theta), attempt.estimates.elsewhere())
+            }
+            _ => (attempt.state, attempt.estimates),
+        };
+        Ok((attempt.estimate, step))
+    }
+
+    /// What comes of the findings: of the first ring and the adjoint together, then of each wider ring alone.
+    fn attempt(
+        &self,
+        method: &Method,
+        evaluation: &Evaluation,
+        rings: &[Vec<f64>],
+    ) -> Result<Attempt, SearchError> {
         let place = self.place(&method.rule);
         let epoch = place.epoch;
+        let missing = |missing| SearchError::Missing { epoch, missing };
         let wanted = method.estimator.wants_adjoint(&self.estimates, &place);
         let adjoint = evaluation.gradient.filter(|_| wanted);
         if wanted && adjoint.is_none() {
-            return Err(SearchError::Missing { epoch, missing: "the gradient" });
+            return Err(missing("the gradient"));
         }
-        if probes.len() != self.probes(method, adjoint.as_ref()).len() {
-            return Err(SearchError::Missing { epoch, missing: "a probe" });
+        let go = |estimator: &Estimator, known: &EstimatorState, adjoint: Option<Theta>, probes: &[f64]| {
+            if probes.len() != estimator.probes(known, &place, adjoint.as_ref()).len() {
+                return Err(missing("a probe"));
+            }
+            let found = Findings { loss: evaluation.loss, adjoint, probes };
+            let (estimate, estimates) = estimator.combine(known, &place, &found);
+            let state = method
+                .rule
+                .update(&self.state, &estimate.gradient, &estimate.noise)
+                .map_err(|source| SearchError::Gradient { epoch, source })?;
+            Ok(Attempt { estimate, estimates, state })
+        };
+        let [first, wider @ ..] = rings else { return Err(missing("a probe")) };
+        let mut last = go(&method.estimator, &self.estimates, adjoint, first)?;
+        for (ring, probes) in (1..).zip(wider) {
+            if last.moves(&place.theta) {
+                return Err(missing("an end of its probes"));
+            }
+            let estimator = method.estimator.widened(ring).ok_or(missing("an end of its probes"))?;
+            let wide = go(&estimator, &last.estimates.elsewhere(), None, probes)?;
+            // Curvature is all that their second differences would tell.
+            let adjoint = last.estimate.adjoint;
+            last = Attempt { estimate: Estimate { adjoint, ..wide.estimate }, state: wide.state, ..last };
         }
-        let found = Findings { loss: evaluation.loss, adjoint, probes };
-        let (estimate, estimates) = method.estimator.combine(&self.estimates, &place, &found);
-        self.state = method
-            .rule
-            .update(&self.state, &estimate.gradient, &estimate.noise)
-            .map_err(|source| SearchError::Gradient { epoch, source })?;
-        self.estimates = estimates;
-        Ok(estimate)
+        Ok(last)
+    }
+
+    /// How often it began anew.
+    fn restarts(&self) -> u32 {
+        self.history.iter().filter(|record| record.step == Step::Restart).count() as u32
     }
 
     fn place(&self, rule: &RmsProp) -> Place {
@@ -245,15 +369,30 @@ impl Search {
     /// Prolongs the search to `epochs` updates. The last epoch of a search that was done is taken back, to be
     /// evaluated again with its gradient: the result has the bits of a search that was this long from the start.
     pub fn extend(&mut self, epochs: u32) {
-        if self.is_done() && epochs > self.epochs {
+        if self.is_complete() && epochs > self.epochs {
             self.history.pop();
         }
         self.epochs = self.epochs.max(epochs);
     }
 
-    /// Whether all epochs are evaluated.
+    /// Whether nothing is left to evaluate.
     pub fn is_done(&self) -> bool {
+        self.settled || self.is_complete()
+    }
+
+    /// Whether all epochs are evaluated.
+    fn is_complete(&self) -> bool {
         self.history.len() > self.epochs as usize
+    }
+
+    /// Ends the search before its last epoch: what was found is good enough.
+    pub fn settle(&mut self) {
+        self.settled = !self.history.is_empty();
+    }
+
+    /// Whether it was ended before its last epoch.
+    pub fn is_settled(&self) -> bool {
+        self.settled && !self.is_complete()
     }
 
     /// Updates that the search makes in all.
@@ -275,6 +414,7 @@ mod tests {
     const METHOD: Method = Method {
         rule: RmsProp { beta: 0.9, learning_rate: 0.05, epsilon: 1e-8, curriculum_epochs: 4 },
         estimator: Estimator { gradient: GradientEstimator::Mixed, half_step: 0.1 },
+        restarts: Restarts { ranges: [[-0.9, 0.9]; 5], seed: 3 },
     };
 
     /// A bowl whose gradient is wrong in depth, so that the search has all kinds of epochs.
@@ -285,16 +425,31 @@ mod tests {
         Evaluation {
             loss,
             indicator: 5,
-            transported: 1,
-            spilled: 0,
-            on_tool: 0,
+            census: Census { target: 1, ..Census::default() },
             gradient: gradient.then_some(slope),
         }
     }
 
-    fn probed(search: &Search, method: &Method, evaluation: &Evaluation) -> Vec<f64> {
-        let probes = search.probes(method, evaluation.gradient.as_ref());
-        probes.iter().map(|probe| bowl(&probe.theta, false).loss).collect()
+    fn probed(search: &Search, method: &Method, evaluation: &Evaluation) -> Vec<Vec<f64>> {
+        probed_in(search, method, evaluation, |theta| bowl(theta, false).loss)
+    }
+
+    /// The losses of all rings that the search asks for.
+    fn probed_in(
+        search: &Search,
+        method: &Method,
+        evaluation: &Evaluation,
+        loss: impl Fn(&Theta) -> f64,
+    ) -> Vec<Vec<f64>> {
+        let losses =
+            |probes: Vec<Probe>| -> Vec<f64> { probes.iter().map(|probe| loss(&probe.theta)).collect() };
+        let mut rings = vec![losses(search.probes(method, evaluation.gradient.as_ref()))];
+        loop {
+            match search.wider(method, evaluation, &rings).unwrap() {
+                none if none.is_empty() => return rings,
+                probes => rings.push(losses(probes)),
+            }
+        }
     }
 
     fn advance_by(search: &mut Search, method: &Method, epochs: usize) {
@@ -365,7 +520,16 @@ mod tests {
             assert!(search.record(&METHOD, &broken, &losses, 0.0).is_err());
             assert_eq!(search, before);
         }
-        for broken in [vec![], vec![f64::NAN; losses.len()], [&losses[..], &[1.0]].concat()] {
+        let ring = &losses[0];
+        let broken_rings = [
+            vec![],
+            vec![vec![]],
+            vec![vec![f64::NAN; ring.len()]],
+            vec![[&ring[..], &[1.0]].concat()],
+            vec![ring.clone(), ring.clone()],
+            vec![vec![1.0; ring.len()], vec![]],
+        ];
+        for broken in broken_rings {
             assert!(search.record(&METHOD, &sound, &broken, 0.0).is_err());
             assert_eq!(search, before);
         }
@@ -375,7 +539,7 @@ mod tests {
     fn what_no_epochs_lead_to_is_not_sound() {
         let mut sound = Search::new([-0.5; 5], 10);
         advance(&mut sound, 5);
-        let defects: [fn(&mut Search); 15] = [
+        let defects: [fn(&mut Search); 16] = [
             |search| search.epochs = 4,
             |search| search.state.updates = 6,
             |search| search.state.updates = u32::MAX,
@@ -386,6 +550,7 @@ mod tests {
             |search| search.state.paces[0].rate = 1.001,
             |search| search.state.paces[0].slope = f64::NAN,
             |search| search.history.clear(),
+            |search| search.state.before_restart = 6,
             |search| search.history[1].epoch = u32::MAX,
             |search| search.history[1].loss = f64::MAX,
             |search| search.history[1].loss = f64::NAN,
@@ -397,6 +562,69 @@ mod tests {
             defect(&mut search);
             assert!(!search.is_sound(), "{index}");
         }
+    }
+
+    /// Nothing arrives anywhere but in a corner.
+    fn plateau(theta: &Theta) -> f64 {
+        if theta[0] > 0.5 { 9.0 - theta[0] } else { 9.0 }
+    }
+
+    fn step_on(search: &mut Search, method: &Method, loss: impl Fn(&Theta) -> f64) -> EpochRecord {
+        let request = search.next(method).unwrap();
+        let gradient = request.want_gradient.then_some([0.0; 5]);
+        let evaluation = Evaluation { loss: loss(&request.theta), gradient, ..bowl(&request.theta, false) };
+        let rings = probed_in(search, method, &evaluation, loss);
+        *search.record(method, &evaluation, &rings, 0.0).unwrap()
+    }
+
+    #[test]
+    fn a_search_that_stands_still_looks_wider_and_then_begins_anew() {
+        let method = Method { rule: RmsProp { curriculum_epochs: 0, ..METHOD.rule }, ..METHOD };
+        // From 0.2 the corner is seen over 0.4 alone.
+        let mut search = Search::new([0.2, 0.0, 0.0, 0.0, 0.0], 10);
+        let record = step_on(&mut search, &method, plateau);
+        assert_eq!((record.step, record.half_step, record.probes), (Step::Update, Some(0.4), 30));
+        assert!(search.next(&method).unwrap().theta[0] > 0.2);
+        // From -0.5 it is not seen at all.
+        let mut search = Search::new([-0.5; 5], 10);
+        let thetas: Vec<Theta> = (0..10).map(|_| step_on(&mut search, &method, |_| 9.0).theta).collect();
+        assert!(search.history().iter().all(|record| record.step == Step::Restart), "{search:?}");
+        for (index, theta) in thetas.iter().enumerate() {
+            assert!(!thetas[..index].contains(theta), "epoch {index} was evaluated before");
+        }
+        assert!(thetas[1..].iter().flatten().all(|x| x.abs() <= 0.9));
+        assert_eq!(thetas[1].map(f64::to_bits), drawn_theta(&method.restarts.ranges, 3, 1).map(f64::to_bits));
+        assert!(search.is_sound());
+    }
+
+    #[test]
+    fn a_corner_that_the_slope_points_out_of_is_left() {
+        let estimator = Estimator { gradient: GradientEstimator::Adjoint, ..METHOD.estimator };
+        let method = Method { estimator, ..METHOD };
+        let mut search = Search::new([1.0; 5], 10);
+        let evaluation = Evaluation { gradient: Some([-1.0; 5]), ..bowl(&[1.0; 5], false) };
+        let record = *search.record(&method, &evaluation, &[vec![]], 0.0).unwrap();
+        assert_eq!((record.step, record.half_step, record.probes), (Step::Restart, None, 0));
+        // The first step from there is as long as that from the first theta.
+        let theta = search.next(&method).unwrap().theta;
+        let evaluation = Evaluation { gradient: Some([1.0; 5]), ..bowl(&theta, false) };
+        search.record(&method, &evaluation, &[vec![]], 0.0).unwrap();
+        let went = theta[0] - search.next(&method).unwrap().theta[0];
+        assert!((went - method.rule.learning_rate).abs() < 1e-6, "{went}");
+    }
+
+    #[test]
+    fn a_settled_search_is_done_and_stays_so() {
+        let mut search = Search::new([-0.5; 5], 10);
+        search.settle();
+        assert!(!search.is_done(), "nothing is found yet");
+        advance(&mut search, 4);
+        search.settle();
+        search.extend(20);
+        assert!(
+            search.is_done() && search.is_settled() && search.is_sound() && search.next(&METHOD).is_none()
+        );
+        assert_eq!((search.history().len(), search.epochs()), (4, 20));
     }
 
     #[test]

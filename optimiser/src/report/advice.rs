@@ -1,10 +1,6 @@
 //! What could help a run whose plan misses the wanted amount, from what its epochs measured.
 
-use super::{
-    amounts::{Amounts, percent},
-    judged::Judged,
-    words::parameter,
-};
+use super::{amounts::Amounts, judged::Judged, words::parameter};
 use powderline_shared::plan::SKILL_PARAMETERS;
 use powderline_simulator::scene::{Scene, figures::mass};
 
@@ -38,8 +34,8 @@ pub(super) fn advice(scene: &Scene, epochs: &[Judged], shipped: Option<usize>) -
             measured.nearer_but_passed_over(),
             measured.too_little_carried(),
             measured.stays_on_the_tool(),
-            measured.spills(),
-            measured.grains_too_large(),
+            measured.misses_the_target(),
+            measured.amounts.grains_too_large(),
             measured.still_shrinking().or_else(|| measured.on_both_sides()),
         ]
         .into_iter()
@@ -65,7 +61,7 @@ impl Measured<'_> {
     /// Particles that left the source in an epoch.
     fn carried(epoch: &Judged) -> u32 {
         let record = &epoch.record;
-        record.transported.saturating_add(record.spilled).saturating_add(record.on_tool)
+        record.census.target.saturating_add(record.census.lost()).saturating_add(record.census.tool)
     }
 
     fn most_carried(&self) -> u32 {
@@ -73,11 +69,11 @@ impl Measured<'_> {
     }
 
     fn misses_by(&self, epoch: &Judged) -> f64 {
-        self.amounts.miss(epoch.record.transported).abs()
+        self.amounts.miss(epoch.record.census.target).abs()
     }
 
     fn too_little(&self) -> bool {
-        self.amounts.miss(self.plan.record.transported) < 0.0
+        self.amounts.miss(self.plan.record.census.target) < 0.0
     }
 
     /// The range of a parameter as it stands in the scene.
@@ -140,7 +136,7 @@ impl Measured<'_> {
         Some(format!(
             "epoch {} brought {}, but {}; bounds in [skill] that keep clear of that would be right",
             best.record.epoch,
-            self.amounts.powder(best.record.transported),
+            self.amounts.powder(best.record.census.target),
             best.obstacle.as_deref().unwrap_or_default()
         ))
     }
@@ -163,7 +159,7 @@ impl Measured<'_> {
     }
 
     fn stays_on_the_tool(&self) -> Option<String> {
-        let left = self.plan.record.on_tool;
+        let left = self.plan.record.census.tool;
         if !self.too_little() || f64::from(left) < A_GOOD_PART * self.wanted() {
             return None;
         }
@@ -185,25 +181,14 @@ impl Measured<'_> {
         })
     }
 
-    fn spills(&self) -> Option<String> {
-        let spilled = self.plan.record.spilled;
-        (self.too_little() && f64::from(spilled) >= A_GOOD_PART * self.wanted()).then(|| {
+    fn misses_the_target(&self) -> Option<String> {
+        let lost = self.plan.record.census.lost();
+        (self.too_little() && f64::from(lost) >= A_GOOD_PART * self.wanted()).then(|| {
             format!(
-                "{} spilled, with a transport displacement of {}; see where with `optimise report`, {} and the heading decide it",
-                self.amounts.powder(spilled),
+                "{} fell on rims or beside them, with a transport displacement of {}; see where with `optimise report`, {} and the heading decide it",
+                self.amounts.powder(lost),
                 self.value(TRANSPORT, self.plan.record.theta[TRANSPORT]),
                 self.key(TRANSPORT)
-            )
-        })
-    }
-
-    fn grains_too_large(&self) -> Option<String> {
-        let grain = self.amounts.particle_mass_kg / self.amounts.wanted_kg;
-        (grain > self.amounts.tolerance?).then(|| {
-            format!(
-                "one particle is {} of the wanted amount, more than the tolerance; a larger powder.particles_per_cell or smaller cells \
-                 would be right",
-                percent(grain)
             )
         })
     }
@@ -225,7 +210,7 @@ impl Measured<'_> {
 
     /// Whether some epochs brought too much and others too little, between which the steps halve.
     fn on_both_sides(&self) -> Option<String> {
-        let misses = || self.epochs.iter().map(|epoch| self.amounts.miss(epoch.record.transported));
+        let misses = || self.epochs.iter().map(|epoch| self.amounts.miss(epoch.record.census.target));
         (misses().any(|miss| miss < 0.0) && misses().any(|miss| miss > 0.0)).then(|| {
             format!(
                 "some epochs brought too much and others too little: --resume with --epochs {} would close in on the amount",
@@ -256,13 +241,14 @@ impl Measured<'_> {
 mod tests {
     use super::*;
     use crate::optim::EpochRecord;
+    use powderline_simulator::rollout::Census;
 
     fn epochs(records: &[(u32, u32, u32)]) -> Vec<Judged> {
         (0..)
             .zip(records)
-            .map(|(epoch, &(transported, spilled, on_tool))| Judged {
-                record: EpochRecord { epoch, transported, spilled, on_tool, ..EpochRecord::default() },
-                obstacle: None,
+            .map(|(epoch, &(target, spilled, tool))| {
+                let census = Census { target, spilled, tool, ..Census::default() };
+                Judged { record: EpochRecord { epoch, census, ..EpochRecord::default() }, obstacle: None }
             })
             .collect()
     }
@@ -296,7 +282,9 @@ mod tests {
 
         let text = said(&scene, &epochs(&[(900, 400, 0), (950, 350, 0), (940, 350, 0)]), 1);
         assert!(
-            text.contains("2.8 g (350 particles) spilled, with a transport displacement of 110.0 mm"),
+            text.contains(
+                "2.8 g (350 particles) fell on rims or beside them, with a transport displacement of 110.0 mm"
+            ),
             "{text}"
         );
 
@@ -308,7 +296,7 @@ mod tests {
         let text = said(&scene, &bound, 1);
         assert!(text.contains("the lift height stands at the lower end of its range, 60.0 mm"), "{text}");
 
-        bound[0].record.transported = 1199;
+        bound[0].record.census.target = 1199;
         bound[0].obstacle = Some("the tool's handle would pass".into());
         let text = said(&scene, &bound, 1);
         assert!(

@@ -1,7 +1,10 @@
 //! Particles as the powder that they stand for: grams first, particles beside them.
 
 use super::words::count;
-use powderline_simulator::scene::{Aim, Scene, figures::mass};
+use powderline_simulator::{
+    rollout::Census,
+    scene::{Aim, Scene, figures::mass},
+};
 use serde::Serialize;
 
 /// What a scene wants, and what its particles weigh.
@@ -53,6 +56,26 @@ impl Amounts {
     /// Such as `9.584 g`.
     pub fn mass(&self, particles: u32) -> String {
         mass(self.kg(particles))
+    }
+
+    /// Where the powder is that did not arrive, as a sentence.
+    pub fn rest(&self, census: &Census) -> String {
+        let rest = census.rest(self.particle_mass_kg).to_string();
+        // Numbers have no capitals.
+        rest[..1].to_uppercase() + &rest[1..] + "."
+    }
+
+    /// What is wrong where one particle more or less decides.
+    pub fn grains_too_large(&self) -> Option<String> {
+        let grain = self.particle_mass_kg / self.wanted_kg;
+        (grain > self.tolerance?).then(|| {
+            format!(
+                "one particle is {} of the wanted amount, more than the tolerance of {}; a larger powder.particles_per_cell or smaller \
+                 cells would be right",
+                percent(grain),
+                self.tolerance()
+            )
+        })
     }
 
     /// Such as `9.6 g (1,200 particles)`.

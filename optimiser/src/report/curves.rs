@@ -1,6 +1,7 @@
 //! `curves.svg`: loss, powder that arrives and skill against the epoch, one above the other.
 
 use super::amounts::Amounts;
+use super::finding::Outcome;
 use super::ink::{self, Axis, COLOURS, FONT, INK};
 use crate::optim::EpochRecord;
 use plotters::{
@@ -29,8 +30,8 @@ pub struct CurvesError(String);
 /// What the curves show.
 #[derive(Clone, Copy, Debug)]
 pub struct Curves<'a> {
-    /// Heading.
-    pub title: &'a str,
+    /// Heading, and the line below it.
+    pub title: [&'a str; 2],
     /// The evaluated epochs.
     pub history: &'a [EpochRecord],
     /// Epochs of the run.
@@ -39,6 +40,8 @@ pub struct Curves<'a> {
     pub curriculum_epochs: u32,
     /// The epoch whose skill is the plan: of those that the arm may perform, the best.
     pub shipped: Option<u32>,
+    /// What the plan brings; the epoch's own figures are those before its motion was rounded.
+    pub plan: Option<&'a Outcome>,
     /// Better epochs whose skill the arm may not perform.
     pub passed_over: &'a [u32],
     /// What theta means in metres and radians.
@@ -82,7 +85,9 @@ impl Curves<'_> {
         ink::prepare();
         let root = SVGBackend::with_string(svg, SIZE).into_drawing_area();
         root.fill(&WHITE)?;
-        let body = root.margin(12, 6, 0, 0).titled(self.title, (FONT, 22).into_font().color(&INK))?;
+        let [heading, below] = self.title;
+        let body = root.margin(12, 6, 0, 0).titled(heading, (FONT, 22).into_font().color(&INK))?;
+        let body = body.titled(below, (FONT, 15).into_font().color(&INK))?;
         let (mut rest, legend) = body.split_vertically(body.dim_in_pixel().1 - LEGEND);
         let panels = [self.loss(), self.arrival(), self.skill("mm"), self.skill("deg")];
         let height = (rest.dim_in_pixel().1 - 16) / panels.len() as u32;
@@ -106,24 +111,29 @@ impl Curves<'_> {
         self.history.iter().find(|record| Some(record.epoch) == self.shipped)
     }
 
-    fn note(&self, value: impl Fn(&EpochRecord) -> String) -> String {
-        self.shipped().map(|record| format!("shipped: {}", value(record))).unwrap_or_default()
+    fn note(&self, value: impl Fn(&Outcome) -> String) -> String {
+        let best = self.shipped().map(|record| Outcome::of_epoch(self.amounts, record));
+        match (self.plan, best) {
+            (Some(plan), _) => format!("the plan: {}", value(plan)),
+            (None, Some(best)) => format!("best so far: {}", value(&best)),
+            (None, None) => String::new(),
+        }
     }
 
     fn loss(&self) -> Panel {
         let points = self.points(|record| record.loss);
         let values = Axis::log_if_wide(points.iter().map(|point| point.1), std::iter::empty());
-        let note = self.note(|record| format!("{:.3} m", record.loss));
+        let note = self.note(|found| format!("{:.3} m", found.loss_m));
         let lines = vec![Line { marked: true, note, colour: COLOURS[0], points }];
         Panel { caption: "loss (m)", values, lines, epoch_axis: false }
     }
 
     fn arrival(&self) -> Panel {
-        let arrives = self.points(|record| 1e3 * self.amounts.kg(record.transported));
+        let arrives = self.points(|record| 1e3 * self.amounts.kg(record.census.target));
         let wanted = self.points(|_| 1e3 * self.amounts.wanted_kg);
         let all = arrives.iter().chain(&wanted).map(|point| point.1);
         let values = Axis::around(all, 0.01 * 1e3 * self.amounts.wanted_kg, false);
-        let note = self.note(|record| self.amounts.mass(record.transported));
+        let note = self.note(|found| mass(found.mass_kg));
         let lines = vec![
             Line {
                 marked: false,
@@ -259,7 +269,7 @@ fn notes(side: &Area<'_>, panel: &Panel) -> Drawn {
 mod tests {
     use super::ink::tests::assert_straight;
     use super::*;
-    use powderline_simulator::scene::Scene;
+    use powderline_simulator::{rollout::Census, scene::Scene};
 
     fn record(epoch: u32, from: f64) -> EpochRecord {
         let fall = 0.8f64.powi(epoch as i32);
@@ -267,8 +277,7 @@ mod tests {
             epoch,
             loss: 1.5 + from * fall,
             indicator: (800.0 * fall) as i64,
-            transported: 10,
-            spilled: 1,
+            census: Census { target: 10, spilled: 1, ..Census::default() },
             theta: std::array::from_fn(|k| (0.1 * f64::from(epoch) + k as f64).sin()),
             seconds: 1.0,
             ..EpochRecord::default()
@@ -280,11 +289,12 @@ mod tests {
         let scene = Scene::load("bench").unwrap();
         let (map, amounts) = (SkillMap::new(&scene), Amounts::from(&scene));
         let curves = Curves {
-            title: "bench, seed 1",
+            title: ["bench, seed 1", "The plan brings nothing."],
             history: &history,
             epochs,
             curriculum_epochs: 2,
             shipped: evaluated.checked_sub(2),
+            plan: None,
             passed_over: if evaluated > 0 { &[evaluated - 1] } else { &[] },
             map: &map,
             amounts: &amounts,

@@ -8,55 +8,58 @@ use super::{
     judged::{Judged, Rule},
     words::{hex, precision_name},
 };
-use crate::optim::EpochRecord;
+use crate::optim::{EpochRecord, Step};
 use powderline_shared::plan::{PlanHeader, Precision};
-use powderline_simulator::{rollout::Evaluation, scene::Scene, skill::Theta};
+use powderline_simulator::{
+    rollout::{Census, Evaluation, Places},
+    scene::Scene,
+    skill::Theta,
+};
 use serde::Serialize;
 
 /// What a motion brings.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Outcome {
-    /// Particles in the target container at the end.
-    pub particles: u32,
-    /// Their mass, kilogram.
+    /// Mass in the target container at the end, kilogram.
     pub mass_kg: f64,
     /// How far that is off the wanted mass, relative: negative where powder is missing.
     pub miss: f64,
-    /// Particles in no container and not on the tool.
-    pub spilled_particles: u32,
-    /// Their mass, kilogram.
-    pub spilled_kg: f64,
+    /// What is on rims, spilled or in flight, kilogram.
+    pub lost_kg: f64,
+    /// All the powder by where it is, kilogram.
+    pub powder_kg: Places<f64>,
+    /// The same in particles.
+    pub census: Census,
     /// Loss, metres.
     pub loss_m: f64,
 }
 
 impl Outcome {
-    /// Of the particles that arrive and spill.
-    pub fn new(amounts: &Amounts, transported: u32, spilled: u32, loss_m: f64) -> Self {
+    /// Of particles by where they are.
+    pub fn new(amounts: &Amounts, census: Census, loss_m: f64) -> Self {
         Self {
-            particles: transported,
-            mass_kg: amounts.kg(transported),
-            miss: amounts.miss(transported),
-            spilled_particles: spilled,
-            spilled_kg: amounts.kg(spilled),
+            mass_kg: amounts.kg(census.target),
+            miss: amounts.miss(census.target),
+            lost_kg: amounts.kg(census.lost()),
+            powder_kg: census.map(|particles| amounts.kg(particles)),
+            census,
             loss_m,
         }
     }
 
     /// Of an epoch.
     pub fn of_epoch(amounts: &Amounts, record: &EpochRecord) -> Self {
-        Self::new(amounts, record.transported, record.spilled, record.loss)
+        Self::new(amounts, record.census, record.loss)
     }
 
     /// Of a simulated motion.
     pub fn of_evaluation(amounts: &Amounts, found: &Evaluation) -> Self {
-        Self::new(amounts, found.transported, found.spilled, found.loss)
+        Self::new(amounts, found.census, found.loss)
     }
 
     /// Of a plan, as it says itself.
     pub fn of_plan(amounts: &Amounts, header: &PlanHeader) -> Self {
-        let PlanHeader { predicted_transported_count, predicted_spilled_count, predicted_loss, .. } = header;
-        Self::new(amounts, *predicted_transported_count, *predicted_spilled_count, *predicted_loss)
+        Self::new(amounts, header.predicted.census, header.predicted.loss_m)
     }
 }
 
@@ -111,6 +114,12 @@ pub struct Finding {
     pub last_epoch: u32,
     /// Epochs in which only depth, angle and lift moved.
     pub curriculum_epochs: u32,
+    /// Epochs that the search was allowed, if it ended before the last of them.
+    pub ended_of: Option<u32>,
+    /// How many epochs that gain nothing end it.
+    pub patience_epochs: u32,
+    /// Epochs after which it began anew from another skill.
+    pub restarts: Vec<u32>,
     /// Epochs that could be no plan.
     pub passed_over: Vec<PassedOver>,
     /// What the first skill brought.
@@ -137,6 +146,8 @@ pub struct RunSoFar<'a> {
     pub precision: Precision,
     /// All epochs, in order.
     pub epochs: &'a [Judged],
+    /// Epochs that the search was allowed, if it ended before the last of them.
+    pub ended_of: Option<u32>,
     /// The plan, once there is one.
     pub shipped: Option<&'a Shipped>,
 }
@@ -144,7 +155,7 @@ pub struct RunSoFar<'a> {
 impl Finding {
     /// What a run has found; nothing before its first epoch.
     pub fn new(run: &RunSoFar<'_>) -> Option<Self> {
-        let RunSoFar { scene, seed, precision, epochs, shipped } = *run;
+        let RunSoFar { scene, seed, precision, epochs, ended_of, shipped } = *run;
         let [first, ..] = epochs else { return None };
         let (amounts, rule) = (Amounts::from(scene), Rule::of(scene));
         let epoch = match shipped {
@@ -154,8 +165,9 @@ impl Finding {
         let passed_over = epochs.iter().filter_map(|epoch| {
             Some(PassedOver { epoch: epoch.record.epoch, reason: epoch.obstacle.clone()? })
         });
+        let restarts = epochs.iter().map(|epoch| &epoch.record).filter(|record| record.step == Step::Restart);
         let plan = shipped.map(|shipped| shipped.outcome);
-        let met = plan.and_then(|plan| amounts.is_met(plan.particles));
+        let met = plan.and_then(|plan| amounts.is_met(plan.census.target));
         Some(Self {
             scene: scene.name.clone(),
             scene_digest: hex(&scene.digest()),
@@ -166,6 +178,9 @@ impl Finding {
             epoch: epoch.map(|epoch| epoch as u32),
             last_epoch: epochs.len() as u32 - 1,
             curriculum_epochs: scene.optimiser.curriculum_epochs,
+            ended_of,
+            patience_epochs: scene.optimiser.patience_epochs,
+            restarts: restarts.map(|record| record.epoch).collect(),
             passed_over: passed_over.collect(),
             first: Outcome::of_epoch(&amounts, &first.record),
             best: epoch.map(|epoch| Outcome::of_epoch(&amounts, &epochs[epoch].record)),
@@ -173,6 +188,16 @@ impl Finding {
             met,
             advice: if met == Some(false) { advice(scene, epochs, epoch) } else { Vec::new() },
         })
+    }
+
+    /// Whether the search may end: the amount is met, and either nothing was gained for as many epochs as the scene has patience,
+    /// or the search would begin anew.
+    pub fn is_settled(&self) -> bool {
+        let Some((epoch, best)) = self.epoch.zip(self.best) else { return false };
+        let is_met = self.amounts.is_met(best.census.target) == Some(true);
+        let gained_nothing = self.last_epoch - epoch >= self.patience_epochs;
+        let leads_nowhere = self.restarts.last() == Some(&self.last_epoch);
+        is_met && self.patience_epochs > 0 && (gained_nothing || leads_nowhere)
     }
 
     /// Whether an epoch is the plan's.
@@ -196,7 +221,7 @@ mod tests {
             record: EpochRecord {
                 epoch,
                 loss,
-                transported,
+                census: Census { target: transported, ..Census::default() },
                 theta: [f64::from(epoch) / 10.0; 5],
                 ..EpochRecord::default()
             },
@@ -206,17 +231,52 @@ mod tests {
     }
 
     #[test]
-    fn the_plan_is_the_smallest_miss_that_the_arm_may_perform() {
+    fn the_plan_loses_least_of_what_is_within_the_tolerance() {
+        let amounts = Amounts::from(&Scene::load("bench").unwrap());
+        let mut epochs = judged(&[1200, 1190, 1210, 1150, 1205], &[20.0, 21.0, 19.0, 10.0, 12.0], &[4]);
+        for (epoch, rims, spilled) in [(0, 1, 2), (1, 2, 0), (2, 0, 2), (3, 0, 0), (4, 0, 0)] {
+            epochs[epoch].record.census.rims = rims;
+            epochs[epoch].record.census.spilled = spilled;
+        }
+        // Epochs 1 and 2 lose alike; 3 loses nothing but misses, 4 is blocked.
+        assert_eq!(Rule::LeastLost.choose(&amounts, &epochs), Some(2));
+    }
+
+    #[test]
+    fn a_search_is_settled_when_the_amount_is_met_and_nothing_more_is_gained() {
         let mut scene = Scene::load("bench").unwrap();
+        let settled = |scene: &Scene, epochs: &[Judged]| {
+            let run =
+                RunSoFar { scene, seed: 1, precision: Precision::F32, epochs, ended_of: None, shipped: None };
+            Finding::new(&run).unwrap().is_settled()
+        };
+        let losses = [50.0, 20.0, 21.0, 22.0];
+        let mut epochs = judged(&[100, 1200, 1210, 900], &losses, &[]);
+        assert_eq!([2, 3, 4].map(|count| settled(&scene, &epochs[..count])), [false, false, true]);
+        assert!(!settled(&scene, &judged(&[100, 1100, 1110, 900], &losses, &[])), "it is not met");
+        assert!(!settled(&scene, &judged(&[100, 1200, 1110, 900], &losses, &[1])), "it may not be performed");
+        epochs[1].record.step = Step::Restart;
+        assert!(settled(&scene, &epochs[..2]), "it leads nowhere");
+        scene.optimiser.patience_epochs = 0;
+        assert!(!settled(&scene, &epochs), "it goes on to the last");
+        scene.optimiser.patience_epochs = 2;
+        scene.objective.aim = Aim::All;
+        assert!(!settled(&scene, &epochs), "there is always more");
+    }
+
+    #[test]
+    fn without_an_epoch_within_the_tolerance_the_plan_is_the_smallest_miss() {
+        let mut scene = Scene::load("bench").unwrap();
+        scene.objective.amount.tolerance = 0.005;
         let amounts = Amounts::from(&scene);
         // Epoch 1 hits but is blocked, 3 and 4 miss alike, 2 has the lowest loss.
         let epochs = judged(&[0, 1200, 1150, 1190, 1210, 1100], &[90.0, 15.0, 14.0, 20.0, 18.0, 30.0], &[1]);
         assert_eq!(Rule::of(&scene).choose(&amounts, &epochs), Some(4));
         scene.objective.aim = Aim::All;
         assert_eq!(Rule::of(&scene).choose(&amounts, &epochs), Some(2));
-        assert_eq!(Rule::SmallestMiss.choose(&amounts, &judged(&[5], &[1.0], &[0])), None);
+        assert_eq!(Rule::LeastLost.choose(&amounts, &judged(&[5], &[1.0], &[0])), None);
         // The earliest of equals.
-        assert_eq!(Rule::SmallestMiss.choose(&amounts, &judged(&[5, 5, 5], &[2.0, 1.0, 1.0], &[])), Some(1));
+        assert_eq!(Rule::LeastLost.choose(&amounts, &judged(&[5, 5, 5], &[2.0, 1.0, 1.0], &[])), Some(1));
     }
 
     #[test]
@@ -224,19 +284,21 @@ mod tests {
         let scene = Scene::load("bench").unwrap();
         let amounts = Amounts::from(&scene);
         let epochs = judged(&[0, 1100, 1200], &[90.0, 15.0, 14.0], &[2]);
-        let shipped = Shipped { theta: [0.1; 5], outcome: Outcome::new(&amounts, 1101, 7, 15.1) };
+        let census = Census { target: 1101, spilled: 7, ..Census::default() };
+        let shipped = Shipped { theta: [0.1; 5], outcome: Outcome::new(&amounts, census, 15.1) };
         let mut run = RunSoFar {
             scene: &scene,
             seed: 1,
             precision: Precision::F32,
             epochs: &epochs,
+            ended_of: None,
             shipped: Some(&shipped),
         };
         let finding = Finding::new(&run).unwrap();
         assert_eq!((finding.epoch, finding.met), (Some(1), Some(false)));
         assert!(finding.is_shipped(1) && !finding.is_shipped(2));
         assert_eq!(finding.obstacle(2), Some("the arm is too slow"));
-        assert_eq!((finding.plan.unwrap().particles, finding.best.unwrap().particles), (1101, 1100));
+        assert_eq!((finding.plan.unwrap().census.target, finding.best.unwrap().census.target), (1101, 1100));
         run.shipped = None;
         let before = Finding::new(&run).unwrap();
         assert_eq!((before.epoch, before.met, before.is_shipped(1)), (Some(1), None, false));

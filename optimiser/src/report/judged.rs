@@ -7,13 +7,14 @@ use powderline_simulator::{
     skill::{SkillMap, Theta, collision},
 };
 use serde::Serialize;
+use std::cmp::Ordering;
 
 /// How the plan is chosen among the epochs whose motion the arm may perform.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Rule {
-    /// The smallest miss of the wanted amount, ties by loss.
-    SmallestMiss,
+    /// Of the epochs within the tolerance the one that loses least powder; if there are none, the smallest miss. Ties by loss.
+    LeastLost,
     /// The lowest loss: as much as can be had is wanted.
     LowestLoss,
 }
@@ -22,28 +23,34 @@ impl Rule {
     /// The rule that goes with what a scene asks for.
     pub fn of(scene: &Scene) -> Self {
         match scene.objective.aim {
-            Aim::Amount => Self::SmallestMiss,
+            Aim::Amount => Self::LeastLost,
             Aim::All => Self::LowestLoss,
         }
     }
 
-    /// The rule as the end of a sentence on an epoch.
-    pub fn words(self) -> &'static str {
+    /// Of which epochs it is which one, where the epoch that it chose is within the tolerance, or is not.
+    pub fn words(self, within: bool) -> [&'static str; 2] {
         match self {
-            Self::SmallestMiss => "misses the wanted amount least (ties by loss)",
-            Self::LowestLoss => "has the lowest loss",
+            Self::LeastLost if within => [" within the tolerance", "loses least powder (ties by loss)"],
+            Self::LeastLost => {
+                ["", "misses the wanted amount least (ties by loss), and none is within the tolerance"]
+            }
+            Self::LowestLoss => ["", "has the lowest loss"],
         }
     }
 
     /// The epoch to ship; none if the arm may perform no epoch's motion.
     pub fn choose(self, amounts: &Amounts, epochs: &[Judged]) -> Option<usize> {
         let key = |record: &EpochRecord| match self {
-            Self::SmallestMiss => [amounts.miss(record.transported).abs(), record.loss],
-            Self::LowestLoss => [record.loss, 0.0],
+            Self::LeastLost if amounts.is_met(record.census.target) == Some(true) => {
+                [0.0, amounts.kg(record.census.lost()), record.loss]
+            }
+            Self::LeastLost => [1.0, amounts.miss(record.census.target).abs(), record.loss],
+            Self::LowestLoss => [record.loss; 3],
         };
         let order = |a: &&Judged, b: &&Judged| {
-            let [a, b] = [key(&a.record), key(&b.record)];
-            a[0].total_cmp(&b[0]).then(a[1].total_cmp(&b[1]))
+            let pairs = key(&a.record).into_iter().zip(key(&b.record));
+            pairs.fold(Ordering::Equal, |order, (a, b)| order.then(a.total_cmp(&b)))
         };
         let able = epochs.iter().filter(|epoch| epoch.obstacle.is_none());
         able.min_by(order).map(|epoch| epoch.record.epoch as usize)

@@ -1,6 +1,8 @@
 //! From a skill to the bytes of a plan.
 
-use powderline_shared::plan::{PlanError, PlanHeader, PlanWriter, Precision, StartPose, Version, WriteError};
+use powderline_shared::plan::{
+    PlanError, PlanHeader, PlanWriter, Precision, Prediction, StartPose, Version, WriteError,
+};
 use powderline_simulator::{
     rollout::Evaluation,
     scene::Scene,
@@ -67,11 +69,13 @@ impl PlanParts<'_> {
             lsb: LSB,
             start: StartPose::from(map.start_pose()),
             limits: *map.limits(),
-            predicted_loss: evaluation.loss,
-            predicted_indicator: evaluation.indicator,
-            predicted_transported_count: evaluation.transported,
-            predicted_transported_kg: f64::from(evaluation.transported) * scene.particle_mass_kg(),
-            predicted_spilled_count: evaluation.spilled,
+            predicted: Prediction {
+                loss_m: evaluation.loss,
+                indicator: evaluation.indicator,
+                wanted_kg: scene.target_mass_kg(),
+                particle_mass_kg: scene.particle_mass_kg(),
+                census: evaluation.census,
+            },
         }
     }
 }

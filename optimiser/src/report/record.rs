@@ -127,6 +127,7 @@ impl RunRecord {
             seed: self.state.seed,
             precision: self.state.precision,
             epochs: &self.epochs,
+            ended_of: self.state.search.is_settled().then(|| self.state.search.epochs()),
             shipped: self.shipped.as_ref(),
         })
     }

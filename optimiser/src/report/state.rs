@@ -7,7 +7,7 @@ use powderline_shared::plan::Precision;
 use powderline_simulator::{mpm::PHYSICS_VERSION, scene::Digest};
 use serde::{Deserialize, Serialize};
 
-const SEAL: Seal = Seal { magic: *b"PLSTATE\0", version: 7 };
+const SEAL: Seal = Seal { magic: *b"PLSTATE\0", version: 8 };
 
 /// A run between two epochs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -108,6 +108,6 @@ mod tests {
         let mut bytes = state().to_bytes();
         bytes[8] = 9;
         let error = RunState::from_bytes(&bytes).unwrap_err().to_string();
-        assert!(error.contains("version 9") && error.contains("version 7"), "{error}");
+        assert!(error.contains("version 9") && error.contains("version 8"), "{error}");
     }
 }

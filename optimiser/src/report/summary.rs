@@ -3,7 +3,7 @@
 use super::{
     amounts::percent,
     finding::{Finding, Outcome},
-    words::parameter,
+    words::{count, parameter},
 };
 use powderline_shared::plan::SKILL_PARAMETERS;
 use std::fmt::Write;
@@ -18,10 +18,10 @@ impl Finding {
     /// Such as `9.584 g (1,198 particles) of the 9.6 g wanted: 0.17 % too little, within the tolerance of 2 %`.
     pub fn arrival(&self, outcome: &Outcome) -> String {
         let amounts = &self.amounts;
-        let arrives = amounts.powder(outcome.particles);
+        let arrives = amounts.powder(outcome.census.target);
         let wanted = powderline_simulator::scene::figures::mass(amounts.wanted_kg);
-        let off = amounts.off(outcome.particles);
-        match amounts.is_met(outcome.particles) {
+        let off = amounts.off(outcome.census.target);
+        match amounts.is_met(outcome.census.target) {
             Some(true) => {
                 format!(
                     "{arrives} of the {wanted} wanted: {off}, within the tolerance of {}",
@@ -38,13 +38,11 @@ impl Finding {
         }
     }
 
-    /// The sentences after the headline: what spills, which epoch it is and why, and which could not be.
+    /// The sentences after the headline: where the rest is, which epoch it is and why, and which could not be.
     pub fn sentences(&self) -> Vec<String> {
-        let spilled = self.plan.map(|plan| match plan.spilled_particles {
-            0 => "Nothing spills.".into(),
-            particles => format!("{} spill.", self.amounts.powder(particles)),
-        });
-        spilled.into_iter().chain([self.choice()]).chain(self.passed_over_words()).collect()
+        let rest = self.plan.map(|plan| self.amounts.rest(&plan.census));
+        let ends = rest.into_iter().chain([self.choice()]).chain(self.end());
+        ends.chain(self.restart_words()).chain(self.passed_over_words()).collect()
     }
 
     /// Which epoch it is, by which rule.
@@ -53,14 +51,44 @@ impl Finding {
             return "No epoch is a motion that the arm may perform.".into();
         };
         let able = if self.passed_over.is_empty() { "" } else { " that the arm may perform" };
+        let [which, why] = self.rule.words(self.amounts.is_met(best.census.target) == Some(true));
+        let before = if self.plan.is_some_and(|plan| plan.loss_m.to_bits() != best.loss_m.to_bits()) {
+            format!(
+                " before its motion was rounded to whole counts it brought {}, with a loss of {:.3} m;",
+                self.amounts.powder(best.census.target),
+                best.loss_m
+            )
+        } else {
+            String::new()
+        };
         format!(
-            "Epoch {epoch} of {} is the plan: of the epochs{able} it {}. Its loss is {:.3} m, epoch 0 had {:.3} m and brought {}.",
+            "Epoch {epoch} of {} is the plan: of the epochs{which}{able} it {why}. Its loss is {:.3} m;{before} epoch 0 had {:.3} m and brought {}.",
             self.last_epoch,
-            self.rule.words(),
-            best.loss_m,
+            self.plan.unwrap_or(best).loss_m,
             self.first.loss_m,
-            self.amounts.powder(self.first.particles),
+            self.amounts.powder(self.first.census.target),
         )
+    }
+
+    /// Why the search ended before its last epoch, if it did.
+    fn end(&self) -> Option<String> {
+        let patience = self.patience_epochs;
+        self.ended_of.map(|epochs| {
+            format!(
+                "The search ended there, of at most {epochs} epochs: the amount is met, and {} gained nothing.",
+                count(patience.into(), "further epoch")
+            )
+        })
+    }
+
+    /// After which epochs the search began anew.
+    fn restart_words(&self) -> Option<String> {
+        let epochs = listed(&self.restarts.iter().map(u32::to_string).collect::<Vec<_>>());
+        match self.restarts.len() {
+            0 => None,
+            1 => Some(format!("Epoch {epochs} led nowhere, so the next began anew from another skill.")),
+            _ => Some(format!("Epochs {epochs} led nowhere, so the next ones began anew from other skills.")),
+        }
     }
 
     /// Epochs that could be no plan, those of one reason together.
@@ -75,8 +103,7 @@ impl Finding {
         }
         let sentence = |(reason, epochs): (&str, Vec<String>)| match epochs.as_slice() {
             [one] => format!("Epoch {one} was passed over: {reason}."),
-            [most @ .., last] => format!("Epochs {} and {last} were passed over: {reason}.", most.join(", ")),
-            [] => String::new(),
+            all => format!("Epochs {} were passed over: {reason}.", listed(all)),
         };
         groups.into_iter().map(sentence).collect()
     }
@@ -119,6 +146,14 @@ impl Finding {
     }
 }
 
+/// Such as `1, 2 and 3`.
+fn listed(words: &[String]) -> String {
+    match words {
+        [most @ .., last] if !most.is_empty() => format!("{} and {last}", most.join(", ")),
+        few => few.concat(),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use crate::{
@@ -131,7 +166,7 @@ mod tests {
         },
     };
     use powderline_shared::plan::Precision;
-    use powderline_simulator::scene::Scene;
+    use powderline_simulator::{rollout::Census, scene::Scene};
 
     fn found(arrives: [u32; 3], blocked: Option<&str>, planned: u32) -> (Finding, RunRecord) {
         let scene = Scene::load("bench").unwrap();
@@ -143,7 +178,7 @@ mod tests {
                 record: EpochRecord {
                     epoch,
                     loss: 100.0 - f64::from(epoch),
-                    transported,
+                    census: Census { target: transported, ..Census::default() },
                     theta: [f64::from(epoch); 5],
                     ..EpochRecord::default()
                 },
@@ -151,7 +186,8 @@ mod tests {
             })
             .collect();
         let amounts = (&run.scene).into();
-        run.shipped = Some(Shipped { theta: [1.0; 5], outcome: Outcome::new(&amounts, planned, 8, 99.1) });
+        let census = Census { target: planned, spilled: 8, source: 7, ..Census::default() };
+        run.shipped = Some(Shipped { theta: [1.0; 5], outcome: Outcome::new(&amounts, census, 99.1) });
         (run.finding().unwrap(), run)
     }
 
@@ -162,9 +198,10 @@ mod tests {
         assert!(
             text.starts_with(
                 "The plan brings 9.584 g (1,198 particles) of the 9.6 g wanted: 0.17 % too little, within the tolerance of 2 %.\n\
-                 64 mg (8 particles) spill.\n\
-                 Epoch 1 of 2 is the plan: of the epochs it misses the wanted amount least (ties by loss). Its loss is 99.000 m, \
-                 epoch 0 had 100.000 m and brought 800 mg (100 particles).\n"
+                 64 mg are lost: 64 mg spilled; 56 mg stay in the source.\n\
+                 Epoch 1 of 2 is the plan: of the epochs within the tolerance it loses least powder (ties by loss). Its loss is \
+                 99.100 m; before its motion was rounded to whole counts it brought 9.52 g (1,190 particles), with a loss of \
+                 99.000 m; epoch 0 had 100.000 m and brought 800 mg (100 particles).\n"
             ),
             "{text}"
         );

@@ -164,7 +164,7 @@ fn is_carried(particle: usize) -> bool {
 
 fn destination(particle: usize) -> Destination {
     match particle {
-        _ if !is_carried(particle) => Destination::Remained,
+        _ if !is_carried(particle) => Destination::Source,
         _ if particle.is_multiple_of(91) => Destination::Spilled,
         _ if particle.is_multiple_of(63) => Destination::Tool,
         _ => Destination::Target,

@@ -179,10 +179,9 @@ impl Sink for Expected {
     }
 
     fn finish(&mut self, destinations: &[Destination]) -> Result<(), ViewError> {
-        use Destination::{Remained, Spilled, Target, Tool};
-        for (which, name) in [(Remained, "left"), (Target, "target"), (Tool, "tool"), (Spilled, "spilled")] {
+        for which in Destination::ALL {
             let count = destinations.iter().filter(|destination| **destination == which).count();
-            self.contents["destinations"][name] = count.into();
+            self.contents["destinations"][which.name()] = count.into();
         }
         Ok(())
     }
@@ -321,7 +320,7 @@ impl Motion {
             })
             .collect();
         let destination = |(index, carried): (usize, &Option<_>)| match carried {
-            None => Destination::Remained,
+            None => Destination::Source,
             Some(_) if index % 97 == 0 => Destination::Spilled,
             Some(_) if index % 29 == 0 => Destination::Tool,
             Some(_) => Destination::Target,

@@ -63,8 +63,10 @@ pub enum PlanError {
         /// Its value.
         value: f64,
     },
-    /// The transported mass is negative.
+    /// A mass is negative.
     NegativeMass {
+        /// Which one.
+        field: &'static str,
         /// Its value, kilograms.
         value: f64,
     },
@@ -134,8 +136,8 @@ impl fmt::Display for PlanError {
             Self::ThetaOutOfRange { value } => {
                 write!(f, "its theta holds {value}, but each component must lie between -1 and 1")
             }
-            Self::NegativeMass { value } => {
-                write!(f, "its predicted transported mass is {value} kg, but must not be negative")
+            Self::NegativeMass { field, value } => {
+                write!(f, "its {field} is {value} kg, but must not be negative")
             }
             Self::OrientationNotUnit { norm } => {
                 write!(f, "its start orientation is a quaternion of norm {norm}, but must have norm 1")

@@ -4,6 +4,7 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::PlanError;
+use crate::census::Census;
 use crate::displacement::{LSB_MAX, Lsb};
 use crate::limits::Limits;
 use crate::pose::Pose;
@@ -100,16 +101,31 @@ pub struct PlanHeader {
     pub start: StartPose,
     /// What the motion keeps.
     pub limits: Limits,
-    /// Loss of the quantised motion, metres.
-    pub predicted_loss: f64,
-    /// Indicator of the quantised motion: target count minus particles that arrived.
-    pub predicted_indicator: i64,
-    /// Particles that arrived in the target container.
-    pub predicted_transported_count: u32,
-    /// Mass that arrived in the target container, kilograms.
-    pub predicted_transported_kg: f64,
-    /// Particles that ended neither in the source nor in the target container.
-    pub predicted_spilled_count: u32,
+    /// What the quantised motion brings.
+    pub predicted: Prediction,
+}
+
+/// What a motion brings, as it was simulated.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Prediction {
+    /// Loss, metres.
+    pub loss_m: f64,
+    /// Target count minus particles that arrive.
+    pub indicator: i64,
+    /// Mass that was wanted in the target container, kilograms.
+    pub wanted_kg: f64,
+    /// Mass of one particle, kilograms.
+    pub particle_mass_kg: f64,
+    /// Particles by where they are at the end.
+    pub census: Census,
+}
+
+impl Prediction {
+    /// What arrives in the target container, kilograms.
+    #[must_use]
+    pub fn arrives_kg(&self) -> f64 {
+        f64::from(self.census.target) * self.particle_mass_kg
+    }
 }
 
 impl PlanHeader {
@@ -133,13 +149,14 @@ impl PlanHeader {
 
     fn check_finite(&self) -> Result<(), PlanError> {
         let start = &self.start;
-        let groups: [(&'static str, &[f64]); 6] = [
+        let groups: [(&'static str, &[f64]); 7] = [
             ("theta", &self.theta),
             ("skill parameters", &self.skill_parameters),
             ("start position", &start.position_m),
             ("start orientation", &start.orientation_wxyz),
-            ("predicted loss", &[self.predicted_loss]),
-            ("predicted transported mass", &[self.predicted_transported_kg]),
+            ("predicted loss", &[self.predicted.loss_m]),
+            ("wanted mass", &[self.predicted.wanted_kg]),
+            ("mass of a particle", &[self.predicted.particle_mass_kg]),
         ];
         for (field, values) in groups {
             if let Some(&value) = values.iter().find(|value| !value.is_finite()) {
@@ -153,8 +170,11 @@ impl PlanHeader {
         if let Some(&value) = self.theta.iter().find(|value| !(-1.0..=1.0).contains(*value)) {
             return Err(PlanError::ThetaOutOfRange { value });
         }
-        if self.predicted_transported_kg < 0.0 {
-            return Err(PlanError::NegativeMass { value: self.predicted_transported_kg });
+        let Prediction { wanted_kg, particle_mass_kg, .. } = self.predicted;
+        for (field, value) in [("wanted mass", wanted_kg), ("mass of a particle", particle_mass_kg)] {
+            if value < 0.0 {
+                return Err(PlanError::NegativeMass { field, value });
+            }
         }
         in_range("control period in microseconds", self.control_period_us, PERIOD_US_MIN, PERIOD_US_MAX)?;
         in_range("step count", self.step_count, 1, MAX_STEPS)?;

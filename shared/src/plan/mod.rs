@@ -21,7 +21,8 @@ mod writer;
 pub use checksum::{Crc32, Fnv1a64};
 pub use error::PlanError;
 pub use header::{
-    MAX_STEPS, PERIOD_US_MAX, PERIOD_US_MIN, PlanHeader, Precision, SKILL_PARAMETERS, StartPose, Version,
+    MAX_STEPS, PERIOD_US_MAX, PERIOD_US_MIN, PlanHeader, Precision, Prediction, SKILL_PARAMETERS, StartPose,
+    Version,
 };
 pub use reader::{PlanReader, Setpoints, Steps};
 pub use writer::{PlanSummary, PlanWriter, Sink, SliceSink, WriteError};
@@ -30,7 +31,7 @@ pub use writer::{PlanSummary, PlanWriter, Sink, SliceSink, WriteError};
 pub const MAGIC: [u8; 8] = *b"PWDLPLAN";
 
 /// The format version that this crate writes, and the only one that it reads.
-pub const FORMAT_VERSION: u16 = 1;
+pub const FORMAT_VERSION: u16 = 2;
 
 /// No plan is larger; a reader may refuse a longer file unread.
 pub const MAX_FILE_BYTES: usize = 32 * 1024 * 1024;

@@ -5,10 +5,10 @@
 use libfuzzer_sys::fuzz_target;
 use powderline_fuzz::{assert_sentence, plant};
 use powderline_optimiser::cli::Progress;
-use powderline_optimiser::optim::{Method, Search};
+use powderline_optimiser::optim::{Method, Probe, Search};
 use powderline_optimiser::report::{amounts::Amounts, curves::Curves, state::RunState};
 use powderline_shared::plan::Precision;
-use powderline_simulator::rollout::Evaluation;
+use powderline_simulator::rollout::{Census, Evaluation};
 use powderline_simulator::scene::{DEFAULT_SCENE, Scene};
 use powderline_simulator::skill::SkillMap;
 use sha2::{Digest, Sha256};
@@ -20,7 +20,7 @@ const HEAD_BYTES: usize = 12;
 const CHECKSUM_BYTES: usize = 32;
 
 static SCENE: LazyLock<Scene> = LazyLock::new(|| Scene::load(DEFAULT_SCENE).expect("it is shipped"));
-static METHOD: LazyLock<Method> = LazyLock::new(|| Method::from(&SCENE.optimiser));
+static METHOD: LazyLock<Method> = LazyLock::new(|| Method::new(&SCENE, 3));
 static HEAD: LazyLock<Vec<u8>> = LazyLock::new(|| state(0).to_bytes()[..HEAD_BYTES].to_vec());
 
 fuzz_target!(init: plant(seeds()), |bytes: &[u8]| {
@@ -51,14 +51,15 @@ fn go_on(mut search: Search) {
         record(&mut search);
     }
     if let Some(last) = search.history().last() {
-        progress.epoch(last, &Amounts::from(&*SCENE), search.epochs(), search.history());
+        progress.epoch(last, &Amounts::from(&*SCENE), [search.epochs(); 2], search.history());
     }
     let curves = Curves {
-        title: "fuzzed",
+        title: ["fuzzed", "by bytes"],
         history: search.history(),
         epochs: search.epochs(),
         curriculum_epochs: METHOD.rule.curriculum_epochs,
         shipped: search.history().last().map(|record| record.epoch),
+        plan: None,
         passed_over: &[0],
         map: &SkillMap::new(&SCENE),
         amounts: &Amounts::from(&*SCENE),
@@ -75,15 +76,20 @@ fn record(search: &mut Search) {
     let evaluation = Evaluation {
         loss: loss(&request.theta),
         indicator: 1,
-        transported: 2,
-        spilled: 3,
-        on_tool: 4,
+        census: Census { target: 2, spilled: 3, tool: 4, ..Census::default() },
         gradient: request.want_gradient.then_some(request.theta),
     };
     let probes = search.probes(&METHOD, evaluation.gradient.as_ref());
-    let losses: Vec<f64> = probes.iter().map(|probe| loss(&probe.theta)).collect();
+    let losses = |probes: Vec<Probe>| probes.iter().map(|probe| loss(&probe.theta)).collect();
+    let mut rings: Vec<Vec<f64>> = vec![losses(probes)];
+    while let Ok(wider) = search.wider(&METHOD, &evaluation, &rings) {
+        match wider.is_empty() {
+            true => break,
+            false => rings.push(losses(wider)),
+        }
+    }
     // Refused where numbers of the state are too large to go on with.
-    let _ = search.record(&METHOD, &evaluation, &losses, 1.5);
+    let _ = search.record(&METHOD, &evaluation, &rings, 1.5);
 }
 
 /// A run of two epochs, of which some are done.

@@ -2,9 +2,10 @@
 
 use std::convert::Infallible;
 
+use powderline_shared::census::Census;
 use powderline_shared::displacement::{Displacement, Lsb, Quantiser};
 use powderline_shared::limits::Limits;
-use powderline_shared::plan::{PlanHeader, PlanWriter, Precision, StartPose, Version};
+use powderline_shared::plan::{PlanHeader, PlanWriter, Precision, Prediction, StartPose, Version};
 
 /// One smooth move: translation (m), rotation vector in its own frame of reference (rad), steps.
 #[derive(Clone, Debug)]
@@ -36,11 +37,13 @@ pub(crate) fn header() -> PlanHeader {
             angular_acceleration_rad_s2: 20.0,
             angular_jerk_rad_s3: 400.0,
         },
-        predicted_loss: 1.0,
-        predicted_indicator: 3,
-        predicted_transported_count: 850,
-        predicted_transported_kg: 0.012,
-        predicted_spilled_count: 2,
+        predicted: Prediction {
+            loss_m: 1.0,
+            indicator: 3,
+            wanted_kg: 0.006_824,
+            particle_mass_kg: 8e-6,
+            census: Census { source: 2000, target: 850, rims: 1, tool: 0, spilled: 2, in_flight: 0 },
+        },
     }
 }
 

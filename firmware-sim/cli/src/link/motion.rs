@@ -2,9 +2,10 @@
 
 use std::convert::Infallible;
 
+use powderline_shared::census::Census;
 use powderline_shared::displacement::{Displacement, Lsb, Quantiser};
 use powderline_shared::limits::Limits;
-use powderline_shared::plan::{PlanHeader, PlanWriter, Precision, StartPose, Version};
+use powderline_shared::plan::{PlanHeader, PlanWriter, Precision, Prediction, StartPose, Version};
 use powderline_shared::pose::Pose;
 
 use super::dice::Dice;
@@ -73,11 +74,13 @@ pub fn plan_bytes(start: &Pose, limits: Limits, period_us: u32, moves: &[Move]) 
         lsb: Lsb::default(),
         start: StartPose::from(start),
         limits,
-        predicted_loss: 0.0,
-        predicted_indicator: 0,
-        predicted_transported_count: 0,
-        predicted_transported_kg: 0.0,
-        predicted_spilled_count: 0,
+        predicted: Prediction {
+            loss_m: 0.0,
+            indicator: 0,
+            wanted_kg: 0.0,
+            particle_mass_kg: 0.0,
+            census: Census::default(),
+        },
     };
     let mut bytes = Vec::new();
     let sink = |part: &[u8]| {

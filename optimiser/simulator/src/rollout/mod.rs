@@ -57,7 +57,12 @@ pub use crate::memory::Workload;
 use crate::memory::least_memory;
 use crate::scene::Scene;
 use crate::skill::{Control, SkillError, Theta};
-pub use powderline_shared::{displacement::Displacement, plan::Precision, pose::Pose};
+pub use powderline_shared::{
+    census::{Census, Places},
+    displacement::Displacement,
+    plan::Precision,
+    pose::Pose,
+};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -68,12 +73,8 @@ pub struct Evaluation {
     pub loss: f64,
     /// Target count minus the particles inside the target container at the end.
     pub indicator: i64,
-    /// Particles in the target at the end, [`Destination::Target`]; [`Scene::particle_mass_kg`] each.
-    pub transported: u32,
-    /// [`Destination::Spilled`] at the end.
-    pub spilled: u32,
-    /// [`Destination::Tool`] at the end.
-    pub on_tool: u32,
+    /// Particles by their [`Destination`] at the end; [`Scene::particle_mass_kg`] each.
+    pub census: Census,
     /// Derivative of the loss with respect to theta, when asked for.
     pub gradient: Option<Theta>,
 }

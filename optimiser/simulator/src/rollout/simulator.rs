@@ -18,7 +18,9 @@ use crate::rollout::path::{Trajectory, resting};
 use crate::rollout::schedule::{Action, advances, schedule};
 use crate::rollout::{
     Destination, DisplacementGradient, Evaluate, Evaluation, LossFn, Observer, ParticleSimulator, Progress,
-    Recording, RolloutError, SimulatorSettings, Snapshot, loss, outcome, thread_pool,
+    Recording, RolloutError, SimulatorSettings, Snapshot, loss,
+    outcome::{self, Grains},
+    thread_pool,
 };
 use crate::scene::Scene;
 use crate::skill::{Control, SkillMap, Theta};
@@ -188,7 +190,7 @@ impl<T: Real> Simulator<T> {
 
     /// What has been achieved in a state.
     pub(crate) fn judge(&self, state: &RolloutState<T>) -> Evaluation {
-        evaluation(&self.scene, &state.state.particles.positions_by_id(), &state.tool).0
+        evaluation(&self.scene, &state.state.particles, &state.tool).0
     }
 
     /// Evaluation after the given controls, and the loss's cotangents of the controls.
@@ -232,7 +234,7 @@ impl<T: Real> Simulator<T> {
         let lost = |substep, lost, state: &State<T>| lost_error(scene, substep, lost, Some(state));
         let judge = |path: &Trajectory, state: &State<T>| {
             let tool = path.end().unwrap_or(from.tool);
-            evaluation(scene, &state.particles.positions_by_id(), &tool).0
+            evaluation(scene, &state.particles, &tool).0
         };
         let batch = Batch { model, paths: &paths, lost: &lost, judge: &judge };
         let mut spare = std::mem::replace(&mut workspace.spare, BufferPool::empty());
@@ -421,23 +423,24 @@ impl<T: Real> Evaluate for Simulator<T> {
         }
         let end = self.advanced(&state, &recording.controls[step..], &mut |_, _| true);
         let end = end.map_err(|error| error.later_by(step))?;
-        let positions = end.state.particles.positions_by_id();
-        Ok((self.judge(&end), outcome::destinations(&self.scene, &positions, &end.tool)))
+        let (positions, velocities) = where_and_how_fast(&end.state.particles);
+        let grains = Grains { positions: &positions, velocities: &velocities };
+        Ok((self.judge(&end), outcome::destinations(&self.scene, grains, &end.tool)))
     }
 }
 
-fn evaluation(scene: &Scene, positions: &[[f64; 3]], tool: &Pose) -> (Evaluation, Vec<[f64; 3]>) {
-    let (loss, gradient) = loss::loss(scene, positions);
-    let census = outcome::census(scene, positions, tool);
-    let evaluation = Evaluation {
-        loss,
-        indicator: scene.target_count() as i64 - i64::from(census.transported),
-        transported: census.transported,
-        spilled: census.spilled,
-        on_tool: census.on_tool,
-        gradient: None,
-    };
-    (evaluation, gradient)
+/// What the particles have achieved, and the derivative of the loss with respect to their positions.
+fn evaluation<T: Real>(scene: &Scene, particles: &Particles<T>, tool: &Pose) -> (Evaluation, Vec<[f64; 3]>) {
+    let (positions, velocities) = where_and_how_fast(particles);
+    let (loss, gradient) = loss::loss(scene, &positions);
+    let census = outcome::census(scene, Grains { positions: &positions, velocities: &velocities }, tool);
+    let indicator = scene.target_count() as i64 - i64::from(census.target);
+    (Evaluation { loss, indicator, census, gradient: None }, gradient)
+}
+
+/// Positions (m) and velocities (m/s), by identity.
+fn where_and_how_fast<T: Real>(particles: &Particles<T>) -> (Vec<[f64; 3]>, Vec<[f64; 3]>) {
+    (particles.positions_by_id(), particles.velocities_by_id())
 }
 
 /// What became of a particle that the grid cannot hold.
@@ -648,10 +651,10 @@ impl<T: Real> Rollout<'_, T> {
         if let Some(last) = path.len().checked_sub(1) {
             self.step(&mut state, last, &path.bodies(&self.model.gates, last))?;
         }
-        let positions = state.particles.positions_by_id();
         let (mut evaluation, mut gradient) =
-            evaluation(self.scene, &positions, &path.end().unwrap_or(*self.anchor));
+            evaluation(self.scene, &state.particles, &path.end().unwrap_or(*self.anchor));
         if let Some(loss) = self.loss {
+            let positions = state.particles.positions_by_id();
             (evaluation.loss, gradient) = loss(&positions);
             let (given, particles) = (gradient.len(), positions.len());
             if given != particles {

@@ -358,8 +358,10 @@ fn a_scoop_of_cuboids_holds_what_the_scoop_holds() {
     let held = |scene: &Scene, points: Vec<[f64; 3]>| {
         let world = |point: [f64; 3]| tool.world_from_tool(&point.into()).into();
         let world: Vec<[f64; 3]> = points.into_iter().map(world).collect();
-        let on_tool = outcome::census(scene, &world, &tool).on_tool;
-        let of = outcome::destinations(scene, &world, &tool);
+        let at_rest = vec![[0.0; 3]; world.len()];
+        let grains = outcome::Grains { positions: &world, velocities: &at_rest };
+        let on_tool = outcome::census(scene, grains, &tool).tool;
+        let of = outcome::destinations(scene, grains, &tool);
         let held: Vec<bool> = of.into_iter().map(|it| it == Destination::Tool).collect();
         assert_eq!(held.iter().filter(|it| **it).count(), on_tool as usize);
         held

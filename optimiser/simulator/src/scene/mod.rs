@@ -502,6 +502,9 @@ pub struct Optimiser {
     /// Half-step of the central differences that `mixed` compares the adjoint with, in units of
     /// theta; above 0, up to 0.5, typically 0.1: far enough for single grains to average out.
     pub difference_half_step: f64,
+    /// The search ends when the amount is met and so many epochs in a row have gained nothing; 0 to 100,000, with 0 it
+    /// goes on to its last epoch, typically 2.
+    pub patience_epochs: u32,
 }
 
 /// What stands for the gradient of the loss.

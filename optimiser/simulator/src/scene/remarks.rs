@@ -1,8 +1,8 @@
 //! What is allowed in a scene but worth knowing.
 
-use super::figures::about;
+use super::figures::{about, list};
 use super::tool_body::PlacedTool;
-use super::{Container, ContainerShape, Scene};
+use super::{Container, ContainerShape, Objective, Scene};
 
 /// Gap between expectation and geometry that is worth a remark, in cells.
 const REMARKABLE_CELLS: f64 = 0.25;
@@ -11,10 +11,10 @@ const REMARKABLE_CELLS: f64 = 0.25;
 const BADLY_PLACED_CELLS: f64 = 0.1;
 
 impl Scene {
-    /// Sentences about a valid scene that may hide a mistake: a start height at odds with the approach, and faces that the
-    /// grid holds badly.
+    /// Sentences about a valid scene that may hide a mistake: a start height at odds with the approach, faces that the grid
+    /// holds badly, and a target point that is not in the target.
     pub fn warnings(&self) -> Vec<String> {
-        [self.remark_approach(), self.remark_faces()].into_iter().flatten().collect()
+        [self.remark_approach(), self.remark_faces(), self.remark_target()].into_iter().flatten().collect()
     }
 
     fn remark_approach(&self) -> Option<String> {
@@ -27,6 +27,22 @@ impl Scene {
                  measured from",
                 about(1e3 * above_m.abs(), 3),
                 if above_m > 0.0 { "above" } else { "below" }
+            )
+        })
+    }
+
+    fn remark_target(&self) -> Option<String> {
+        let Objective { target, p_target_m, .. } = &self.objective;
+        let container = self.containers.iter().find(|container| container.name == *target)?;
+        let nearest_m = container.nearest_m(p_target_m);
+        let off_m = [0, 1, 2].map(|axis| nearest_m[axis] - p_target_m[axis]);
+        let off_m = libm::hypot(libm::hypot(off_m[0], off_m[1]), off_m[2]);
+        (off_m > container.wall_thickness_m).then(|| {
+            format!(
+                "objective.p_target_m, which powder is drawn to, is {} mm outside the target {target:?}; {} would be the \
+                 nearest point inside",
+                about(1e3 * off_m, 3),
+                list(&nearest_m.map(|x| (1e4 * x).round() / 1e4))
             )
         })
     }
@@ -70,6 +86,17 @@ impl Container {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_target_point_outside_the_target_is_remarked() {
+        for name in ["bench", "bench-small", "bench-fine", "vial"] {
+            assert_eq!(Scene::load(name).unwrap().remark_target(), None, "{name}");
+        }
+        let mut scene = Scene::load("vial").unwrap();
+        scene.objective.p_target_m[0] += 0.28;
+        let remark = scene.remark_target().unwrap();
+        assert!(remark.contains("mm outside the target \"vial\"; ["), "{remark}");
+    }
 
     #[test]
     fn faces_between_nodes_are_remarked() {

@@ -89,18 +89,48 @@ fn fraction(control: &Displacement, part: f64) -> Displacement {
 /// and middles.
 pub fn colliding_skill(scene: &Scene) -> Option<(Theta, Collision)> {
     let map = SkillMap::new(scene);
-    let mut skills = (0..SAMPLES.pow(5))
-        .map(|index| std::array::from_fn(|k| (index / SAMPLES.pow(k as u32) % SAMPLES) as f64 - 1.0));
-    skills.find_map(|theta: Theta| {
-        let motion = map.quantise(&theta).ok()?;
-        collision(scene, map.start_pose(), &motion.controls).map(|collision| (theta, collision))
-    })
+    samples().find_map(|theta| collision_of(scene, &map, &theta).map(|collision| (theta, collision)))
+}
+
+/// Every skill takes the tool through a wall.
+#[derive(Clone, Debug, PartialEq, Error)]
+#[error(
+    "each of {} skills across the ranges of [skill] takes the tool through something, and with the highest lift {collision}; a higher \
+     skill.lift_height_m, a longer transport or lower walls would be right", SAMPLES.pow(5)
+)]
+pub struct Impassable {
+    collision: Collision,
+}
+
+/// Checks that some skill within the scene's bounds stays clear of all containers and gates.
+///
+/// # Errors
+/// None of their ends and middles does.
+pub fn check_passable(scene: &Scene) -> Result<(), Impassable> {
+    const HIGHEST: Theta = [0.0, 0.0, 1.0, 0.0, 0.0];
+    let map = SkillMap::new(scene);
+    match collision_of(scene, &map, &HIGHEST) {
+        Some(collision) if samples().all(|theta| collision_of(scene, &map, &theta).is_some()) => {
+            Err(Impassable { collision })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Ends and middles of all parameters.
+fn samples() -> impl Iterator<Item = Theta> {
+    (0..SAMPLES.pow(5))
+        .map(|index| std::array::from_fn(|k| (index / SAMPLES.pow(k as u32) % SAMPLES) as f64 - 1.0))
+}
+
+fn collision_of(scene: &Scene, map: &SkillMap, theta: &Theta) -> Option<Collision> {
+    collision(scene, map.start_pose(), &map.quantise(theta).ok()?.controls)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{GateOpening, GateShape};
+    use crate::scene::{ContainerShape, GateOpening, GateShape};
 
     #[test]
     fn every_skill_of_the_shipped_scenes_stays_clear() {
@@ -108,6 +138,22 @@ mod tests {
             let scene = Scene::load(name).unwrap();
             assert_eq!(colliding_skill(&scene), None, "{name}");
         }
+    }
+
+    #[test]
+    fn a_wall_that_no_skill_clears_is_known_beforehand() {
+        let mut scene = Scene::load("vial").unwrap();
+        assert_eq!(check_passable(&scene), Ok(()));
+        let vial = scene.containers.iter_mut().find(|container| container.name == scene.objective.target);
+        if let ContainerShape::Cylinder { inner_height_m, .. } = &mut vial.unwrap().shape {
+            *inner_height_m = 0.15;
+        }
+        let sentence = check_passable(&scene).unwrap_err().to_string();
+        assert!(
+            sentence.starts_with("each of 243 skills across the ranges of [skill]")
+                && sentence.contains("would pass through container \"vial\""),
+            "{sentence}"
+        );
     }
 
     #[test]

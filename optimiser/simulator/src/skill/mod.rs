@@ -19,7 +19,7 @@ mod real;
 #[cfg(test)]
 mod tests;
 
-pub use clearance::{Collision, colliding_skill, collision};
+pub use clearance::{Collision, Impassable, check_passable, colliding_skill, collision};
 pub use motion::SegmentKind;
 pub use quantised::{LSB, QuantisedControls, controls_of};
 use real::{Dual5, SkillScalar};

@@ -129,7 +129,7 @@ fn in_target(scene: &Scene, seed: u64, meter: &Meter<'_>) -> Result<([f64; 3], f
     let (evaluation, destinations) = simulator.record(&take, &mut look, &mut progress)?;
     let there = end.iter().zip(destinations).filter(|(_, to)| *to == Destination::Target);
     let there: Vec<_> = there.map(|(p, _)| *p).collect();
-    let mass = f64::from(evaluation.transported) * scene.particle_mass_kg();
+    let mass = f64::from(evaluation.census.target) * scene.particle_mass_kg();
     Ok((spread(&there, scene.particle_volume_m3()), mass))
 }
 

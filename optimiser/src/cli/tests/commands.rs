@@ -125,7 +125,7 @@ fn a_plan_that_is_not_reproduced_is_one_object() {
     let folder = place.finished("run", 1);
     let path = Path::new(&folder).join(PLAN);
     let mut plan = fs::read(&path).unwrap();
-    let reported = PlanReader::new(&plan).unwrap().header().predicted_loss.to_le_bytes();
+    let reported = PlanReader::new(&plan).unwrap().header().predicted.loss_m.to_le_bytes();
     let at = plan.windows(8).position(|bytes| bytes == reported).unwrap();
     plan[at] ^= 1;
     let end = plan.len() - 4;

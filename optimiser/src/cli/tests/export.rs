@@ -3,7 +3,7 @@
 use super::*;
 
 /// A plan of 100 ticks that an arm can make, pinned where plans are at home.
-const GOLDEN: &[u8] = include_bytes!("../../../../shared/tests/golden/plan-v1.plan");
+const GOLDEN: &[u8] = include_bytes!("../../../../shared/tests/golden/plan-v2.plan");
 
 /// An arm that can make it.
 const ARM: [&str; 6] = ["--arm", "ur5e", "--base", "0.6,0.25,0,0,0,0", "--tool", "0,0,0.1,20,0,0"];

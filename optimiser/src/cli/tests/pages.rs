@@ -14,7 +14,7 @@ fn a_run_becomes_a_page_with_curves_table_and_replay() {
     assert_eq!(done.code, 0, "{}", done.err);
     assert!(done.out.contains("report.html"), "{}", done.out);
     let page = page(&folder);
-    for text in ["bench-small, seed 4", "Powder that arrives", "pouring angle", "Epochs", "Spilled"] {
+    for text in ["bench-small, seed 4", "Powder that arrives", "pouring angle", "Epochs", "Lost"] {
         assert!(page.contains(text), "{text}");
     }
     let with_replay = page.len();

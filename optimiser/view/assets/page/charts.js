@@ -134,8 +134,10 @@ function upwards(chart, height) {
     const share = (y) => (Math.log10(Math.max(y, 10 ** low)) - low) / (high - low);
     return { marks: logMarks(10 ** low, 10 ** high, digits), share };
   }
-  const [low, high] = rangeOf([...ys, ...chart.series.flatMap((series) => series.band ?? []).flat()], 0.06);
-  const marks = linearMarks(low, high, Math.min(most, 6), isWhole(ys));
+  const bands = chart.series.flatMap((series) => series.band ?? []).flat();
+  const isShare = chart.y_scale === 'share';
+  const [low, high] = isShare ? [0, 1] : rangeOf([...ys, ...bands], 0.06);
+  const marks = linearMarks(low, high, Math.min(most, 6), !isShare && isWhole(ys));
   return { marks, share: (y) => (y - low) / (high - low) };
 }
 

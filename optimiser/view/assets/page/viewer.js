@@ -11,10 +11,12 @@ const RAMPS = {
 
 /** Where particles end, by the digit the page stores. Warm as well: alike for no kind of eyes, nor like a container. */
 const DESTINATIONS = [
-  ['left behind', '#c9b27c'],
+  ['in the source', '#c9b27c'],
   ['in the target', '#5f3716'],
   ['on the tool', '#e69f00'],
   ['spilled', '#c9471d'],
+  ['on a rim', '#ffe86b'],
+  ['in flight', '#f7b6a5'],
 ];
 
 /** Directions to look from; z is up. */
@@ -30,7 +32,7 @@ const POWDER_VERTEX = `
   uniform int mode;
   uniform vec2 range;
   uniform vec3 size;
-  uniform vec3 destinations[4];
+  uniform vec3 destinations[6];
   uniform sampler2D ramp;
   out vec3 tint;
 

@@ -60,13 +60,7 @@ fn columns(pose: &Pose) -> String {
 pub(super) fn destinations(file: &mut dyn Write, destinations: &[Destination]) -> io::Result<()> {
     writeln!(file, "particle,destination")?;
     for (particle, destination) in destinations.iter().enumerate() {
-        let name = match destination {
-            Destination::Remained => "left",
-            Destination::Target => "target",
-            Destination::Tool => "tool",
-            Destination::Spilled => "spilled",
-        };
-        writeln!(file, "{particle},{name}")?;
+        writeln!(file, "{particle},{}", destination.name())?;
     }
     Ok(())
 }

@@ -39,8 +39,8 @@ pub enum Format {
     Csv,
 }
 
-/// Writes every k-th frame into a folder, and at the end `destinations.csv`: for each particle `left`, `target`, `tool`
-/// or `spilled`.
+/// Writes every k-th frame into a folder, and at the end `destinations.csv`: for each particle `source`, `target`, `rims`,
+/// `tool`, `spilled` or `in_flight`.
 pub struct Series {
     folder: PathBuf,
     every: usize,
@@ -204,7 +204,7 @@ mod tests {
 
     const FORMATS: [Format; 3] = [Format::Vtk, Format::Ply, Format::Csv];
     const DESTINATIONS_OF_ALL: [Destination; 3] =
-        [Destination::Spilled, Destination::Remained, Destination::Target];
+        [Destination::InFlight, Destination::Source, Destination::Rims];
 
     /// Six frames, of which every k-th is written.
     fn play(format: Format, folder: &Path, every: usize) -> Result<(), ViewError> {
@@ -272,7 +272,7 @@ mod tests {
             let folder = tempfile::tempdir().expect("a folder");
             play(format, folder.path(), 3).expect("a series");
             let table = fs::read_to_string(folder.path().join(DESTINATIONS)).expect("the destinations");
-            assert_eq!(table, "particle,destination\n0,spilled\n1,left\n2,target\n");
+            assert_eq!(table, "particle,destination\n0,in_flight\n1,source\n2,rims\n");
         }
     }
 

@@ -3,9 +3,10 @@ use std::f64::consts::PI;
 use nalgebra::Vector3;
 use powderline_shared::arm::ArmError;
 use powderline_shared::arm::inverse::Posture;
+use powderline_shared::census::Census;
 use powderline_shared::displacement::{Displacement, Quantiser};
 use powderline_shared::limits::Limit;
-use powderline_shared::plan::{PlanHeader, PlanWriter, Precision, StartPose, Version};
+use powderline_shared::plan::{PlanHeader, PlanWriter, Precision, Prediction, StartPose, Version};
 use powderline_shared::pose::{Pose, exp_so3, norm};
 use serde_json::Value;
 
@@ -59,11 +60,13 @@ fn plan_along(
         lsb: Lsb::default(),
         start: StartPose { position_m: [-0.45, -0.1, 0.3], orientation_wxyz: [0.5, 0.5, -0.5, 0.5] },
         limits,
-        predicted_loss: 0.0,
-        predicted_indicator: 0,
-        predicted_transported_count: 0,
-        predicted_transported_kg: 0.0,
-        predicted_spilled_count: 0,
+        predicted: Prediction {
+            loss_m: 0.0,
+            indicator: 0,
+            wanted_kg: 0.0,
+            particle_mass_kg: 0.0,
+            census: Census::default(),
+        },
     };
     let at = |tick: u32| done(f64::from(tick) / f64::from(ticks));
     let mut bytes = Vec::new();

@@ -60,6 +60,8 @@ pub enum Scale {
     Linear,
     /// Equal steps for equal ratios, if the curves are above zero and span more than a decade; said at the axis.
     LogIfWide,
+    /// Equal steps for equal differences, from 0 to 1.
+    Share,
 }
 
 /// A curve.

@@ -337,10 +337,12 @@ fn role_name(role: Role) -> &'static str {
 
 fn digit(destination: Destination) -> char {
     match destination {
-        Destination::Remained => '0',
+        Destination::Source => '0',
         Destination::Target => '1',
         Destination::Tool => '2',
         Destination::Spilled => '3',
+        Destination::Rims => '4',
+        Destination::InFlight => '5',
     }
 }
 
@@ -534,7 +536,7 @@ mod tests {
             velocities_m_s: &[],
         };
         recorder.frame(&frame).expect("a recorder writes nothing");
-        recorder.finish(&[Destination::Remained]).expect("a recorder writes nothing");
+        recorder.finish(&[Destination::Source]).expect("a recorder writes nothing");
         let replay = recorder.into_replay().expect("frames came");
         assert_eq!(unpacked(&replay).len(), 2);
         assert!(replay.about.destinations.is_none());

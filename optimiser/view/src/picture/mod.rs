@@ -405,7 +405,7 @@ impl Colouring {
             Self::Plain(colour) => *colour,
             Self::Speed { max_m_s } => speed_colour(f64::from(*speed) / max_m_s),
             Self::Height { max_m } => height_colour(f64::from(*z) / max_m),
-            Self::Destination => destination_colour(destination.unwrap_or(Destination::Remained)),
+            Self::Destination => destination_colour(destination.unwrap_or(Destination::Source)),
         }
     }
 
@@ -434,25 +434,23 @@ fn clamped(share: f64) -> f64 {
 /// Colours that colour-blind readers can tell apart, after M. Okabe and K. Ito.
 fn destination_colour(destination: Destination) -> Rgb {
     match destination {
-        Destination::Remained => [205, 190, 165],
+        Destination::Source => [205, 190, 165],
         Destination::Target => [0, 158, 115],
         Destination::Tool => [0, 114, 178],
         Destination::Spilled => [213, 74, 20],
+        Destination::Rims => [240, 228, 66],
+        Destination::InFlight => [204, 121, 167],
     }
 }
 
 fn key(destinations: &[Destination]) -> Vec<(Rgb, String)> {
-    let names = [
-        (Destination::Remained, "left"),
-        (Destination::Target, "target"),
-        (Destination::Tool, "tool"),
-        (Destination::Spilled, "spilled"),
-    ];
     let count = |which| destinations.iter().filter(|destination| **destination == which).count();
-    names
-        .iter()
-        .map(|(which, name)| (destination_colour(*which), format!("{name:<7}{:>6}", count(*which))))
-        .collect()
+    let entry = |which: Destination| {
+        let name = which.name().replace('_', " ");
+        (destination_colour(which), format!("{name:<9}{:>6}", count(which)))
+    };
+    let is_there = |which: &Destination| destinations.is_empty() || count(*which) > 0;
+    Destination::ALL.into_iter().filter(is_there).map(entry).collect()
 }
 
 /// Colour of gates.
@@ -783,7 +781,7 @@ mod tests {
     #[test]
     fn the_smallest_and_the_narrowest_pictures_say_what_colours_mean() {
         let scale = (Colouring::Height { max_m: 0.1 }, height_colour(0.0));
-        let key = (Colouring::Destination, destination_colour(Destination::Spilled));
+        let key = (Colouring::Destination, destination_colour(Destination::InFlight));
         for (width_px, height_px) in [(16, 16), (16, 1300), (1300, 16)] {
             for (colouring, colour) in [scale, key] {
                 let has_colour = |labels| {

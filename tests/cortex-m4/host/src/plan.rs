@@ -3,9 +3,10 @@
 use std::convert::Infallible;
 
 use anyhow::Result;
+use powderline_shared::census::Census;
 use powderline_shared::displacement::{Displacement, Lsb, Quantiser};
 use powderline_shared::limits::Limits;
-use powderline_shared::plan::{PlanHeader, PlanReader, PlanWriter, Precision, StartPose, Version};
+use powderline_shared::plan::{PlanHeader, PlanReader, PlanWriter, Precision, Prediction, StartPose, Version};
 
 /// Translation (m), rotation vector in world axes (rad), steps.
 const MOVES: [([f64; 3], [f64; 3], u32); 6] = [
@@ -71,10 +72,12 @@ fn header() -> PlanHeader {
             angular_acceleration_rad_s2: 15.0,
             angular_jerk_rad_s3: 300.0,
         },
-        predicted_loss: 1.0,
-        predicted_indicator: 3,
-        predicted_transported_count: 850,
-        predicted_transported_kg: 0.012,
-        predicted_spilled_count: 2,
+        predicted: Prediction {
+            loss_m: 1.0,
+            indicator: 3,
+            wanted_kg: 0.006_824,
+            particle_mass_kg: 8e-6,
+            census: Census { source: 2000, target: 850, rims: 1, tool: 0, spilled: 2, in_flight: 0 },
+        },
     }
 }

@@ -208,6 +208,7 @@ fn objective(checker: &Checker<'_>, objective: &Objective) -> Checked {
 fn optimiser(checker: &Checker<'_>, optimiser: &Optimiser) -> Checked {
     checker.count("optimiser.epochs", optimiser.epochs, 1, 100_000)?;
     checker.count("optimiser.curriculum_epochs", optimiser.curriculum_epochs, 0, 100_000)?;
+    checker.count("optimiser.patience_epochs", optimiser.patience_epochs, 0, 100_000)?;
     checker.number("optimiser.learning_rate", optimiser.learning_rate, Range::above(0.0, 10.0))?;
     checker.number("optimiser.beta", optimiser.beta, Range::below(0.0, 1.0))?;
     checker.number("optimiser.epsilon", optimiser.epsilon, Range::above(0.0, 1.0))?;
