@@ -89,13 +89,18 @@ impl fmt::Display for Rest {
         let mass = |particles: u32| Mass(f64::from(particles) * self.particle_mass_kg);
         let lost = [(rims, "on rims"), (spilled, "spilled"), (in_flight, "in flight")];
         let kept = [(tool, "on the tool"), (source, "in the source")];
-        match lost.iter().filter(|(particles, _)| *particles > 0).count() {
+        let all = self.census.lost();
+        match all {
             0 => f.write_str("nothing is lost")?,
-            _ => write!(f, "{} are lost", mass(self.census.lost()))?,
+            _ => write!(f, "{} are lost", mass(all))?,
         }
         let mut separator = ": ";
         for (particles, place) in lost.into_iter().filter(|(particles, _)| *particles > 0) {
-            write!(f, "{separator}{} {place}", mass(particles))?;
+            if particles == all {
+                write!(f, ", all {place}")?;
+            } else {
+                write!(f, "{separator}{} {place}", mass(particles))?;
+            }
             separator = ", ";
         }
         let mut separator = "; ";
@@ -134,7 +139,7 @@ mod tests {
         );
         assert_eq!(
             said(Census { rims: 0, tool: 0, in_flight: 1, spilled: 0, ..CENSUS }),
-            "8 mg are lost: 8 mg in flight; 12.29 g stay in the source"
+            "8 mg are lost, all in flight; 12.29 g stay in the source"
         );
         assert_eq!(said(Census { target: 9, ..Census::default() }), "nothing is lost");
     }

@@ -46,6 +46,14 @@ fn a_skill_is_optimised_played_and_reproduced_with_the_same_bits_for_any_number_
     }
     assert_eq!(played["plan"]["content_hash"], inspected["content_hash"]);
 
+    // All powder is accounted for, in the same numbers wherever they are said.
+    let census = &again["census"];
+    assert_eq!((census, census), (&inspected["predicted"]["census"], &played["plan"]["predicted"]["census"]));
+    let places = census.as_object().unwrap();
+    let checked = run(OPTIMISE, &["check", "bench-small", "--json"]).json();
+    assert_eq!(places.len(), 6);
+    assert_eq!(places.values().filter_map(Value::as_u64).sum::<u64>(), checked["particles"]);
+
     // Powder moved, and the gradient knows of all that the curriculum lets it.
     let lines: Vec<Value> = metrics(&folder).iter().map(|l| serde_json::from_str(l).unwrap()).collect();
     let epochs: Vec<_> = lines.iter().map(|line| line["epoch"].as_u64().unwrap()).collect();

@@ -52,14 +52,12 @@ impl Finding {
         };
         let able = if self.passed_over.is_empty() { "" } else { " that the arm may perform" };
         let [which, why] = self.rule.words(self.amounts.is_met(best.census.target) == Some(true));
-        let before = if self.plan.is_some_and(|plan| plan.loss_m.to_bits() != best.loss_m.to_bits()) {
-            format!(
-                " before its motion was rounded to whole counts it brought {}, with a loss of {:.3} m;",
-                self.amounts.powder(best.census.target),
-                best.loss_m
-            )
-        } else {
-            String::new()
+        let said = |found: &Outcome| {
+            format!("{}, with a loss of {:.3} m", self.amounts.powder(found.census.target), found.loss_m)
+        };
+        let before = match self.plan.is_some_and(|plan| said(&plan) != said(&best)) {
+            true => format!(" before its motion was rounded to whole counts it brought {};", said(&best)),
+            false => String::new(),
         };
         format!(
             "Epoch {epoch} of {} is the plan: of the epochs{which}{able} it {why}. Its loss is {:.3} m;{before} epoch 0 had {:.3} m and brought {}.",
@@ -198,7 +196,7 @@ mod tests {
         assert!(
             text.starts_with(
                 "The plan brings 9.584 g (1,198 particles) of the 9.6 g wanted: 0.17 % too little, within the tolerance of 2 %.\n\
-                 64 mg are lost: 64 mg spilled; 56 mg stay in the source.\n\
+                 64 mg are lost, all spilled; 56 mg stay in the source.\n\
                  Epoch 1 of 2 is the plan: of the epochs within the tolerance it loses least powder (ties by loss). Its loss is \
                  99.100 m; before its motion was rounded to whole counts it brought 9.52 g (1,190 particles), with a loss of \
                  99.000 m; epoch 0 had 100.000 m and brought 800 mg (100 particles).\n"
