@@ -61,7 +61,7 @@ fn a_good_plan_is_performed() {
     let output = execute(&[&plan]);
     let text = str::from_utf8(&output.stdout).unwrap();
     assert_eq!(output.status.code(), Some(0), "{text}");
-    for words in ["120 steps of 10 ms", "Completed: 120 of 120 ticks", "within half an LSB", "peak use"] {
+    for words in ["120 steps of 10 ms", "Completed: 120 of 120 ticks", "within half a count", "peak use"] {
         assert!(text.contains(words), "\"{words}\" is missing in: {text}");
     }
     assert!(output.stderr.is_empty());
@@ -113,7 +113,7 @@ fn files_that_are_no_plans_are_refused_in_one_sentence() {
     assert_refused(&written(&dir, "flipped", &flipped), &["checksum", "damaged"]);
     let mut future = good;
     future[8] = 9;
-    assert_refused(&written(&dir, "future", &future), &["version 9", "version 1"]);
+    assert_refused(&written(&dir, "future", &future), &["version 9", "version 2"]);
 }
 
 #[test]

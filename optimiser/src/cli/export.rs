@@ -23,7 +23,7 @@ use powderline_view::{
     export::{Format, Series},
     motion::{
         Motion,
-        arm::{ArmMotion, Figures, Mount},
+        arm::{ArmMotion, Clearance, Figures, Mount, Table},
         mcap, table, urscript,
     },
 };
@@ -95,9 +95,13 @@ pub(super) struct ArmArgs {
     /// The plan's tool frame in the flange, likewise
     #[arg(long, value_name = "X,Y,Z,R,P,Y", allow_hyphen_values = true, requires = "arm", value_parser = parse_pose)]
     pub tool: Option<Pose>,
-    /// Joints near which to begin, degrees [default: elbow up, reaching forward, if that can make the motion]
+    /// Joints near which to begin, degrees [default: the posture with the largest margins, by joints, singularities and table]
     #[arg(long, value_name = "J1,..,J6", allow_hyphen_values = true, requires = "arm", value_parser = parse_joints)]
     pub near: Option<[f64; 6]>,
+    /// Height of a table beneath arm and bench, metres, in the scene's world: a motion that takes a link nearer to it than 20 mm
+    /// is refused [default: none; links below the scene's floor, 0, are said]
+    #[arg(long, value_name = "Z", allow_hyphen_values = true, requires = "arm", value_parser = parse_height)]
+    pub table: Option<f64>,
     /// Setpoints a second of a URScript program; a whole part of 500 [default: 500, the e-Series' own]
     #[arg(long, value_name = "HZ", value_parser = parse_rate, requires = "arm")]
     pub rate: Option<u32>,
@@ -337,10 +341,33 @@ impl ExportArgs {
         }
     }
 
+    /// How near the arm comes to the table, or to where one may be.
+    fn table_words(&self, nearest: &Clearance) -> String {
+        let Clearance { link, distance_m, time_s } = nearest;
+        let (link, mm) = (link.name(), 1e3 * distance_m);
+        match self.arm.table {
+            Some(_) => {
+                format!("Its {link} comes nearest to the table, {mm:.0} mm above it at {time_s:.2} s.")
+            }
+            None if mm < 0.0 => format!(
+                "Warning: its {link} would be {:.0} mm below the scene's floor, z = 0, at {time_s:.2} s. Where a table goes on \
+                 to there, that is a collision: --table 0 finds a motion without, or refuses.",
+                -mm
+            ),
+            None => {
+                format!(
+                    "Its {link} comes nearest to the scene's floor, z = 0: {mm:.0} mm above it at {time_s:.2} s."
+                )
+            }
+        }
+    }
+
     /// Sentences on what the arm has to do.
     fn text(&self, motion: &Motion) -> String {
         let Some(ArmMotion { model, figures, .. }) = &motion.arm else { return String::new() };
-        let Figures { fastest_joint, speed_rad_s, singular_joint, margin, limit_use } = figures;
+        let Figures { fastest_joint, speed_rad_s, singular_joint, margin, limit_use, .. } = figures;
+        let table = self.table_words(&figures.nearest_to_table());
+        let wrist = if model.posture.wrist_positive { "positive" } else { "negative" };
         let reach = if model.posture.reaches_forward { "forward" } else { "backward over its base" };
         let elbow = if model.posture.elbow_is_up() { "up" } else { "down" };
         let share = 100.0 * speed_rad_s / model.joint_speed_rad_s[fastest_joint - 1];
@@ -354,7 +381,8 @@ impl ExportArgs {
             angular_jerk,
         } = *limit_use;
         format!(
-            "The UR5e reaches {reach}, elbow {elbow}. Joint {fastest_joint} comes nearest to its speed, {speed_rad_s:.2} rad/s \
+            "The UR5e reaches {reach}, elbow {elbow}, wrist 2 at a {wrist} angle. {table}\n\
+             Joint {fastest_joint} comes nearest to its speed, {speed_rad_s:.2} rad/s \
              ({share:.0} %); joint {singular_joint} nearest to a singularity, {margin:.2} (1 is best, {:.2} the least).\n\
              Looked at every {} ms it uses, of the plan's limits: linear velocity {}, acceleration {}, jerk {}; angular \
              velocity {}, acceleration {}, jerk {}.\n",
@@ -421,11 +449,27 @@ struct ArmUse {
     singularity_margin: f64,
     /// Shares of the plan's limits.
     limit_use: PeakUse,
+    /// How near each link comes to the table, or to the scene's floor where none is given.
+    clearances: [ClearanceUse; 5],
+}
+
+/// How near a link comes to the table.
+#[derive(Clone, Copy, Debug, Serialize)]
+struct ClearanceUse {
+    link: &'static str,
+    above_table_m: f64,
+    time_s: f64,
 }
 
 impl From<&ArmMotion> for ArmUse {
     fn from(arm: &ArmMotion) -> Self {
-        let Figures { fastest_joint, speed_rad_s, singular_joint, margin, limit_use } = arm.figures;
+        let Figures { fastest_joint, speed_rad_s, singular_joint, margin, limit_use, clearances, .. } =
+            arm.figures;
+        let clearance = |clearance: Clearance| ClearanceUse {
+            link: clearance.link.name(),
+            above_table_m: clearance.distance_m,
+            time_s: clearance.time_s,
+        };
         Self {
             arm: table::Arm::from(&arm.model),
             fastest_joint,
@@ -433,6 +477,7 @@ impl From<&ArmMotion> for ArmUse {
             singular_joint,
             singularity_margin: margin,
             limit_use,
+            clearances: clearances.map(clearance),
         }
     }
 }
@@ -450,7 +495,8 @@ impl ArmArgs {
     fn mount(&self) -> Option<Mount> {
         let near = self.near.map(|joints| joints.map(f64::to_radians));
         let (ArmKind::Ur5e, world_from_base, flange_from_tool) = (self.arm?, self.base?, self.tool?);
-        Some(Mount { world_from_base, flange_from_tool, near })
+        let table = Table { height_m: self.table.unwrap_or(0.0), is_kept: self.table.is_some() };
+        Some(Mount { world_from_base, flange_from_tool, near, table })
     }
 
     /// From setpoint to setpoint; what is between ticks is looked at as often.
@@ -483,6 +529,11 @@ fn parse_pose(text: &str) -> Result<Pose, String> {
 
 fn parse_joints(text: &str) -> Result<Joints, String> {
     parse_numbers(text, "degrees, from the base to the flange")
+}
+
+fn parse_height(text: &str) -> Result<f64, String> {
+    let height = text.parse().ok().filter(|height: &f64| height.is_finite());
+    height.ok_or("a height in metres would be right".into())
 }
 
 fn parse_rate(text: &str) -> Result<u32, String> {

@@ -56,6 +56,67 @@ pub const RANGE_RAD: [f64; 6] = [TAU; 6];
 /// How fast each joint turns, rad/s.
 pub const SPEED_RAD_S: [f64; 6] = [PI; 6];
 
+/// Upper arm and forearm lie beside the plane of the table above, along n by so much, metres: the offsets of their meshes in
+/// Universal Robots' own ROS description (`ur_description`, `config/ur5e/visual_parameters.yaml`).
+const BESIDE_M: [f64; 2] = [0.138, 0.007];
+
+/// A part of the arm that moves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Link {
+    /// From the shoulder to the elbow.
+    UpperArm,
+    /// From the elbow to wrist 1.
+    Forearm,
+    /// The joint housing about axis 4.
+    Wrist1,
+    /// The joint housing about axis 5.
+    Wrist2,
+    /// From there to the flange.
+    Wrist3,
+}
+
+impl Link {
+    /// All, from the base to the flange.
+    pub const ALL: [Self; 5] = [Self::UpperArm, Self::Forearm, Self::Wrist1, Self::Wrist2, Self::Wrist3];
+
+    /// As people call it.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::UpperArm => "upper arm",
+            Self::Forearm => "forearm",
+            Self::Wrist1 => "wrist 1",
+            Self::Wrist2 => "wrist 2",
+            Self::Wrist3 => "wrist 3",
+        }
+    }
+
+    /// Radius of the capsule that the link lies in, metres; housings and tubes as UR's drawing of the arm has them, rounded up.
+    #[must_use]
+    pub const fn radius_m(self) -> f64 {
+        match self {
+            Self::UpperArm => 0.07,
+            Self::Forearm => 0.06,
+            Self::Wrist1 | Self::Wrist2 | Self::Wrist3 => 0.05,
+        }
+    }
+}
+
+/// Both ends of the axis of each link's capsule in the order of [`Link::ALL`], base coordinates, metres.
+#[must_use]
+pub fn axes(joints: &Joints) -> [[Vector3<f64>; 2]; 5] {
+    let links = Links::at(joints);
+    let [upper, fore] = BESIDE_M.map(|aside_m| links.n * aside_m);
+    let [shoulder, elbow, wrist_1] = [links.shoulder(), links.elbow(), links.wrist_1()];
+    [
+        [shoulder + upper, elbow + upper],
+        [elbow + fore, wrist_1 + fore],
+        [wrist_1 + fore, wrist_1 + links.n * D4_M],
+        [wrist_1 + links.n * D4_M, links.wrist_2()],
+        [links.wrist_2(), links.flange()],
+    ]
+}
+
 /// Sine and cosine.
 #[derive(Clone, Copy)]
 struct Turn {

@@ -755,33 +755,33 @@ const GATES_AND_COLUMNS: &[Case] = &[
     (
         r#"kind = "tube", inner_radius_m"#,
         r#"kind = "pipe", inner_radius_m"#,
-        r#": gate "ring".shape.kind at line 119: unknown variant `pipe`, expected `box` or `tube`"#,
+        r#": gate "ring".shape.kind at line 120: unknown variant `pipe`, expected `box` or `tube`"#,
     ),
     (
         r#"opening = { kind = "vanish" }"#,
         r#"opening = "vanish""#,
-        r#": gate "ring".opening at line 120: invalid type: string "vanish", expected a table with a `kind`"#,
+        r#": gate "ring".opening at line 121: invalid type: string "vanish", expected a table with a `kind`"#,
     ),
     (
         r#"shape = { kind = "box", size_m = [0.016, 0.048, 0.004] }"#,
         r#"shape = 3"#,
-        r#": gate "lid".shape at line 110: invalid type: integer `3`, expected a table with a `kind`"#,
+        r#": gate "lid".shape at line 111: invalid type: integer `3`, expected a table with a `kind`"#,
     ),
     (
         r#"opening = { kind = "vanish" }"#,
         r#"opening = { kind = "vanish", travel_m = 0.1 }"#,
-        r#": gate "ring".opening at line 120: unknown field `travel_m`, there are no fields"#,
+        r#": gate "ring".opening at line 121: unknown field `travel_m`, there are no fields"#,
     ),
     (
         "[[gate]]\nname = \"lid\"",
         "[gate]\nname = \"lid\"",
-        " is not valid TOML at line 113, column 3: duplicate key",
+        " is not valid TOML at line 114, column 3: duplicate key",
     ),
     (
         "opens_at_s = 0.5
 ",
         "",
-        r#": gate "lid" at line 104: missing field `opens_at_s`"#,
+        r#": gate "lid" at line 105: missing field `opens_at_s`"#,
     ),
     (
         r#"name = "ring""#,

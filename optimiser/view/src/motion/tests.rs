@@ -10,10 +10,11 @@ use powderline_shared::plan::{PlanHeader, PlanWriter, Precision, Prediction, Sta
 use powderline_shared::pose::{Pose, exp_so3, norm};
 use serde_json::Value;
 
-use super::arm::{ArmMotion, Mount, Refusal, cycles_us};
+use super::arm::{ArmMotion, CLEARANCE_M, Mount, Refusal, Table, cycles_us};
 use super::*;
 use crate::Sink as _;
 use crate::picture::sample;
+use powderline_shared::arm::ur5e::{self, Link};
 
 const PERIOD_US: u32 = 10_000;
 const CYCLE_US: u32 = 2_000;
@@ -103,7 +104,12 @@ fn mount() -> Mount {
         position_m: Vector3::new(0.01, 0.02, 0.1),
         orientation: exp_so3(&Vector3::new(0.3, 0.2, 0.1)),
     };
-    Mount { world_from_base: Pose::identity(), flange_from_tool, near: None }
+    Mount {
+        world_from_base: Pose::identity(),
+        flange_from_tool,
+        near: None,
+        table: Table { height_m: -1.0, is_kept: false },
+    }
 }
 
 fn shifted(x_m: f64) -> Mount {
@@ -316,6 +322,36 @@ fn what_could_help_near_a_singularity_depends_on_which_it_is() {
         );
         assert!(text.contains(remedy) && !text.contains("no other posture"), "{text}");
     }
+}
+
+#[test]
+fn links_stay_above_the_table() {
+    let motion = motion();
+    let make = |height_m, is_kept, near| {
+        ArmMotion::new(&motion, &Mount { table: Table { height_m, is_kept }, near, ..mount() }, CYCLE_US)
+    };
+    let free = make(0.0, false, None).expect("an arm that can");
+    let nearest = free.figures.nearest_to_table();
+    // As high as its own joints put it.
+    let links = free.joints.iter().flat_map(|joints| ur5e::axes(joints).into_iter().zip(Link::ALL).skip(1));
+    let heights = links.map(|(ends, link)| ends[0].z.min(ends[1].z) - link.radius_m());
+    let lowest_m = heights.fold(f64::INFINITY, f64::min);
+    assert!((lowest_m - nearest.distance_m).abs() < 1e-4, "{lowest_m} {nearest:?}");
+    // This posture lets the table be so high and no higher.
+    let (near, highest_m) = (Some(free.joints[0]), nearest.distance_m - CLEARANCE_M);
+    make(highest_m - 1e-6, true, near).expect("just enough room");
+    let refusal = make(highest_m + 1e-6, true, near).map(drop).expect_err("just too little");
+    assert!(matches!(refusal, Refusal::Table { all_postures: false, .. }), "{refusal}");
+    // Of all postures the one with most room is taken where that decides.
+    let table_m = highest_m + CLEARANCE_M - 1e-3;
+    assert!(
+        make(table_m, false, None).map_or(0.0, |arm| arm.figures.nearest_to_table().distance_m)
+            >= 1e-3 - 1e-9
+    );
+    let refusal = make(2.0, true, None).map(drop).expect_err("no posture is above that");
+    assert!(matches!(refusal, Refusal::Table { all_postures: true, .. }), "{refusal}");
+    let sentence = refusal.to_string();
+    assert!(sentence.contains("mm above the table, and 20 mm is the least"), "{sentence}");
 }
 
 #[test]
