@@ -6,7 +6,9 @@ use anyhow::Result;
 use powderline_shared::census::Census;
 use powderline_shared::displacement::{Displacement, Lsb, Quantiser};
 use powderline_shared::limits::Limits;
-use powderline_shared::plan::{PlanHeader, PlanReader, PlanWriter, Precision, Prediction, StartPose, Version};
+use powderline_shared::plan::{
+    PlanHeader, PlanReader, PlanWriter, Precision, Prediction, StartPose, Version,
+};
 
 /// Translation (m), rotation vector in world axes (rad), steps.
 const MOVES: [([f64; 3], [f64; 3], u32); 6] = [
