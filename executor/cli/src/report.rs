@@ -46,7 +46,9 @@ pub struct Report {
     pub final_pose: Option<StartPose>,
     /// Where the plan ends.
     pub plan_end_pose: StartPose,
-    /// Where the arm stands minus where the plan ends, both from the arm's anchor (x, y, z, rx, ry, rz), LSB of the wire.
+    /// Where the arm stands minus where the plan ends, both from the arm's anchor (x, y, z, rx, ry, rz), metres and radians.
+    pub error_m_rad: Option<[f64; 6]>,
+    /// The same in LSB of the wire, which may be coarser than the plan's.
     pub error_lsb: Option<[f64; 6]>,
     /// Whether each of them is at most half an LSB.
     pub within_half_lsb: bool,
@@ -146,7 +148,8 @@ impl Report {
     pub fn new(file: &str, plan: &PlanReader<'_>, run: &RunResult) -> Self {
         let header = plan.header();
         let end = plan.end_pose();
-        let error_lsb = run.reached.map(|reached| error_lsb(plan, reached, run.lsb));
+        let error_m_rad = run.reached.map(|reached| end_error(plan, reached, run.lsb));
+        let error_lsb = error_m_rad.map(|errors| in_counts(errors, run.lsb));
         Self {
             plan: PlanFacts::new(file, plan),
             completed: run.outcome == Outcome::Completed,
@@ -170,6 +173,7 @@ impl Report {
             stream: Stream::new(&run.telemetry),
             final_pose: run.final_pose.as_ref().map(StartPose::from),
             plan_end_pose: StartPose::from(&end),
+            error_m_rad,
             error_lsb,
             within_half_lsb: error_lsb
                 .is_some_and(|errors| errors.iter().all(|error| error.abs() <= HALF_LSB)),
@@ -303,16 +307,13 @@ impl fmt::Display for Report {
             let lost = counted(lost, "setpoint was", "setpoints were");
             writeln!(f, "  lost      {lost} not there when the arm needed them")?;
         }
-        if let Some(errors) = self.error_lsb {
+        if let Some(errors) = self.error_m_rad {
             let verdict = match self.within_half_lsb {
                 true => "all within half a count of the wire",
                 false => "more than half a count of the wire",
             };
-            let worst = |errors: &[f64], nano: u32| {
-                1e-6 * f64::from(nano) * errors.iter().fold(0.0_f64, |worst, error| worst.max(error.abs()))
-            };
-            let ([x, y, z, rx, ry, rz], lsb) = (errors, self.plan.lsb);
-            let (mm, mrad) = (worst(&[x, y, z], lsb.translation_nm), worst(&[rx, ry, rz], lsb.rotation_nrad));
+            let [x, y, z, rx, ry, rz] = errors.map(|error| 1e3 * error.abs());
+            let [mm, mrad] = [x.max(y).max(z), rx.max(ry).max(rz)];
             writeln!(
                 f,
                 "  end pose  {mm:.4} mm and {mrad:.4} mrad off the plan's end along or about an axis, {verdict}"
@@ -370,12 +371,19 @@ impl Report {
     }
 }
 
-/// Component by component, as setpoints are rounded.
-fn error_lsb(plan: &PlanReader<'_>, reached: Setpoint, lsb: Lsb) -> [f64; 6] {
+/// Component by component, as setpoints are rounded; metres and radians.
+fn end_error(plan: &PlanReader<'_>, reached: Setpoint, lsb: Lsb) -> [f64; 6] {
     let end = plan.end_setpoint().cumulative(plan.header().lsb).components();
     let mut errors = reached.cumulative(lsb).components();
-    for ((error, end), axis) in errors.iter_mut().zip(end).zip(Axis::ALL) {
-        *error = (*error - end) / lsb.of(axis);
+    for (error, end) in errors.iter_mut().zip(end) {
+        *error -= end;
+    }
+    errors
+}
+
+fn in_counts(mut errors: [f64; 6], lsb: Lsb) -> [f64; 6] {
+    for (error, axis) in errors.iter_mut().zip(Axis::ALL) {
+        *error /= lsb.of(axis);
     }
     errors
 }
@@ -402,4 +410,25 @@ fn hex(bytes: &[u8]) -> String {
         let _ = write!(text, "{byte:02x}");
         text
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_is_worth_what_the_wire_says() {
+        let plan = PlanReader::new(include_bytes!("../../../shared/tests/golden/plan-v2.plan")).unwrap();
+        let (fine, coarse) = (plan.header().lsb, Lsb { translation_nm: 1_000, rotation_nrad: 10_000 });
+        // Two millimetres and four milliradians beyond the end, in counts of a wire that is coarser than the plan.
+        let mut reached = plan.end_setpoint().rescaled(fine, coarse).unwrap();
+        let at_the_end = in_counts(end_error(&plan, reached, coarse), coarse);
+        assert!(at_the_end.iter().all(|error| error.abs() <= HALF_LSB), "{at_the_end:?}");
+        reached.counts[1] += 2_000;
+        reached.counts[5] -= 400;
+        let errors = end_error(&plan, reached, coarse);
+        assert!((errors[1] - 2e-3).abs() < 1e-6 && (errors[5] + 4e-3).abs() < 1e-5, "{errors:?}");
+        let counts = in_counts(errors, coarse);
+        assert!((counts[1] - 2_000.0).abs() <= 1.0 && (counts[5] + 400.0).abs() <= 1.0, "{counts:?}");
+    }
 }
