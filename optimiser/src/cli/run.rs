@@ -284,10 +284,11 @@ impl Run {
         let seconds = (progress.seconds() * 1e3).round() / 1e3;
         let record = *self.record.state.search.record(&self.method, evaluation, rings, seconds)?;
         self.record.push(record);
-        if self.finding()?.is_settled() && !self.record.state.search.is_done() {
+        let finding = self.finding()?;
+        if finding.is_settled() && !self.record.state.search.is_done() {
             self.record.state.search.settle();
         }
-        let (search, finding) = (&self.record.state.search, self.finding()?);
+        let search = &self.record.state.search;
         let last = if search.is_done() { record.epoch } else { search.epochs() };
         progress.epoch(&record, &finding.amounts, [last, search.epochs()], search.history());
         self.say_step(&record, progress);

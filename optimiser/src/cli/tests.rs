@@ -622,6 +622,25 @@ fn finished_run_is_prolonged_to_the_bits_of_a_longer_one() {
 }
 
 #[test]
+fn a_run_that_has_the_amount_ends_early_says_so_and_is_not_prolonged() {
+    let place = Place::new();
+    let mut scene = Scene::load("bench-small").unwrap();
+    scene.objective.amount = Amount { tolerance: 1.0, ..Amount::new(Quantity::Particles(200)) };
+    // A step that moves no parameter: the search would begin anew.
+    scene.optimiser.learning_rate = 1e-300;
+    let (path, folder) = (place.text("met.toml"), place.text("run"));
+    fs::write(&path, scene.to_toml()).unwrap();
+    let done = optimise(&[&path, "--seed", "4", "--epochs", "9", "--out", &folder]);
+    assert_eq!((done.code, metrics(&folder).len()), (0, 1), "{}", done.err);
+    assert!(done.out.contains("The search ended there, of at most 9 epochs"), "{}", done.out);
+    let saved = [METRICS, PLAN, STATE].map(|name| bytes(&folder, name));
+    // Not a tick is simulated for the plan that is there.
+    let again = optimise_for(1, &["--resume", &folder, "--epochs", "20"]);
+    assert!(again.code == 0 && again.err.contains("optimiser.patience_epochs = 0"), "{}", again.err);
+    assert_eq!([METRICS, PLAN, STATE].map(|name| bytes(&folder, name)), saved);
+}
+
+#[test]
 fn resuming_a_finished_run_says_so() {
     let place = Place::new();
     let folder = place.finished("run", 2);

@@ -105,8 +105,8 @@ pub struct PlanHeader {
     pub predicted: Prediction,
 }
 
-/// What a motion brings, as it was simulated.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+/// What a motion brings, as it was simulated; by default nothing, as of a motion without powder.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Prediction {
     /// Loss, metres.
     pub loss_m: f64,

@@ -2,7 +2,6 @@
 
 use std::convert::Infallible;
 
-use powderline_shared::census::Census;
 use powderline_shared::displacement::{Displacement, Lsb, Quantiser};
 use powderline_shared::limits::Limits;
 use powderline_shared::plan::{PlanHeader, PlanWriter, Precision, Prediction, StartPose, Version};
@@ -74,13 +73,7 @@ pub fn plan_bytes(start: &Pose, limits: Limits, period_us: u32, moves: &[Move]) 
         lsb: Lsb::default(),
         start: StartPose::from(start),
         limits,
-        predicted: Prediction {
-            loss_m: 0.0,
-            indicator: 0,
-            wanted_kg: 0.0,
-            particle_mass_kg: 0.0,
-            census: Census::default(),
-        },
+        predicted: Prediction::default(),
     };
     let mut bytes = Vec::new();
     let sink = |part: &[u8]| {

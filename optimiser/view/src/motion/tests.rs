@@ -3,7 +3,6 @@ use std::f64::consts::PI;
 use nalgebra::Vector3;
 use powderline_shared::arm::ArmError;
 use powderline_shared::arm::inverse::Posture;
-use powderline_shared::census::Census;
 use powderline_shared::displacement::{Displacement, Quantiser};
 use powderline_shared::limits::Limit;
 use powderline_shared::plan::{PlanHeader, PlanWriter, Precision, Prediction, StartPose, Version};
@@ -61,13 +60,7 @@ fn plan_along(
         lsb: Lsb::default(),
         start: StartPose { position_m: [-0.45, -0.1, 0.3], orientation_wxyz: [0.5, 0.5, -0.5, 0.5] },
         limits,
-        predicted: Prediction {
-            loss_m: 0.0,
-            indicator: 0,
-            wanted_kg: 0.0,
-            particle_mass_kg: 0.0,
-            census: Census::default(),
-        },
+        predicted: Prediction::default(),
     };
     let at = |tick: u32| done(f64::from(tick) / f64::from(ticks));
     let mut bytes = Vec::new();
