@@ -96,12 +96,12 @@ impl ArmConfig {
         Self { limits, arm: Arm::ideal(pose), watchdog_us: DEFAULT_WATCHDOG_US }
     }
 
-    /// A UR5e beside the bench, its tool at `pose`, with the same Cartesian limits: its joints have their own.
+    /// An arm with joints, its tool at `pose`, with the same Cartesian limits: its joints have their own.
     ///
     /// # Errors
     /// It cannot stand there.
-    pub fn ur5e(pose: Pose) -> Result<Self, ArmError> {
-        Ok(Self { arm: Arm::new(ArmModel::bench(), Lag::default(), pose)?, ..Self::ideal(pose) })
+    pub fn jointed(model: ArmModel, pose: Pose) -> Result<Self, ArmError> {
+        Ok(Self { arm: Arm::new(model, Lag::default(), pose)?, ..Self::ideal(pose) })
     }
 }
 

@@ -120,7 +120,7 @@ fn bits_are_pinned() {
     arm.follow(pitched([0.05, 0.047, 0.068], 81.0), 0.01).unwrap();
     let Pose { position_m, orientation } = arm.pose();
     let bits = [position_m.x, position_m.y, position_m.z, orientation.j].map(f64::to_bits);
-    assert_eq!(bits, [0x3fa825224e539690, 0x3fa8641342731100, 0x3fb115b8b54548da, 0xbfe4a5d5d61f5982]);
+    assert_eq!(bits, [0x3fa82523e72c09e0, 0x3fa8640810e425f0, 0x3fb115c007d01b56, 0xbfe4a5d5d61f5982]);
 }
 
 // --- refusals ---
@@ -210,7 +210,7 @@ fn the_neighbourhood_of_each_singularity() {
         first_refusal(&mut arm, steps, 0.01, |share| between(&start(), &end, share))
     };
     // The arm stretched out.
-    is_singular(from(pitched([0.0455, 0.048, 1.0], 80.0), 2_000), 3);
+    is_singular(from(pitched([0.0455, 0.048, 1.0], 80.0), 8_000), 3);
     // The wrist over the shoulder: it passes the column at its offset.
     is_singular(from(pitched([0.26 - 0.1333, -0.5, 0.3], 80.0), 2_000), 1);
     // Axis 6 turned into the direction of axes 2 to 4.

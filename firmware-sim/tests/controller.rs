@@ -876,7 +876,7 @@ fn over_the_bench() -> Pose {
 #[test]
 fn an_arm_with_joints_that_lag_settles_on_the_last_setpoint_before_it_says_so() {
     let mut bench = Bench::new();
-    bench.arm = Controller::new(ArmConfig::ur5e(over_the_bench()).unwrap());
+    bench.arm = Controller::new(ArmConfig::jointed(ArmModel::bench(), over_the_bench()).unwrap());
     let wide = Limits { workspace_min_m: [-1.0; 3], ..limits() };
     bench.tell(ToArm::Open(OpenRequest { limits: wide, ..request() }));
     [Command::Shutdown, Command::SwitchOn, Command::EnableOperation]

@@ -2,6 +2,7 @@
 
 use std::process::{Command, Output};
 
+use powderline_simulator::scene::Scene;
 use serde_json::Value;
 
 fn optimise(arguments: &[&str]) -> Output {
@@ -49,7 +50,7 @@ fn a_bad_scene_is_one_sentence_on_standard_error_and_exit_code_2() {
 
 #[test]
 fn skills_that_take_the_tool_through_a_wall_are_noted() {
-    let mut scene = powderline_simulator::scene::Scene::load("bench-small").unwrap();
+    let mut scene = Scene::load("bench-small").unwrap();
     scene.skill.lift_height_m[0] = 0.010;
     let file = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("low-lift.toml");
     std::fs::write(&file, scene.to_toml()).unwrap();
@@ -58,7 +59,42 @@ fn skills_that_take_the_tool_through_a_wall_are_noted() {
     let said = text(&output.stdout);
     let note = said.lines().find(|line| line.starts_with("Note: ")).unwrap();
     assert!(note.contains("would pass over") && note.contains("through container \"target\" at "), "{note}");
-    assert!(!text(&optimise(&["check", "bench-small"]).stdout).contains("Note"));
+    for scene in ["bench", "bench-small", "bench-fine", "vial"] {
+        assert!(!text(&optimise(&["check", scene]).stdout).contains("Note"), "{scene}");
+    }
+}
+
+#[test]
+fn what_the_arm_can_do_is_said_and_what_it_cannot_is_refused() {
+    let said = text(&optimise(&["check", "bench"]).stdout);
+    let arm = said.lines().find(|line| line.starts_with("arm ")).unwrap();
+    assert!(arm.contains("UR5e reaches forward, elbow up") && arm.contains("mm from the table at"), "{arm}");
+    let checked = |name: &str, change: fn(&mut Scene)| {
+        let mut scene = Scene::load("bench").unwrap();
+        change(&mut scene);
+        let file = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
+        std::fs::write(&file, scene.to_toml()).unwrap();
+        let output = optimise(&["check", file.to_str().unwrap()]);
+        (output.status.code(), text(&output.stdout) + &text(&output.stderr))
+    };
+    let (code, said) = checked("far.toml", |scene| scene.arm.as_mut().unwrap().base_position_m[1] = -2.0);
+    assert_eq!(code, Some(2));
+    assert!(
+        said.contains("the UR5e of [arm] can make no motion of [skill]") && said.contains("mm nearer"),
+        "{said}"
+    );
+    // Near the end of its reach it makes the shorter transports only.
+    let (code, said) = checked("edge.toml", |scene| {
+        scene.arm.as_mut().unwrap().base_position_m = [-0.08, -0.85, -0.1];
+    });
+    assert_eq!(code, Some(0));
+    let note = said.lines().find(|line| line.starts_with("Note: ")).unwrap_or_else(|| panic!("{said}"));
+    assert!(
+        note.contains("would pass over") && note.contains("the arm cannot make the motion: at "),
+        "{note}"
+    );
+    let (code, said) = checked("none.toml", |scene| scene.arm = None);
+    assert!(code == Some(0) && said.contains("Note: the scene has no [arm]"), "{said}");
 }
 
 #[test]

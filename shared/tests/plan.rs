@@ -2,16 +2,18 @@
 
 use std::convert::Infallible;
 
+use powderline_shared::arm::ArmKind;
+use powderline_shared::arm::inverse::Posture;
 use powderline_shared::census::Census;
 use powderline_shared::displacement::{Displacement, Lsb, Quantiser, Setpoint, StepCounts, pose_at};
 use powderline_shared::limits::{Limit, Limits};
 use powderline_shared::plan::{
-    Crc32, FORMAT_VERSION, MAX_STEPS, PlanError, PlanHeader, PlanReader, PlanSummary, PlanWriter, Precision,
-    Prediction, SliceSink, StartPose, Version, WriteError,
+    Crc32, FORMAT_VERSION, MAX_STEPS, Mounting, PlanError, PlanHeader, PlanReader, PlanSummary, PlanWriter,
+    Precision, Prediction, SliceSink, StartPose, Version, WriteError,
 };
 use proptest::prelude::*;
 
-const GOLDEN: &[u8] = include_bytes!("golden/plan-v2.plan");
+const GOLDEN: &[u8] = include_bytes!("golden/plan-v3.plan");
 const STEPS: u32 = 100;
 
 fn header(step_count: u32) -> PlanHeader {
@@ -43,6 +45,19 @@ fn header(step_count: u32) -> PlanHeader {
             particle_mass_kg: 8e-6,
             census: Census { source: 2345, target: 853, rims: 4, tool: 3, spilled: 1, in_flight: 2 },
         },
+        arm: Some(Mounting {
+            kind: ArmKind::Ur5e,
+            world_from_base: StartPose {
+                position_m: [0.6, 0.25, 0.0],
+                orientation_wxyz: [1.0, 0.0, 0.0, 0.0],
+            },
+            // Rolled by 20 degrees.
+            flange_from_tool: StartPose {
+                position_m: [0.0, 0.0, 0.1],
+                orientation_wxyz: [0.984_807_753_012_208, 0.173_648_177_666_930_33, 0.0, 0.0],
+            },
+            posture: Posture::PREFERRED[0],
+        }),
     }
 }
 
@@ -192,6 +207,14 @@ fn a_header_that_cannot_be_meant_is_refused_by_writer_and_reader() {
         (PlanHeader { limits: Limits { workspace_min_m: [1.0; 3], ..fine.limits }, ..fine }, "workspace"),
         (PlanHeader { start: StartPose { orientation_wxyz: [1.0; 4], ..fine.start }, ..fine }, "orientation"),
     ];
+    let mounted = fine.arm.unwrap();
+    let arm = |arm| PlanHeader { arm: Some(arm), ..fine };
+    let skewed = StartPose { orientation_wxyz: [1.0; 4], ..fine.start };
+    cases.push((arm(Mounting { world_from_base: skewed, ..mounted }), "orientation of the arm's base"));
+    cases.push((
+        arm(Mounting { flange_from_tool: skewed, ..mounted }),
+        "orientation of the tool in the flange",
+    ));
     for value in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
         cases.push((PlanHeader { theta: [value; 5], ..fine }, "theta"));
         cases.push((PlanHeader { skill_parameters: [value; 5], ..fine }, "skill parameters"));
@@ -204,6 +227,11 @@ fn a_header_that_cannot_be_meant_is_refused_by_writer_and_reader() {
         ));
         let start = StartPose { position_m: [value; 3], ..fine.start };
         cases.push((PlanHeader { start, ..fine }, "start position"));
+        cases.push((arm(Mounting { world_from_base: start, ..mounted }), "position of the arm's base"));
+        cases.push((
+            arm(Mounting { flange_from_tool: start, ..mounted }),
+            "position of the tool in the flange",
+        ));
         let limits = Limits { angular_velocity_rad_s: value, ..fine.limits };
         cases.push((PlanHeader { limits, ..fine }, "angular velocity"));
     }

@@ -418,7 +418,7 @@ mod tests {
 
     #[test]
     fn an_error_is_worth_what_the_wire_says() {
-        let plan = PlanReader::new(include_bytes!("../../../shared/tests/golden/plan-v2.plan")).unwrap();
+        let plan = PlanReader::new(include_bytes!("../../../shared/tests/golden/plan-v3.plan")).unwrap();
         let (fine, coarse) = (plan.header().lsb, Lsb { translation_nm: 1_000, rotation_nrad: 10_000 });
         // Two millimetres and four milliradians beyond the end, in counts of a wire that is coarser than the plan.
         let mut reached = plan.end_setpoint().rescaled(fine, coarse).unwrap();

@@ -19,7 +19,8 @@ use powderline_host::link::Link;
 use powderline_host::realtime;
 use powderline_host::terminal::LiveLine;
 use powderline_host::words::counted;
-use powderline_shared::plan::PlanReader;
+use powderline_shared::arm::ArmModel;
+use powderline_shared::plan::{Mounting, PlanReader};
 use powderline_shared::pose::Pose;
 use powderline_shared::trajectory::{Sample, TrajectoryHeader};
 use powderline_shared::wire::Context as WireContext;
@@ -54,9 +55,9 @@ struct Serve {
     /// Stand at the start pose of this plan; without it, at that of the scene bench
     #[arg(long, value_name = "PLAN")]
     at: Option<PathBuf>,
-    /// A UR5e beside the bench, with joints that lag; or an ideal arm, which is where it is told to be
-    #[arg(long, value_enum, default_value_t = ArmKind::Ur5e)]
-    arm: ArmKind,
+    /// Which arm
+    #[arg(long, value_enum, default_value_t = ArmChoice::Own)]
+    arm: ArmChoice,
     /// Time without a sign of life of the executor after which the arm stops, milliseconds
     #[arg(long, value_name = "MS", default_value_t = DEFAULT_WATCHDOG_US / 1_000, value_parser = clap::value_parser!(u64).range(10..=10_000))]
     watchdog: u64,
@@ -78,8 +79,10 @@ struct Serve {
 const PRIORITY: u8 = 50;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-enum ArmKind {
-    Ur5e,
+enum ArmChoice {
+    /// The arm of the plan, as [arm] of its scene puts it, with joints that lag; without a plan the one beside the scene bench
+    Own,
+    /// An arm that is where it is told to be
     Ideal,
 }
 
@@ -184,12 +187,21 @@ fn man(folder: &Path) -> anyhow::Result<()> {
 
 fn serve_arm(arguments: &Serve) -> anyhow::Result<()> {
     let Some(on) = arguments.on.clone() else { bail!("nothing to do: give --on WIRE, or the command storm") };
-    let pose = arguments.at.as_deref().map_or_else(|| Ok(bench_start()), start_of)?;
+    let (pose, own) = arguments.at.as_deref().map_or_else(|| Ok((bench_start(), None)), start_of)?;
     let arm = match arguments.arm {
-        ArmKind::Ideal => ArmConfig::ideal(pose),
-        ArmKind::Ur5e => ArmConfig::ur5e(pose).map_err(|error| {
-            anyhow::anyhow!("the arm cannot stand there ({error}); --arm ideal can stand anywhere")
-        })?,
+        ArmChoice::Ideal => ArmConfig::ideal(pose),
+        ArmChoice::Own => {
+            let (model, whose) = match own {
+                Some(own) => (own.model(), "the plan's arm"),
+                None => (ArmModel::bench(), "the arm beside the scene bench"),
+            };
+            ArmConfig::jointed(model, pose).map_err(|error| {
+                anyhow::anyhow!(
+                    "{whose} cannot stand there ({error}); a plan whose scene has an [arm] brings its own, and --arm ideal \
+                     can stand anywhere"
+                )
+            })?
+        }
     };
     let arm = ArmConfig { watchdog_us: 1_000 * arguments.watchdog, ..arm };
     // Whatever is granted helps; a controller that is held up all the same says so and stops.
@@ -200,12 +212,13 @@ fn serve_arm(arguments: &Serve) -> anyhow::Result<()> {
     person.motions.map_or(Ok(()), |motions| say(&format!("{}\n", json!({ "motions": motions }))))
 }
 
-fn start_of(plan: &Path) -> anyhow::Result<Pose> {
+/// Where a plan starts, and the arm that it was made for.
+fn start_of(plan: &Path) -> anyhow::Result<(Pose, Option<Mounting>)> {
     let named = |error: &dyn std::fmt::Display| anyhow::anyhow!("{}: {error}", plan.display());
     let bytes = std::fs::read(plan).map_err(|error| named(&error))?;
     let plan =
         PlanReader::new(&bytes).map_err(|error| named(&format!("this is not a usable plan: {error}")))?;
-    Ok(plan.header().start_pose())
+    Ok((plan.header().start_pose(), plan.header().arm))
 }
 
 /// Whoever sits in front of the terminal.

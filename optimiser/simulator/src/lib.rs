@@ -70,6 +70,7 @@
 //! | which states are kept | `rollout/schedule.rs` | Griewank and Walther 2000, revolve |
 //! | the loss | `rollout/loss.rs` | the paper's, and one that asks for an amount |
 //! | the skill | `skill` | the paper's five parameters; minimum jerk |
+//! | whether the bench's arm can make it | [`arm`] | closed-form inverse kinematics; capsules for links |
 //! | what a tool holds, heaped | `scene/capacity.rs` | the friction angle over every edge |
 //! | how true all this is | [`validate`] | soil mechanics, experiments |
 //!
@@ -98,6 +99,7 @@
 //! dependencies, `nalgebra`'s vectors appear in [`powderline_shared::pose`] and `serde`'s traits
 //! are implemented, both on purpose; no other's types are in the interface.
 
+pub mod arm;
 pub mod bench;
 pub mod memory;
 pub mod mpm;

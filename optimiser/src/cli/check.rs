@@ -6,12 +6,16 @@ use std::io::Write;
 use clap::Args;
 use serde::Serialize;
 
-use super::CliError;
+use super::{
+    CliError,
+    arm_words::{ArmUse, clearance_words},
+};
 use crate::report::{
     amounts::{Amounts, percent},
-    words::{grouped, hex},
+    words::{grouped, hex, reaching},
 };
 use powderline_shared::plan::Precision;
+use powderline_simulator::arm::Ability;
 use powderline_simulator::memory::{MemoryEstimate, estimate_memory};
 use powderline_simulator::scene::figures::{about, mass};
 use powderline_simulator::scene::{Capacity, DEFAULT_SCENE, MAX_CFL, Scene};
@@ -29,7 +33,7 @@ pub struct CheckArgs {
 }
 
 /// What `optimise check` reports.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Debug, Serialize)]
 pub struct CheckReport {
     /// The scene's name.
     pub scene: String,
@@ -67,6 +71,10 @@ pub struct CheckReport {
     pub longest_skill_s: f64,
     /// Memory of a rollout with its gradient, bytes, per precision and checkpoint schedule.
     pub memory: Vec<MemoryRow>,
+    /// What the scene's arm does to make the motion in the middle of all ranges; nothing without an arm, or where it cannot.
+    arm: Option<ArmUse>,
+    /// The same in words.
+    arm_words: Option<String>,
     /// What is allowed but worth knowing.
     pub remarks: Vec<String>,
 }
@@ -97,18 +105,34 @@ pub(super) fn run(args: &CheckArgs, out: &mut dyn Write) -> Result<(), CliError>
     } else {
         write!(out, "{report}")?;
     }
-    infeasible(&scene).map_or(Ok(()), |why| Err(CliError::Input(format!("{}: {why}", args.scene))))
+    report.infeasible.map_or(Ok(()), |why| Err(CliError::Input(format!("{}: {why}", args.scene))))
 }
 
 /// Why no skill of a valid scene can do what it wants, in one sentence.
 pub(super) fn infeasible(scene: &Scene) -> Option<String> {
+    infeasible_for(scene, Ability::of(scene).as_ref())
+}
+
+fn infeasible_for(scene: &Scene, ability: Option<&Ability>) -> Option<String> {
     let blocked = || check_passable(scene).err().map(|error| error.to_string());
-    scene.check_feasible().err().map(|error| error.to_string()).or_else(blocked)
+    let unable = || {
+        let (label, refusal) = (
+            scene.arm.as_ref()?.kind.label(),
+            ability.filter(|ability| ability.none)?.middle.as_ref().err()?,
+        );
+        Some(format!(
+            "the {label} of [arm] can make no motion of [skill], neither in the middle nor at the ends of its ranges: in the middle, \
+             {refusal}"
+        ))
+    };
+    scene.check_feasible().err().map(|error| error.to_string()).or_else(blocked).or_else(unable)
 }
 
 impl CheckReport {
     /// Gathers the figures of a valid scene.
     pub fn new(scene: &Scene) -> Self {
+        let ability = Ability::of(scene);
+        let middle = ability.as_ref().and_then(|ability| ability.middle.as_ref().ok());
         let threads = std::thread::available_parallelism().map_or(1, usize::from);
         Self {
             scene: scene.name.clone(),
@@ -116,7 +140,7 @@ impl CheckReport {
             particles: scene.particle_count(),
             amounts: scene.into(),
             tool_capacity: scene.tool_capacity(),
-            infeasible: infeasible(scene),
+            infeasible: infeasible_for(scene, ability.as_ref()),
             cell_m: scene.domain.cell_m,
             cells: scene.cell_counts(),
             blocks: scene.block_counts(),
@@ -134,14 +158,19 @@ impl CheckReport {
                     estimate_memory(scene, precision, threads).map(|need| MemoryRow::new(name, need))
                 })
                 .collect(),
-            remarks: remarks(scene),
+            arm: middle.map(ArmUse::from),
+            arm_words: middle.map(|arm| {
+                let how = reaching(arm.model.kind, arm.model.posture);
+                format!("{how}, in the middle of all ranges. {}", clearance_words(&arm.figures))
+            }),
+            remarks: remarks(scene, ability.as_ref()),
         }
     }
 }
 
-/// The scene's own remarks, whether its skills stay clear of the containers, and whether `optimise run` would refuse it
-/// for its motion limits.
-fn remarks(scene: &Scene) -> Vec<String> {
+/// The scene's own remarks, whether its skills stay clear of the containers and the arm can make them, and whether `optimise run`
+/// would refuse it for its motion limits.
+fn remarks(scene: &Scene, ability: Option<&Ability>) -> Vec<String> {
     let refusal = SkillMap::new(scene).check_all_corners().err();
     let refusal = refusal.map(|error| format!("`optimise run` would refuse this scene: {error}"));
     let collision = colliding_skill(scene).map(|(theta, collision)| {
@@ -149,8 +178,26 @@ fn remarks(scene: &Scene) -> Vec<String> {
             "`optimise run` would pass over some skills of this range: with theta = {theta:?} {collision}"
         )
     });
+    let unable = ability.filter(|ability| !ability.none).and_then(|ability| ability.unable.as_ref());
+    let unable = unable.map(|(theta, refusal)| {
+        format!(
+            "`optimise run` would pass over some skills of this range: with theta = {theta:?} the arm cannot make the motion: \
+             {refusal}"
+        )
+    });
+    let armless = scene.arm.is_none().then(|| {
+        "the scene has no [arm], so that nobody looks whether an arm can make the motion and stays clear of the bench".into()
+    });
     let grains = Amounts::from(scene).grains_too_large();
-    scene.warnings().into_iter().chain(grains).chain(collision).chain(refusal).collect()
+    scene
+        .warnings()
+        .into_iter()
+        .chain(grains)
+        .chain(collision)
+        .chain(unable)
+        .chain(armless)
+        .chain(refusal)
+        .collect()
 }
 
 impl MemoryRow {
@@ -206,6 +253,9 @@ impl fmt::Display for CheckReport {
             about(self.settle_s, 6)
         )?;
         writeln!(f, "longest skill  {} s", about(self.longest_skill_s, 3))?;
+        if let Some(arm) = &self.arm_words {
+            writeln!(f, "arm            {arm}")?;
+        }
         writeln!(f, "memory for a rollout with its gradient (`--memory`), by the states kept:")?;
         self.memory.iter().try_for_each(|row| writeln!(f, "  {row}"))?;
         self.remarks.iter().try_for_each(|remark| writeln!(f, "Note: {remark}."))

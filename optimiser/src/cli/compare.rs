@@ -164,7 +164,9 @@ impl Experiment {
     fn start(arguments: &CompareArgs) -> Result<Self, CliError> {
         let name = arguments.scene.as_deref().unwrap_or(DEFAULT_SCENE);
         let scene = Scene::load(name)?;
-        scene.check_feasible().map_err(|error| CliError::Input(format!("{name}: {error}")))?;
+        if let Some(why) = check::infeasible(&scene) {
+            return Err(CliError::Input(format!("{name}: {why}")));
+        }
         let plan = Plan {
             scene: scene.digest(),
             precision: arguments.precision.map_or(DEFAULT_PRECISION, Precision::from),

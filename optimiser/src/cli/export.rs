@@ -4,28 +4,29 @@ mod destination;
 
 use super::{
     CliError, Context, PrecisionArg, Resources,
+    arm_words::{ArmUse, clearance_words},
     film::Film,
     inspect::read_plan,
-    motion::{MotionArgs, Task},
+    motion::{MotionArgs, Task, scene_of_plan},
     run::safe_name,
 };
-use clap::{Args, ValueEnum};
+use crate::report::words::reaching;
+use clap::{Args, ValueEnum, builder::PossibleValuesParser, builder::TypedValueParser};
 use destination::{Destination, STDOUT};
-use nalgebra::Vector3;
 use powderline_shared::{
-    arm::Joints,
+    arm::{ArmKind, Joints},
     limits::PeakUse,
-    plan::PlanReader,
-    pose::{Pose, exp_so3, renormalised},
+    plan::{PlanHeader, PlanReader},
+    pose::Pose,
+};
+use powderline_simulator::{
+    arm::{self, ArmMotion, CYCLE_US, Figures, Mount, Surroundings},
+    scene::Scene,
 };
 use powderline_view::{
     Bench,
     export::{Format, Series},
-    motion::{
-        Motion,
-        arm::{ArmMotion, Clearance, Figures, Mount, Table},
-        mcap, table, urscript,
-    },
+    motion::{Motion, mcap, table, urscript},
 };
 use serde::Serialize;
 use std::{
@@ -33,24 +34,28 @@ use std::{
     path::{Path, PathBuf},
 };
 
+/// What links keep from a table that is given for a scene without an arm, metres.
+const CLEARANCE_M: f64 = 0.02;
+
 /// Control steps from one frame of powder to the next.
 const DEFAULT_EVERY: u32 = 2;
 
 const FORMATS: &str = "\
 A motion (nothing is simulated; one file, beside the plan unless --out says where):
-  urscript  program for a UR e-Series controller; needs --arm
+  urscript  program for a UR e-Series controller; needs an arm
   csv       table, a row for each tick of the plan: time_s; x_m y_m z_m qw qx qy qz, the tool in the world;
             vx_m_s vy_m_s vz_m_s wx_rad_s wy_rad_s wz_rad_s, its velocities along the world's axes;
-            with --arm joint1_rad .. joint6_rad and joint1_rad_s .. joint6_rad_s
+            with an arm joint1_rad .. joint6_rad and joint1_rad_s .. joint6_rad_s
   json      one object: plan, scene, period, arm, and the table's columns by name under \"motion\"
-  mcap      ROS 2 messages: /tool_pose, /tf; with --arm /joint_trajectory, /joint_states; with --particles /powder
+  mcap      ROS 2 messages: /tool_pose, /tf; with an arm /joint_trajectory, /joint_states; with --particles /powder
 Powder (simulated for it, which takes as long as `optimise simulate`; many files, a folder):
   vtk       XML PolyData and a collection of it, for ParaView
   ply       binary PLY, for MeshLab
   csv       with --particles: tables of particles and tool, instead of the motion's
 
-Base and tool of the arm, for a UR5e where firmware-sim puts it beside the scene `bench`:
-  optimise export PLAN --format urscript --arm ur5e --base 0.26,-0.7,0,0,0,-90 --tool 0,0,0.1,90,0,-90";
+The arm is the one of the scene's [arm], as the plan has it. Another one is given by --arm, --base and --tool, such as the
+one of the scene `bench`:
+  optimise export PLAN --format urscript --arm ur5e --base 0.26,-0.8,-0.1,0,0,-90 --tool 0,0,0.2,90,0,-90";
 
 /// Arguments of `optimise export`.
 #[derive(Clone, Debug, Args)]
@@ -86,8 +91,8 @@ pub(super) struct ExportArgs {
 #[derive(Clone, Debug, Args)]
 #[command(next_help_heading = "Arm")]
 pub(super) struct ArmArgs {
-    /// Arm that makes the motion: adds its joints, and checks that it can
-    #[arg(long, value_enum, requires_all = ["base", "tool"])]
+    /// Arm that makes the motion: adds its joints, and checks that it can [default: the plan's own]
+    #[arg(long, requires_all = ["base", "tool"], value_parser = kinds())]
     pub arm: Option<ArmKind>,
     /// Its base in the scene's world: position in metres; roll, pitch, yaw in degrees (about the fixed x, y, z in turn)
     #[arg(long, value_name = "X,Y,Z,R,P,Y", allow_hyphen_values = true, requires = "arm", value_parser = parse_pose)]
@@ -95,15 +100,17 @@ pub(super) struct ArmArgs {
     /// The plan's tool frame in the flange, likewise
     #[arg(long, value_name = "X,Y,Z,R,P,Y", allow_hyphen_values = true, requires = "arm", value_parser = parse_pose)]
     pub tool: Option<Pose>,
-    /// Joints near which to begin, degrees [default: the posture with the largest margins, by joints, singularities and table]
-    #[arg(long, value_name = "J1,..,J6", allow_hyphen_values = true, requires = "arm", value_parser = parse_joints)]
+    /// Joints near which to begin, degrees [default: the posture with the largest margins, by joints, singularities and
+    /// clearance]
+    #[arg(long, value_name = "J1,..,J6", allow_hyphen_values = true, value_parser = parse_joints)]
     pub near: Option<[f64; 6]>,
-    /// Height of a table beneath arm and bench, metres, in the scene's world: a motion that takes a link nearer to it than 20 mm
-    /// is refused [default: none; links below the scene's floor, 0, are said]
-    #[arg(long, value_name = "Z", allow_hyphen_values = true, requires = "arm", value_parser = parse_height)]
+    /// Height of the table beneath arm and bench, metres, in the scene's world: a motion that takes a link nearer to anything than
+    /// the scene's arm.clearance_m, or 20 mm, is refused [default: the scene's; without one, links that pass through something
+    /// are said]
+    #[arg(long, value_name = "Z", allow_hyphen_values = true, value_parser = parse_height)]
     pub table: Option<f64>,
     /// Setpoints a second of a URScript program; a whole part of 500 [default: 500, the e-Series' own]
-    #[arg(long, value_name = "HZ", value_parser = parse_rate, requires = "arm")]
+    #[arg(long, value_name = "HZ", value_parser = parse_rate)]
     pub rate: Option<u32>,
 }
 
@@ -148,13 +155,6 @@ pub(super) enum FormatArg {
     Ply,
 }
 
-/// An arm whose kinematics are known.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub(super) enum ArmKind {
-    /// Universal Robots UR5e
-    Ur5e,
-}
-
 impl FormatArg {
     fn name(self) -> &'static str {
         match self {
@@ -195,9 +195,6 @@ impl ExportArgs {
         let has_powder = is_series || powder.particles;
         let name = format.name();
         let sentence = match () {
-            () if *format == Urscript && arm.arm.is_none() => {
-                "--format urscript needs an arm: give --arm ur5e, --base X,Y,Z,R,P,Y and --tool X,Y,Z,R,P,Y".into()
-            }
             () if matches!(format, Urscript | Json) && powder.particles => {
                 format!("--particles goes with csv, mcap, vtk and ply, but {name} holds a motion alone")
             }
@@ -317,19 +314,59 @@ impl ExportArgs {
         let plan = PlanReader::new(&bytes).map_err(|error| wrong(format!("is no usable plan: {error}")))?;
         let broken = |violation| wrong(format!("breaks its own limits: {violation}; make it anew"));
         let mut motion = Motion::new(&plan).map_err(broken)?;
-        if self.format == FormatArg::Urscript && motion.last_tick() > urscript::MAX_TICKS {
+        if self.format == FormatArg::Urscript && motion.path.last_tick() > urscript::MAX_TICKS {
             return Err(wrong(format!(
                 "has {} ticks, but a URScript program of more than {} is more than a controller loads; write mcap or csv \
                  and send that by UR's ROS driver or RTDE",
-                motion.last_tick(),
+                motion.path.last_tick(),
                 urscript::MAX_TICKS
             )));
         }
-        if let Some(mount) = self.arm.mount() {
-            let refused = |refusal| wrong(format!("is no motion for this arm: {refusal}"));
-            motion.arm = Some(ArmMotion::new(&motion, &mount, self.arm.cycle_us()).map_err(refused)?);
-        }
+        motion.arm = self.arm_motion(path, &plan, &motion)?;
         Ok(motion)
+    }
+
+    /// The motion of the arm that is asked for, or else of the plan's own.
+    fn arm_motion(
+        &self,
+        path: &Path,
+        plan: &PlanReader<'_>,
+        motion: &Motion,
+    ) -> Result<Option<ArmMotion>, CliError> {
+        let header = plan.header();
+        let scene = match &self.powder.scene {
+            Some(_) => Some(self.task()?.scene),
+            None => scene_of_plan(path, header),
+        };
+        let Some(mount) = self.arm.mount(header, scene.as_ref()) else {
+            return match self.needs_arm() {
+                Some(what) => Err(CliError::Input(format!(
+                    "{what} needs an arm, and {} was made for a scene without [arm]: give --arm, --base X,Y,Z,R,P,Y and --tool \
+                     X,Y,Z,R,P,Y",
+                    path.display()
+                ))),
+                None => Ok(None),
+            };
+        };
+        let around = self.arm.surroundings(scene.as_ref());
+        let made = ArmMotion::new(&motion.path, &mount, &around, self.arm.cycle_us());
+        made.map(Some).map_err(|refusal| {
+            let how =
+                if self.arm.arm.is_some() { "; --base, --tool, --near, --rate say otherwise" } else { "" };
+            CliError::Input(format!("{} is no motion for this arm: {refusal}{how}", path.display()))
+        })
+    }
+
+    /// What was asked for that goes with an arm only.
+    fn needs_arm(&self) -> Option<&'static str> {
+        let ArmArgs { near, table, rate, .. } = self.arm;
+        match () {
+            () if self.format == FormatArg::Urscript => Some("--format urscript"),
+            () if near.is_some() => Some("--near"),
+            () if table.is_some() => Some("--table"),
+            () if rate.is_some() => Some("--rate"),
+            () => None,
+        }
     }
 
     fn write_to(&self, out: &mut dyn Write, motion: &Motion) -> io::Result<()> {
@@ -341,35 +378,10 @@ impl ExportArgs {
         }
     }
 
-    /// How near the arm comes to the table, or to where one may be.
-    fn table_words(&self, nearest: &Clearance) -> String {
-        let Clearance { link, distance_m, time_s } = nearest;
-        let (link, mm) = (link.name(), 1e3 * distance_m);
-        match self.arm.table {
-            Some(_) => {
-                format!("Its {link} comes nearest to the table, {mm:.0} mm above it at {time_s:.2} s.")
-            }
-            None if mm < 0.0 => format!(
-                "Warning: its {link} would be {:.0} mm below the scene's floor, z = 0, at {time_s:.2} s. Where a table goes on \
-                 to there, that is a collision: --table 0 finds a motion without, or refuses.",
-                -mm
-            ),
-            None => {
-                format!(
-                    "Its {link} comes nearest to the scene's floor, z = 0: {mm:.0} mm above it at {time_s:.2} s."
-                )
-            }
-        }
-    }
-
     /// Sentences on what the arm has to do.
     fn text(&self, motion: &Motion) -> String {
         let Some(ArmMotion { model, figures, .. }) = &motion.arm else { return String::new() };
         let Figures { fastest_joint, speed_rad_s, singular_joint, margin, limit_use, .. } = figures;
-        let table = self.table_words(&figures.nearest_to_table());
-        let wrist = if model.posture.wrist_positive { "positive" } else { "negative" };
-        let reach = if model.posture.reaches_forward { "forward" } else { "backward over its base" };
-        let elbow = if model.posture.elbow_is_up() { "up" } else { "down" };
         let share = 100.0 * speed_rad_s / model.joint_speed_rad_s[fastest_joint - 1];
         let percent = |share: f64| format!("{:.0} %", 100.0 * share);
         let PeakUse {
@@ -381,11 +393,13 @@ impl ExportArgs {
             angular_jerk,
         } = *limit_use;
         format!(
-            "The UR5e reaches {reach}, elbow {elbow}, wrist 2 at a {wrist} angle. {table}\n\
+            "The {}. {}\n\
              Joint {fastest_joint} comes nearest to its speed, {speed_rad_s:.2} rad/s \
              ({share:.0} %); joint {singular_joint} nearest to a singularity, {margin:.2} (1 is best, {:.2} the least).\n\
              Looked at every {} ms it uses, of the plan's limits: linear velocity {}, acceleration {}, jerk {}; angular \
              velocity {}, acceleration {}, jerk {}.\n",
+            reaching(model.kind, model.posture),
+            clearance_words(figures),
             model.singularity_margin,
             f64::from(self.arm.cycle_us()) / 1e3,
             percent(linear_velocity),
@@ -418,7 +432,11 @@ struct Ticks {
 
 impl From<&Motion> for Ticks {
     fn from(motion: &Motion) -> Self {
-        Self { ticks: motion.last_tick(), period_us: motion.period_us, duration_s: motion.duration_s() }
+        Self {
+            ticks: motion.path.last_tick(),
+            period_us: motion.path.period_us,
+            duration_s: motion.path.duration_s(),
+        }
     }
 }
 
@@ -436,72 +454,47 @@ impl From<&Bench> for Frames {
     }
 }
 
-/// The arm, and what it has to do.
-#[derive(Debug, Serialize)]
-struct ArmUse {
-    #[serde(flatten)]
-    arm: table::Arm,
-    /// The joint that comes nearest to its speed, from 1.
-    fastest_joint: usize,
-    speed_rad_s: f64,
-    /// The joint nearest to a singularity, from 1, and how far from it: 1 is best.
-    singular_joint: u8,
-    singularity_margin: f64,
-    /// Shares of the plan's limits.
-    limit_use: PeakUse,
-    /// How near each link comes to the table, or to the scene's floor where none is given.
-    clearances: [ClearanceUse; 5],
-}
-
-/// How near a link comes to the table.
-#[derive(Clone, Copy, Debug, Serialize)]
-struct ClearanceUse {
-    link: &'static str,
-    above_table_m: f64,
-    time_s: f64,
-}
-
-impl From<&ArmMotion> for ArmUse {
-    fn from(arm: &ArmMotion) -> Self {
-        let Figures { fastest_joint, speed_rad_s, singular_joint, margin, limit_use, clearances, .. } =
-            arm.figures;
-        let clearance = |clearance: Clearance| ClearanceUse {
-            link: clearance.link.name(),
-            above_table_m: clearance.distance_m,
-            time_s: clearance.time_s,
-        };
-        Self {
-            arm: table::Arm::from(&arm.model),
-            fastest_joint,
-            speed_rad_s,
-            singular_joint,
-            singularity_margin: margin,
-            limit_use,
-            clearances: clearances.map(clearance),
-        }
-    }
-}
-
 fn ticks(motion: &Motion) -> String {
     format!(
         "{} ticks of {} ms, {:.2} s",
-        motion.last_tick(),
-        motion.period_us as f64 / 1e3,
-        motion.duration_s()
+        motion.path.last_tick(),
+        motion.path.period_us as f64 / 1e3,
+        motion.path.duration_s()
     )
 }
 
 impl ArmArgs {
-    fn mount(&self) -> Option<Mount> {
+    /// The arm that is asked for, or else the plan's own, in the posture that it was found possible in.
+    fn mount(&self, header: &PlanHeader, scene: Option<&Scene>) -> Option<Mount> {
         let near = self.near.map(|joints| joints.map(f64::to_radians));
-        let (ArmKind::Ur5e, world_from_base, flange_from_tool) = (self.arm?, self.base?, self.tool?);
-        let table = Table { height_m: self.table.unwrap_or(0.0), is_kept: self.table.is_some() };
-        Some(Mount { world_from_base, flange_from_tool, near, table })
+        let of_scene = scene.and_then(|scene| scene.arm.as_ref());
+        // What is kept of something that is known.
+        let clearance_m = of_scene.map(|arm| arm.clearance_m).or(self.table.map(|_| CLEARANCE_M));
+        if let (Some(kind), Some(world_from_base), Some(flange_from_tool)) = (self.arm, self.base, self.tool)
+        {
+            return Some(Mount { kind, world_from_base, flange_from_tool, posture: None, near, clearance_m });
+        }
+        let arm = header.arm?;
+        Some(Mount {
+            kind: arm.kind,
+            world_from_base: arm.world_from_base.pose(),
+            flange_from_tool: arm.flange_from_tool.pose(),
+            posture: near.is_none().then_some(arm.posture),
+            near,
+            clearance_m,
+        })
+    }
+
+    /// Table, containers and gates, as far as they are known.
+    fn surroundings(&self, scene: Option<&Scene>) -> Surroundings {
+        let of_scene = scene.and_then(|scene| scene.arm.as_ref()).map(|arm| arm.table_height_m);
+        let table_m = self.table.or(of_scene).unwrap_or(0.0);
+        scene.map_or_else(|| Surroundings::table(table_m), |scene| Surroundings::of_scene(scene, table_m))
     }
 
     /// From setpoint to setpoint; what is between ticks is looked at as often.
     fn cycle_us(&self) -> u32 {
-        1_000_000 / self.rate.unwrap_or(urscript::CONTROLLER_HZ)
+        self.rate.map_or(CYCLE_US, |rate| 1_000_000 / rate)
     }
 }
 
@@ -522,9 +515,14 @@ fn parse_numbers<const N: usize>(text: &str, names: &str) -> Result<[f64; N], St
 fn parse_pose(text: &str) -> Result<Pose, String> {
     let [x, y, z, roll, pitch, yaw] =
         parse_numbers(text, "x, y, z in metres, then roll, pitch, yaw in degrees")?;
-    let about = |axis: Vector3<f64>, angle_deg: f64| exp_so3(&(axis * angle_deg.to_radians()));
-    let orientation = about(Vector3::z(), yaw) * about(Vector3::y(), pitch) * about(Vector3::x(), roll);
-    Ok(Pose { position_m: Vector3::new(x, y, z), orientation: renormalised(orientation) })
+    Ok(arm::pose([x, y, z], [roll, pitch, yaw]))
+}
+
+/// Arms by their names.
+fn kinds() -> impl TypedValueParser<Value = ArmKind> {
+    let named = |name: String| ArmKind::ALL.into_iter().find(|kind| kind.name() == name);
+    PossibleValuesParser::new(ArmKind::ALL.map(ArmKind::name))
+        .map(move |name| named(name).expect("one of the possible values"))
 }
 
 fn parse_joints(text: &str) -> Result<Joints, String> {

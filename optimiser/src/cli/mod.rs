@@ -7,6 +7,7 @@
 //! JSON object and nothing else: the command's, or, where it came to none, `error` with the sentence and `exit_code`.
 //! Only arguments that cannot be parsed leave it empty.
 
+mod arm_words;
 mod bench;
 mod check;
 mod compare;

@@ -156,6 +156,11 @@ fn scene_given(name: &str, plan: &Path, header: &PlanHeader) -> Result<Scene, Cl
     )))
 }
 
+/// The plan's scene, if it is beside the plan or embedded.
+pub(super) fn scene_of_plan(plan: &Path, header: &PlanHeader) -> Option<Scene> {
+    scene_found(plan, header).ok()
+}
+
 /// The plan's scene: that beside it, or else the embedded one that it was made for, wherever the plan is now.
 fn scene_found(plan: &Path, header: &PlanHeader) -> Result<Scene, CliError> {
     // A bare `scene.toml` is fine: no embedded scene has a dot in its name.

@@ -17,8 +17,9 @@ use crate::{
     },
 };
 use clap::Args;
-use powderline_shared::plan::Precision;
+use powderline_shared::plan::{Mounting, Precision};
 use powderline_simulator::{
+    arm::arm_motion,
     rollout::{self, Evaluate, Evaluation, Places, RolloutError, check_memory},
     scene::{DEFAULT_SCENE, Scene},
     skill::{SkillMap, Theta, colliding_skill},
@@ -374,6 +375,9 @@ impl Run {
         };
         let evaluation = simulator.simulate(&quantised.controls, &mut tick)?;
         let RunRecord { scene, map, state, .. } = &self.record;
+        let arm = arm_motion(scene, map, &quantised).map_err(|refusal| {
+            CliError::Failed(format!("the arm cannot make the plan's motion: {refusal}"))
+        })?;
         let parts = PlanParts {
             scene,
             map,
@@ -382,6 +386,7 @@ impl Run {
             theta: &theta,
             quantised: &quantised,
             evaluation: &evaluation,
+            arm: arm.as_ref().map(|arm| Mounting::from(&arm.model)),
         };
         let unfit = |error| CliError::Failed(format!("no plan can be made: {error}"));
         let plan = parts.to_bytes().map_err(unfit)?;

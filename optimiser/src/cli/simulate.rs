@@ -72,6 +72,8 @@ impl From<Collision> for CollisionReport {
         let (container, gate) = match collision.obstacle {
             Obstacle::Gate(name) => (None, Some(name)),
             Obstacle::Container(name) => (Some(name), None),
+            // The arm's affair, not the tool's.
+            Obstacle::Table | Obstacle::Stand => (None, None),
         };
         Self { part, container, gate, at_s: collision.at_s, sentence }
     }

@@ -469,7 +469,14 @@ fn what_cannot_be_done_is_refused_before_anything_runs() {
     let mut scene = Scene::load("bench").unwrap();
     scene.skill.transport_displacement_m = [0.02, 0.03];
     fs::write(place.path("far.toml"), scene.to_toml()).unwrap();
-    for (file, about) in [("much.toml", "3 trips of 10 g each"), ("far.toml", "out of reach")] {
+    let mut scene = Scene::load("bench").unwrap();
+    scene.arm.as_mut().unwrap().base_position_m[1] = -2.0;
+    fs::write(place.path("arm.toml"), scene.to_toml()).unwrap();
+    for (file, about) in [
+        ("much.toml", "3 trips of 10 g each"),
+        ("far.toml", "out of reach"),
+        ("arm.toml", "the UR5e of [arm] can make no motion"),
+    ] {
         let file = place.text(file);
         let folder = place.text("run");
         assert_sentence(&optimise(&[&file, "--out", &folder]), 2, about);

@@ -9,7 +9,7 @@ use super::{
     words::{hex, precision_name},
 };
 use crate::optim::{EpochRecord, Step};
-use powderline_shared::plan::{PlanHeader, Precision};
+use powderline_shared::plan::{Mounting, PlanHeader, Precision};
 use powderline_simulator::{
     rollout::{Census, Evaluation, Places},
     scene::Scene,
@@ -70,12 +70,14 @@ pub struct Shipped {
     pub theta: Theta,
     /// What arrives.
     pub outcome: Outcome,
+    /// The arm that can make it.
+    pub arm: Option<Mounting>,
 }
 
 impl Shipped {
     /// What a plan says of itself.
     pub fn new(amounts: &Amounts, header: &PlanHeader) -> Self {
-        Self { theta: header.theta, outcome: Outcome::of_plan(amounts, header) }
+        Self { theta: header.theta, outcome: Outcome::of_plan(amounts, header), arm: header.arm }
     }
 
     /// Whether it was made of this skill, bit by bit.
@@ -128,6 +130,8 @@ pub struct Finding {
     pub best: Option<Outcome>,
     /// What the plan brings; nothing before there is one.
     pub plan: Option<Outcome>,
+    /// The arm that can make the plan's motion, where the scene has one.
+    pub arm: Option<Mounting>,
     /// Whether the plan brings the wanted amount within the tolerance; nothing before there is one, and where as much as can be had is
     /// wanted.
     pub met: Option<bool>,
@@ -185,6 +189,7 @@ impl Finding {
             first: Outcome::of_epoch(&amounts, &first.record),
             best: epoch.map(|epoch| Outcome::of_epoch(&amounts, &epochs[epoch].record)),
             plan,
+            arm: shipped.and_then(|shipped| shipped.arm),
             met,
             advice: if met == Some(false) { advice(scene, epochs, epoch) } else { Vec::new() },
         })
@@ -285,7 +290,7 @@ mod tests {
         let amounts = Amounts::from(&scene);
         let epochs = judged(&[0, 1100, 1200], &[90.0, 15.0, 14.0], &[2]);
         let census = Census { target: 1101, spilled: 7, ..Census::default() };
-        let shipped = Shipped { theta: [0.1; 5], outcome: Outcome::new(&amounts, census, 15.1) };
+        let shipped = Shipped { theta: [0.1; 5], outcome: Outcome::new(&amounts, census, 15.1), arm: None };
         let mut run = RunSoFar {
             scene: &scene,
             seed: 1,

@@ -3,6 +3,7 @@
 use super::amounts::Amounts;
 use crate::optim::EpochRecord;
 use powderline_simulator::{
+    arm::arm_motion,
     scene::{Aim, Scene},
     skill::{SkillMap, Theta, collision},
 };
@@ -67,7 +68,7 @@ pub struct Judged {
 }
 
 impl Judged {
-    /// Judges the motion of an epoch's skill: the arm's limits, and walls in the tool's way.
+    /// Judges the motion of an epoch's skill: the limits that it keeps, walls in the tool's way, and whether the scene's arm can.
     pub fn new(scene: &Scene, map: &SkillMap, record: EpochRecord) -> Self {
         Self { record, obstacle: obstacle(scene, map, &record.theta) }
     }
@@ -81,5 +82,11 @@ fn obstacle(scene: &Scene, map: &SkillMap, theta: &Theta) -> Option<String> {
         Ok(quantised) => quantised,
         Err(error) => return Some(error.to_string()),
     };
-    collision(scene, map.start_pose(), &quantised.controls).map(|collision| collision.to_string())
+    let unable = || {
+        let label = scene.arm.as_ref()?.kind.label();
+        let refusal = arm_motion(scene, map, &quantised).err()?;
+        Some(format!("the {label} cannot make the motion: {refusal}"))
+    };
+    let collision = collision(scene, map.start_pose(), &quantised.controls);
+    collision.map(|collision| collision.to_string()).or_else(unable)
 }

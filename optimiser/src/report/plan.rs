@@ -1,7 +1,7 @@
 //! From a skill to the bytes of a plan.
 
 use powderline_shared::plan::{
-    PlanError, PlanHeader, PlanWriter, Precision, Prediction, StartPose, Version, WriteError,
+    Mounting, PlanError, PlanHeader, PlanWriter, Precision, Prediction, StartPose, Version, WriteError,
 };
 use powderline_simulator::{
     rollout::Evaluation,
@@ -27,6 +27,8 @@ pub struct PlanParts<'a> {
     pub quantised: &'a QuantisedControls,
     /// What the quantised motion achieves.
     pub evaluation: &'a Evaluation,
+    /// The arm that can make it.
+    pub arm: Option<Mounting>,
 }
 
 impl PlanParts<'_> {
@@ -76,6 +78,7 @@ impl PlanParts<'_> {
                 particle_mass_kg: scene.particle_mass_kg(),
                 census: evaluation.census,
             },
+            arm: self.arm,
         }
     }
 }

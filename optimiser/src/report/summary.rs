@@ -3,7 +3,7 @@
 use super::{
     amounts::percent,
     finding::{Finding, Outcome},
-    words::{count, parameter},
+    words::{count, parameter, reaching},
 };
 use powderline_shared::plan::SKILL_PARAMETERS;
 use std::fmt::Write;
@@ -38,10 +38,11 @@ impl Finding {
         }
     }
 
-    /// The sentences after the headline: where the rest is, which epoch it is and why, and which could not be.
+    /// The sentences after the headline: where the rest is, which epoch it is and why, how the arm reaches, and which could not be.
     pub fn sentences(&self) -> Vec<String> {
         let rest = self.plan.map(|plan| self.amounts.rest(&plan.census));
-        let ends = rest.into_iter().chain([self.choice()]).chain(self.end());
+        let arm = self.arm.map(|arm| format!("The {}.", reaching(arm.kind, arm.posture)));
+        let ends = rest.into_iter().chain([self.choice()]).chain(self.end()).chain(arm);
         ends.chain(self.restart_words()).chain(self.passed_over_words()).collect()
     }
 
@@ -185,7 +186,8 @@ mod tests {
             .collect();
         let amounts = (&run.scene).into();
         let census = Census { target: planned, spilled: 8, source: 7, ..Census::default() };
-        run.shipped = Some(Shipped { theta: [1.0; 5], outcome: Outcome::new(&amounts, census, 99.1) });
+        run.shipped =
+            Some(Shipped { theta: [1.0; 5], outcome: Outcome::new(&amounts, census, 99.1), arm: None });
         (run.finding().unwrap(), run)
     }
 

@@ -1,6 +1,6 @@
 //! Which joints put the flange at a pose: closed form, one of eight postures.
 //!
-//! Symbols as in [`super::ur5e`]. From the flange's position p and axes x6, y6, z6 (z6 = z5):
+//! Symbols as in [`super::links`]. From the flange's position p and axes x6, y6, z6 (z6 = z5):
 //!
 //! 1. p - d6 z6 is where axes 5 and 6 meet; its horizontal part is w e + d4 n, which gives w up to its sign, then q1.
 //! 2. n in the flange's axes is (s5 c6, -s5 s6, c5), which gives q5 up to its sign, then q6.
@@ -12,12 +12,14 @@
 
 use core::f64::consts::TAU;
 
-use super::ur5e::{A2_M, A3_M, D1_M, D4_M, D5_M, D6_M, Joints, SPAN_M, signed_margins};
+use super::kind::{ArmFigures, ArmKind};
+use super::links::{Joints, signed_margins};
 use crate::pose::Pose;
 use nalgebra::Vector3;
+use serde::{Deserialize, Serialize};
 
 /// One of the eight postures in which the arm can reach a pose. To get from one to another it must pass a singularity.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Posture {
     /// w is negative: the arm reaches along its own -x, as it does with all joints at zero.
     pub reaches_forward: bool,
@@ -54,8 +56,8 @@ impl Posture {
 
     /// The posture of given joints.
     #[must_use]
-    pub fn of(joints: &Joints) -> Self {
-        let [shoulder, elbow, wrist] = signed_margins(joints);
+    pub fn of(kind: ArmKind, joints: &Joints) -> Self {
+        let [shoulder, elbow, wrist] = signed_margins(kind, joints);
         Self { reaches_forward: shoulder < 0.0, elbow_positive: elbow > 0.0, wrist_positive: wrist > 0.0 }
     }
 }
@@ -72,17 +74,23 @@ pub(super) struct OutOfReach {
 }
 
 /// The joints, each within half a turn of zero but for q4, that put the flange at `base_from_flange` in this posture.
-pub(super) fn joints_of(base_from_flange: &Pose, posture: Posture) -> Result<Joints, OutOfReach> {
+pub(super) fn joints_of(
+    kind: ArmKind,
+    base_from_flange: &Pose,
+    posture: Posture,
+) -> Result<Joints, OutOfReach> {
+    let figures = kind.figures();
+    let ArmFigures { d1_m, d5_m, d6_m, .. } = figures;
     let axes = base_from_flange.orientation.to_rotation_matrix();
     let z5 = axes * Vector3::z();
-    let wrist_2 = base_from_flange.position_m - z5 * D6_M;
+    let wrist_2 = base_from_flange.position_m - z5 * *d6_m;
 
-    let (e, n) = arm_plane(&wrist_2, posture)?;
+    let (e, n) = arm_plane(figures, &wrist_2, posture)?;
     let [nx, ny, nz]: [f64; 3] = axes.inverse_transform_vector(&n).into();
     let sign = if posture.wrist_positive { 1.0 } else { -1.0 };
     let q234 = libm::atan2(-sign * z5.z, -sign * z5.dot(&e));
     let (s234, c234) = libm::sincos(q234);
-    let [q2, q3] = triangle(wrist_2.dot(&e) - D5_M * s234, wrist_2.z - D1_M + D5_M * c234, posture)?;
+    let [q2, q3] = triangle(figures, wrist_2.dot(&e) - d5_m * s234, wrist_2.z - d1_m + d5_m * c234, posture)?;
     Ok([
         libm::atan2(e.y, e.x),
         q2,
@@ -94,31 +102,37 @@ pub(super) fn joints_of(base_from_flange: &Pose, posture: Posture) -> Result<Joi
 }
 
 /// The directions e and n of the arm's plane.
-fn arm_plane(wrist_2: &Vector3<f64>, posture: Posture) -> Result<(Vector3<f64>, Vector3<f64>), OutOfReach> {
+fn arm_plane(
+    figures: &ArmFigures,
+    wrist_2: &Vector3<f64>,
+    posture: Posture,
+) -> Result<(Vector3<f64>, Vector3<f64>), OutOfReach> {
+    let d4_m = figures.d4_m;
     let distance_m = length(wrist_2.x, wrist_2.y);
-    if distance_m >= D4_M {
-        let along_m = libm::sqrt((distance_m - D4_M) * (distance_m + D4_M));
+    if distance_m >= d4_m {
+        let along_m = libm::sqrt((distance_m - d4_m) * (distance_m + d4_m));
         let w = if posture.reaches_forward { -along_m } else { along_m };
         let square = distance_m * distance_m;
-        let c1 = (w * wrist_2.x - D4_M * wrist_2.y) / square;
-        let s1 = (w * wrist_2.y + D4_M * wrist_2.x) / square;
+        let c1 = (w * wrist_2.x - d4_m * wrist_2.y) / square;
+        let s1 = (w * wrist_2.y + d4_m * wrist_2.x) / square;
         Ok((Vector3::new(c1, s1, 0.0), Vector3::new(s1, -c1, 0.0)))
     } else {
-        Err(OutOfReach { joint: 1, distance_m, bound_m: D4_M })
+        Err(OutOfReach { joint: 1, distance_m, bound_m: d4_m })
     }
 }
 
 /// q2 and q3 for wrist 1 at (u, v) from the shoulder, along e and k.
-fn triangle(u: f64, v: f64, posture: Posture) -> Result<[f64; 2], OutOfReach> {
-    let [longest_m, shortest_m] = SPAN_M;
+fn triangle(figures: &ArmFigures, u: f64, v: f64, posture: Posture) -> Result<[f64; 2], OutOfReach> {
+    let ArmFigures { a2_m, a3_m, .. } = *figures;
+    let [longest_m, shortest_m] = figures.span_m();
     let distance_m = length(u, v);
     if (shortest_m..=longest_m).contains(&distance_m) {
         let square = distance_m * distance_m;
-        let c3 = ((square - A2_M * A2_M - A3_M * A3_M) / (2.0 * A2_M * A3_M)).clamp(-1.0, 1.0);
+        let c3 = ((square - a2_m * a2_m - a3_m * a3_m) / (2.0 * a2_m * a3_m)).clamp(-1.0, 1.0);
         let sine = libm::sqrt((1.0 - c3) * (1.0 + c3));
         let s3 = if posture.elbow_positive { sine } else { -sine };
         // u + i v = (a2 + a3 exp(i q3)) exp(i q2)
-        let (re, im) = (A2_M + A3_M * c3, A3_M * s3);
+        let (re, im) = (a2_m + a3_m * c3, a3_m * s3);
         Ok([libm::atan2(v * re - u * im, u * re + v * im), libm::atan2(s3, c3)])
     } else {
         let bound_m = if distance_m < shortest_m { shortest_m } else { longest_m };
@@ -141,17 +155,20 @@ fn length(x: f64, y: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use super::super::ur5e::{SingularityMargins, base_from_flange};
+    use super::super::links::{SingularityMargins, base_from_flange};
     use super::*;
     use crate::pose::{exp_so3, norm};
     use core::f64::consts::PI;
     use proptest::prelude::*;
     use std::vec::Vec;
 
+    const KIND: ArmKind = ArmKind::Ur5e;
+    const UR5E: &ArmFigures = KIND.figures();
+
     fn joints_with_margin(margin: f64) -> impl Strategy<Value = Joints> {
         [-TAU..TAU, -TAU..TAU, -TAU..TAU, -TAU..TAU, -TAU..TAU, -TAU..TAU]
             .prop_filter("near a singularity", move |joints: &Joints| {
-                SingularityMargins::of(joints).least().1 > margin
+                SingularityMargins::of(KIND, joints).least().1 > margin
             })
     }
 
@@ -161,19 +178,19 @@ mod tests {
 
     /// Whether upper arm and forearm make an arch and not a bowl.
     fn elbow_rises([_, q2, q3, ..]: &Joints) -> bool {
-        let elbow = [A2_M * q2.cos(), A2_M * q2.sin()];
-        let wrist = [elbow[0] + A3_M * (q2 + q3).cos(), elbow[1] + A3_M * (q2 + q3).sin()];
+        let elbow = [UR5E.a2_m * q2.cos(), UR5E.a2_m * q2.sin()];
+        let wrist = [elbow[0] + UR5E.a3_m * (q2 + q3).cos(), elbow[1] + UR5E.a3_m * (q2 + q3).sin()];
         elbow[1] > wrist[1] * elbow[0] / wrist[0]
     }
 
     #[test]
     fn eight_postures_reach_one_pose() {
-        let pose = base_from_flange(&[0.4, -1.1, 1.3, -0.7, 1.2, 0.5]);
+        let pose = base_from_flange(KIND, &[0.4, -1.1, 1.3, -0.7, 1.2, 0.5]);
         let mut found = Vec::new();
         for posture in Posture::PREFERRED {
-            let joints = joints_of(&pose, posture).unwrap();
-            assert_eq!(Posture::of(&joints), posture);
-            let off = pose.displacement_to(&base_from_flange(&joints));
+            let joints = joints_of(KIND, &pose, posture).unwrap();
+            assert_eq!(Posture::of(KIND, &joints), posture);
+            let off = pose.displacement_to(&base_from_flange(KIND, &joints));
             assert!(norm(&off.translation()) < 1e-14 && norm(&off.rotation()) < 1e-14, "{joints:?}");
             assert_eq!(posture.elbow_is_up(), elbow_rises(&joints), "{joints:?}");
             found.push(joints);
@@ -191,7 +208,7 @@ mod tests {
             position_m: position_m.into(),
             orientation: exp_so3(&Vector3::new(PI, 0.0, 0.0)),
         };
-        let reach = |position_m| joints_of(&down(position_m), forward);
+        let reach = |position_m| joints_of(KIND, &down(position_m), forward);
         let found = reach([0.05, 0.05, 0.5]).unwrap_err();
         assert_eq!((found.joint, found.bound_m), (1, 0.1333));
         assert!((found.distance_m - libm::sqrt(0.005)).abs() < 1e-15, "{found:?}");
@@ -199,8 +216,8 @@ mod tests {
         assert_eq!(found.joint, 3);
         assert!((found.bound_m - 0.8172).abs() < 1e-15 && found.distance_m > found.bound_m, "{found:?}");
         // Reaching backward, wrist 2 can be so low and so near that wrist 1 comes to the shoulder.
-        let beside = down([libm::hypot(D4_M, D5_M), 0.0, D1_M - D6_M]);
-        let found = joints_of(&beside, Posture { reaches_forward: false, ..forward }).unwrap_err();
+        let beside = down([libm::hypot(UR5E.d4_m, UR5E.d5_m), 0.0, UR5E.d1_m - UR5E.d6_m]);
+        let found = joints_of(KIND, &beside, Posture { reaches_forward: false, ..forward }).unwrap_err();
         assert_eq!(found.joint, 3);
         assert!((found.bound_m - 0.0328).abs() < 1e-15 && found.distance_m < 1e-15, "{found:?}");
         for number in [f64::NAN, f64::INFINITY, -f64::INFINITY, 1e300] {
@@ -219,10 +236,10 @@ mod tests {
     proptest! {
         #[test]
         fn joints_come_back(joints in joints_with_margin(0.05)) {
-            let pose = base_from_flange(&joints);
-            let found = unwound(&joints_of(&pose, Posture::of(&joints)).unwrap(), &joints);
+            let pose = base_from_flange(KIND, &joints);
+            let found = unwound(&joints_of(KIND, &pose, Posture::of(KIND, &joints)).unwrap(), &joints);
             prop_assert!(largest_difference(&found, &joints) < 1e-12, "{found:?} for {joints:?}");
-            let off = pose.displacement_to(&base_from_flange(&found));
+            let off = pose.displacement_to(&base_from_flange(KIND, &found));
             prop_assert!(norm(&off.translation()) < 1e-14, "{}", norm(&off.translation()));
             prop_assert!(norm(&off.rotation()) < 1e-14, "{}", norm(&off.rotation()));
         }

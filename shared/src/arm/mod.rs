@@ -1,13 +1,14 @@
-//! The kinematics of an arm of six joints: a UR5e on a stand, as a model that has no state.
+//! The kinematics of an arm of six joints, of Universal Robots' e-Series, as a model that has no state.
 //!
-//! [`ArmModel`] turns poses of the tool into joints ([`inverse`]) and back ([`ur5e`]), always in one of the eight postures,
+//! [`ArmModel`] turns poses of the tool into joints ([`inverse`]) and back ([`links`]), always in one of the eight postures,
 //! and refuses what a real arm would refuse: poses out of its reach, joints beyond their range or speed, and the
 //! neighbourhood of singularities, where a small motion of the tool asks for a large one of the joints.
 //!
 //! All functions are those of `libm`: the same bits on every machine.
 
 pub mod inverse;
-pub mod ur5e;
+mod kind;
+pub mod links;
 
 use core::fmt;
 
@@ -16,15 +17,18 @@ use nalgebra::{Matrix6, Quaternion, UnitQuaternion, Vector3};
 use crate::fault::FaultCode;
 use crate::pose::Pose;
 use inverse::{OutOfReach, Posture};
-pub use ur5e::Joints;
-use ur5e::SingularityMargins;
+pub use kind::{ArmFigures, ArmKind};
+pub use links::Joints;
+use links::SingularityMargins;
 
 /// Joints may be off by this through rounding, radians: what the speed of a joint is not held against.
 const ROUNDING_RAD: f64 = 1e-9;
 
-/// A UR5e, how it is mounted and what it allows.
+/// An arm, how it is mounted and what it allows.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ArmModel {
+    /// Which arm.
+    pub kind: ArmKind,
     /// Where the arm's base stands in the world.
     pub world_from_base: Pose,
     /// Where the tool's frame sits on the flange ("tool centre point").
@@ -43,22 +47,25 @@ pub struct ArmModel {
 }
 
 impl ArmModel {
-    /// With the joints of a UR5e, which keeps a twentieth from singularities.
+    /// With the joints of that arm, which keeps a twentieth from singularities.
     #[must_use]
-    pub fn new(world_from_base: Pose, flange_from_tool: Pose, posture: Posture) -> Self {
+    pub fn new(kind: ArmKind, world_from_base: Pose, flange_from_tool: Pose, posture: Posture) -> Self {
+        let figures = kind.figures();
         Self {
+            kind,
             world_from_base,
             flange_from_tool,
             posture,
-            joint_range_rad: ur5e::RANGE_RAD,
-            joint_speed_rad_s: ur5e::SPEED_RAD_S,
+            joint_range_rad: figures.range_rad,
+            joint_speed_rad_s: figures.speed_rad_s,
             singularity_margin: 0.05,
         }
     }
 
-    /// Beside the default bench: the base at bench height, 0.7 m in front of the volume's edge y = 0, forward along +y.
+    /// That of the scene `bench`: the base 0.1 m below the bench's floor, 0.8 m in front of the volume's edge y = 0, forward
+    /// along +y.
     ///
-    /// The flange is held sideways, facing +y, 0.1 m before the tool's origin, by a bracket that reaches the handle over
+    /// The flange is held sideways, facing +y, 0.2 m before the tool's origin, by a bracket that reaches the handle over
     /// the container's wall. Its axis is the tool's pitch axis, so pitching is wrist 3 alone, and flange and arm stay
     /// beyond the bench's edge (y < 0). At a pitch of 90 degrees wrist 3 is in the middle of its range. The base is 0.26 m
     /// along x, which is the bench's middle and the wrist's sideways offset.
@@ -68,19 +75,19 @@ impl ArmModel {
         let quaternion = |w, x, y, z| UnitQuaternion::new_unchecked(Quaternion::new(w, x, y, z));
         // The base's x axis towards -y: the arm reaches along its own -x.
         let world_from_base = Pose {
-            position_m: Vector3::new(0.26, -0.7, 0.0),
+            position_m: Vector3::new(0.26, -0.8, -0.1),
             orientation: quaternion(half_turn, 0.0, 0.0, -half_turn),
         };
         // The tool's x, y and z axes are -y, z and -x of the flange.
         let flange_from_tool =
-            Pose { position_m: Vector3::new(0.0, 0.0, 0.1), orientation: quaternion(0.5, 0.5, -0.5, -0.5) };
-        Self::new(world_from_base, flange_from_tool, Posture::PREFERRED[0])
+            Pose { position_m: Vector3::new(0.0, 0.0, 0.2), orientation: quaternion(0.5, 0.5, -0.5, -0.5) };
+        Self::new(ArmKind::Ur5e, world_from_base, flange_from_tool, Posture::PREFERRED[0])
     }
 
     /// Pose of the tool in the world.
     #[must_use]
     pub fn world_from_tool(&self, joints: &Joints) -> Pose {
-        let base_from_tool = ur5e::base_from_flange(joints).then(&self.flange_from_tool);
+        let base_from_tool = links::base_from_flange(self.kind, joints).then(&self.flange_from_tool);
         self.world_from_base.then(&base_from_tool)
     }
 
@@ -88,13 +95,14 @@ impl ArmModel {
     /// 1 rad/s: the geometric Jacobian.
     #[must_use]
     pub fn jacobian(&self, joints: &Joints) -> Matrix6<f64> {
-        let base_from_tool = ur5e::base_from_flange(joints).then(&self.flange_from_tool);
+        let base_from_tool = links::base_from_flange(self.kind, joints).then(&self.flange_from_tool);
         let rotation = self.world_from_base.orientation.to_rotation_matrix();
-        let columns = ur5e::twists(joints, &base_from_tool.position_m).map(|[vx, vy, vz, wx, wy, wz]| {
-            let [vx, vy, vz] = (rotation * Vector3::new(vx, vy, vz)).into();
-            let [wx, wy, wz] = (rotation * Vector3::new(wx, wy, wz)).into();
-            [vx, vy, vz, wx, wy, wz]
-        });
+        let columns =
+            links::twists(self.kind, joints, &base_from_tool.position_m).map(|[vx, vy, vz, wx, wy, wz]| {
+                let [vx, vy, vz] = (rotation * Vector3::new(vx, vy, vz)).into();
+                let [wx, wy, wz] = (rotation * Vector3::new(wx, wy, wz)).into();
+                [vx, vy, vz, wx, wy, wz]
+            });
         Matrix6::from(columns)
     }
 
@@ -105,7 +113,7 @@ impl ArmModel {
     pub fn joints_near(&self, near: &Joints, world_from_tool: &Pose) -> Result<Joints, ArmError> {
         let world_from_flange = world_from_tool.then(&self.flange_from_tool.inverse());
         let base_from_flange = self.world_from_base.inverse().then(&world_from_flange);
-        let joints = inverse::joints_of(&base_from_flange, self.posture)?;
+        let joints = inverse::joints_of(self.kind, &base_from_flange, self.posture)?;
         let joints = inverse::unwound(&joints, near);
         self.check_joints(&joints)?;
         Ok(joints)
@@ -131,7 +139,7 @@ impl ArmModel {
     }
 
     fn check_margin(&self, joints: &Joints) -> Result<(), ArmError> {
-        let (joint, margin) = SingularityMargins::of(joints).least();
+        let (joint, margin) = SingularityMargins::of(self.kind, joints).least();
         if margin >= self.singularity_margin {
             Ok(())
         } else {

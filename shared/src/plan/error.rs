@@ -70,8 +70,10 @@ pub enum PlanError {
         /// Its value, kilograms.
         value: f64,
     },
-    /// The start orientation is no rotation.
+    /// An orientation is no rotation.
     OrientationNotUnit {
+        /// What it is of.
+        field: &'static str,
         /// Norm of the quaternion.
         norm: f64,
     },
@@ -139,8 +141,8 @@ impl fmt::Display for PlanError {
             Self::NegativeMass { field, value } => {
                 write!(f, "its {field} is {value} kg, but must not be negative")
             }
-            Self::OrientationNotUnit { norm } => {
-                write!(f, "its start orientation is a quaternion of norm {norm}, but must have norm 1")
+            Self::OrientationNotUnit { field, norm } => {
+                write!(f, "its {field} is a quaternion of norm {norm}, but must have norm 1")
             }
             Self::Limits(error) => error.fmt(f),
             Self::Step { step, step_count } => {

@@ -4,6 +4,8 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::PlanError;
+use crate::arm::inverse::Posture;
+use crate::arm::{ArmKind, ArmModel};
 use crate::census::Census;
 use crate::displacement::{LSB_MAX, Lsb};
 use crate::limits::Limits;
@@ -103,6 +105,40 @@ pub struct PlanHeader {
     pub limits: Limits,
     /// What the quantised motion brings.
     pub predicted: Prediction,
+    /// The arm that can make the motion, as was looked at when the plan was made; none if nobody looked.
+    pub arm: Option<Mounting>,
+}
+
+/// An arm, how it stands and holds the tool, and how it reaches.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Mounting {
+    /// Which arm.
+    pub kind: ArmKind,
+    /// Its base in the world.
+    pub world_from_base: StartPose,
+    /// The tool's frame in the flange.
+    pub flange_from_tool: StartPose,
+    /// The posture that it keeps all the way.
+    pub posture: Posture,
+}
+
+impl Mounting {
+    /// The arm's kinematics.
+    #[must_use]
+    pub fn model(&self) -> ArmModel {
+        ArmModel::new(self.kind, self.world_from_base.pose(), self.flange_from_tool.pose(), self.posture)
+    }
+}
+
+impl From<&ArmModel> for Mounting {
+    fn from(model: &ArmModel) -> Self {
+        Self {
+            kind: model.kind,
+            world_from_base: StartPose::from(&model.world_from_base),
+            flange_from_tool: StartPose::from(&model.flange_from_tool),
+            posture: model.posture,
+        }
+    }
 }
 
 /// What a motion brings, as it was simulated; by default nothing, as of a motion without powder.
@@ -149,7 +185,8 @@ impl PlanHeader {
 
     fn check_finite(&self) -> Result<(), PlanError> {
         let start = &self.start;
-        let groups: [(&'static str, &[f64]); 7] = [
+        let [base, tool] = self.mounted();
+        let groups: [(&'static str, &[f64]); 11] = [
             ("theta", &self.theta),
             ("skill parameters", &self.skill_parameters),
             ("start position", &start.position_m),
@@ -157,6 +194,10 @@ impl PlanHeader {
             ("predicted loss", &[self.predicted.loss_m]),
             ("wanted mass", &[self.predicted.wanted_kg]),
             ("mass of a particle", &[self.predicted.particle_mass_kg]),
+            ("position of the arm's base", &base.position_m),
+            ("orientation of the arm's base", &base.orientation_wxyz),
+            ("position of the tool in the flange", &tool.position_m),
+            ("orientation of the tool in the flange", &tool.orientation_wxyz),
         ];
         for (field, values) in groups {
             if let Some(&value) = values.iter().find(|value| !value.is_finite()) {
@@ -180,12 +221,25 @@ impl PlanHeader {
         in_range("step count", self.step_count, 1, MAX_STEPS)?;
         in_range("translation LSB in nanometres", self.lsb.translation_nm, 1, LSB_MAX)?;
         in_range("rotation LSB in nanoradians", self.lsb.rotation_nrad, 1, LSB_MAX)?;
-        let [w, x, y, z] = self.start.orientation_wxyz;
-        let norm = libm::sqrt(w * w + x * x + y * y + z * z);
-        if libm::fabs(norm - 1.0) > UNIT_TOLERANCE {
-            return Err(PlanError::OrientationNotUnit { norm });
+        let [base, tool] = self.mounted();
+        for (field, pose) in [
+            ("start orientation", &self.start),
+            ("orientation of the arm's base", &base),
+            ("orientation of the tool in the flange", &tool),
+        ] {
+            let [w, x, y, z] = pose.orientation_wxyz;
+            let norm = libm::sqrt(w * w + x * x + y * y + z * z);
+            if libm::fabs(norm - 1.0) > UNIT_TOLERANCE {
+                return Err(PlanError::OrientationNotUnit { field, norm });
+            }
         }
         Ok(())
+    }
+
+    /// Base and tool of the arm; where there is none, poses that stand for them.
+    fn mounted(&self) -> [StartPose; 2] {
+        let none = StartPose::from(&Pose::identity());
+        self.arm.map_or([none; 2], |arm| [arm.world_from_base, arm.flange_from_tool])
     }
 }
 

@@ -21,8 +21,8 @@ mod writer;
 pub use checksum::{Crc32, Fnv1a64};
 pub use error::PlanError;
 pub use header::{
-    MAX_STEPS, PERIOD_US_MAX, PERIOD_US_MIN, PlanHeader, Precision, Prediction, SKILL_PARAMETERS, StartPose,
-    Version,
+    MAX_STEPS, Mounting, PERIOD_US_MAX, PERIOD_US_MIN, PlanHeader, Precision, Prediction, SKILL_PARAMETERS,
+    StartPose, Version,
 };
 pub use reader::{PlanReader, Setpoints, Steps};
 pub use writer::{PlanSummary, PlanWriter, Sink, SliceSink, WriteError};
@@ -31,13 +31,13 @@ pub use writer::{PlanSummary, PlanWriter, Sink, SliceSink, WriteError};
 pub const MAGIC: [u8; 8] = *b"PWDLPLAN";
 
 /// The format version that this crate writes, and the only one that it reads.
-pub const FORMAT_VERSION: u16 = 2;
+pub const FORMAT_VERSION: u16 = 3;
 
 /// No plan is larger; a reader may refuse a longer file unread.
 pub const MAX_FILE_BYTES: usize = 32 * 1024 * 1024;
 
 /// No header in postcard is larger.
-pub const MAX_HEADER_BYTES: usize = 512;
+pub const MAX_HEADER_BYTES: usize = 768;
 
 /// Magic and version.
 const PREFIX_BYTES: usize = 10;

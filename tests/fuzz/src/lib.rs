@@ -11,7 +11,7 @@ use std::path::PathBuf;
 pub const CONTEXT: Context = Context { session: 0x1234, plan_hash: 0x0123_4567_89ab_cdef };
 
 /// The plan whose bytes are pinned.
-pub const GOLDEN_PLAN: &[u8] = include_bytes!("../../../shared/tests/golden/plan-v2.plan");
+pub const GOLDEN_PLAN: &[u8] = include_bytes!("../../../shared/tests/golden/plan-v3.plan");
 
 const GOLDEN_CLASSIC: &str = include_str!("../../../shared/tests/golden/wire-v2-classic.txt");
 const GOLDEN_FD: &str = include_str!("../../../shared/tests/golden/wire-v2-fd.txt");

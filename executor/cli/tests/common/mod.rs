@@ -44,6 +44,7 @@ pub(crate) fn header() -> PlanHeader {
             particle_mass_kg: 8e-6,
             census: Census { source: 2000, target: 850, rims: 1, tool: 0, spilled: 2, in_flight: 0 },
         },
+        arm: None,
     }
 }
 

@@ -74,6 +74,7 @@ pub fn plan_bytes(start: &Pose, limits: Limits, period_us: u32, moves: &[Move]) 
         start: StartPose::from(start),
         limits,
         predicted: Prediction::default(),
+        arm: None,
     };
     let mut bytes = Vec::new();
     let sink = |part: &[u8]| {

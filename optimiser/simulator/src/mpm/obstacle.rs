@@ -287,51 +287,17 @@ impl Builder {
     }
 
     fn container<T: Real>(&self, c: &Container) -> Vec<FixedCollider<T>> {
-        let t = c.wall_thickness_m;
-        let shapes = match c.shape {
-            ContainerShape::Box { inner_size_m: [lx, ly, h] } => {
-                let wall = |centre: [f64; 3], half: [f64; 3]| {
-                    Shape::AlignedBox(AlignedBox {
-                        centre: centre.map(T::from_f64),
-                        half: half.map(T::from_f64),
-                    })
-                };
-                let (hx, hy) = (0.5 * lx, 0.5 * ly);
-                let middle = 0.5 * (h - t);
-                let half_height = 0.5 * (h + t);
-                vec![
-                    wall([0.0, 0.0, -0.5 * t], [hx + t, hy + t, 0.5 * t]),
-                    wall([hx + 0.5 * t, 0.0, middle], [0.5 * t, hy + t, half_height]),
-                    wall([-hx - 0.5 * t, 0.0, middle], [0.5 * t, hy + t, half_height]),
-                    wall([0.0, hy + 0.5 * t, middle], [hx + t, 0.5 * t, half_height]),
-                    wall([0.0, -hy - 0.5 * t, middle], [hx + t, 0.5 * t, half_height]),
-                ]
-            }
-            ContainerShape::Cylinder { inner_radius_m: r, inner_height_m: h } => vec![
-                ring(0.0, r + t, -0.5 * t, 0.5 * t),
-                ring(r + 0.5 * t, 0.5 * t, 0.5 * (h - t), 0.5 * (h + t)),
-            ],
-        };
         let rotation = turned(c.yaw_deg);
         let fixed = |shape| FixedCollider {
             piece: self.piece(shape, c.friction),
             motion: at_rest(rotation, c.position_m),
         };
-        shapes.into_iter().map(fixed).collect()
+        container_shapes(c).into_iter().map(fixed).collect()
     }
 
     /// A gate in its own frame.
     fn gate<T: Real>(&self, gate: &Gate) -> Collider<T> {
-        let shape = match gate.shape {
-            GateShape::Box { size_m } => Shape::AlignedBox(AlignedBox {
-                centre: [0.0, 0.0, 0.5 * size_m[2]].map(T::from_f64),
-                half: size_m.map(|edge| T::from_f64(0.5 * edge)),
-            }),
-            GateShape::Tube { inner_radius_m: r, height_m: h, wall_thickness_m: t } => {
-                ring(r + 0.5 * t, 0.5 * t, 0.5 * h, 0.5 * h)
-            }
-        };
-        self.piece(shape, gate.friction)
+        self.piece(gate_shape(gate), gate.friction)
     }
 
     /// The tool's pieces in its own frame.
@@ -367,6 +333,45 @@ fn scoop<T: Real>(l: f64, w: f64, h: f64, t: f64) -> Vec<Shape<T>> {
         wall([-0.5 * t, hw + 0.5 * t, -half_height], [hl + 0.5 * t, 0.5 * t, half_height]),
         wall([-0.5 * t, -hw - 0.5 * t, -half_height], [hl + 0.5 * t, 0.5 * t, half_height]),
     ]
+}
+
+/// Floor and walls of a container in its own frame.
+pub(crate) fn container_shapes<T: Real>(c: &Container) -> Vec<Shape<T>> {
+    let t = c.wall_thickness_m;
+    match c.shape {
+        ContainerShape::Box { inner_size_m: [lx, ly, h] } => {
+            let wall = |centre: [f64; 3], half: [f64; 3]| {
+                Shape::AlignedBox(AlignedBox { centre: centre.map(T::from_f64), half: half.map(T::from_f64) })
+            };
+            let (hx, hy) = (0.5 * lx, 0.5 * ly);
+            let middle = 0.5 * (h - t);
+            let half_height = 0.5 * (h + t);
+            vec![
+                wall([0.0, 0.0, -0.5 * t], [hx + t, hy + t, 0.5 * t]),
+                wall([hx + 0.5 * t, 0.0, middle], [0.5 * t, hy + t, half_height]),
+                wall([-hx - 0.5 * t, 0.0, middle], [0.5 * t, hy + t, half_height]),
+                wall([0.0, hy + 0.5 * t, middle], [hx + t, 0.5 * t, half_height]),
+                wall([0.0, -hy - 0.5 * t, middle], [hx + t, 0.5 * t, half_height]),
+            ]
+        }
+        ContainerShape::Cylinder { inner_radius_m: r, inner_height_m: h } => vec![
+            ring(0.0, r + t, -0.5 * t, 0.5 * t),
+            ring(r + 0.5 * t, 0.5 * t, 0.5 * (h - t), 0.5 * (h + t)),
+        ],
+    }
+}
+
+/// A gate in its own frame.
+pub(crate) fn gate_shape<T: Real>(gate: &Gate) -> Shape<T> {
+    match gate.shape {
+        GateShape::Box { size_m } => Shape::AlignedBox(AlignedBox {
+            centre: [0.0, 0.0, 0.5 * size_m[2]].map(T::from_f64),
+            half: size_m.map(|edge| T::from_f64(0.5 * edge)),
+        }),
+        GateShape::Tube { inner_radius_m: r, height_m: h, wall_thickness_m: t } => {
+            ring(r + 0.5 * t, 0.5 * t, 0.5 * h, 0.5 * h)
+        }
+    }
 }
 
 /// A tube about the vertical, or a disc, by the middle of its profile and half of its extents.

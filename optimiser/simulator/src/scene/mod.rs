@@ -37,6 +37,7 @@
 //! ```
 
 mod amount;
+mod arm;
 mod canonical;
 mod capacity;
 mod closest_match;
@@ -60,6 +61,7 @@ mod validate;
 use serde::{Deserialize, Serialize};
 
 pub use amount::{Amount, DEFAULT_TOLERANCE, Quantity};
+pub use arm::{Arm, Elbow, PostureChoice, Shoulder, Wrist};
 pub use canonical::{DIGEST_VERSION, Digest};
 pub use capacity::Capacity;
 pub use closest_match::closest_match;
@@ -101,6 +103,9 @@ pub struct Scene {
     pub skill: Skill,
     /// Limits that the motion must respect; copied into the plan and checked again by the arm.
     pub limits: Limits,
+    /// The arm that makes the motion; none if the file has none, and then nobody looks whether one can.
+    #[serde(default)]
+    pub arm: Option<Arm>,
     /// What is wanted.
     pub objective: Objective,
     /// Optimiser settings.

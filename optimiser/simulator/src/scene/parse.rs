@@ -8,7 +8,8 @@ use super::error::listed_path;
 use super::{DEFAULT_SCENE, Scene, SceneError, embedded_scene};
 
 /// Tables of a scene, besides its [`LISTS`] of tables.
-const TABLES: [&str; 8] = ["domain", "powder", "time", "tool", "skill", "limits", "objective", "optimiser"];
+const TABLES: [&str; 9] =
+    ["domain", "powder", "time", "tool", "skill", "limits", "arm", "objective", "optimiser"];
 
 /// Lists of tables, each with a name.
 const LISTS: [&str; 2] = ["container", "gate"];

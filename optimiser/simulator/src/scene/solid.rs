@@ -28,9 +28,13 @@ pub(super) fn dot(a: Vec3, b: Vec3) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
-/// What may stand in the tool's way, by its name.
+/// What may stand in the way, by its name.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Obstacle {
+    /// What arm and bench stand on.
+    Table,
+    /// What the simulated volume stands on, down to the table.
+    Stand,
     /// A container.
     Container(String),
     /// A gate, while it is there.
@@ -40,6 +44,8 @@ pub enum Obstacle {
 impl fmt::Display for Obstacle {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
+            Self::Table => f.write_str("the table"),
+            Self::Stand => f.write_str("the stand below the bench"),
             Self::Container(name) => write!(f, "container {name:?}"),
             Self::Gate(name) => write!(f, "gate {name:?}"),
         }

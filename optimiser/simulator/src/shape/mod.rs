@@ -206,6 +206,13 @@ impl<T: Real> Shape<T> {
     }
 }
 
+impl Shape<f64> {
+    /// Signed distance at a point of the solid's own frame, metres.
+    pub(crate) fn distance_at(&self, point_m: Vec3<f64>) -> f64 {
+        with_solid!(*self, solid => solid.distance(point_m).0)
+    }
+}
+
 impl<T: Real> SignedDistance<T> for HalfSpace {
     #[inline(always)]
     fn distance<S: Scalar<T>>(&self, y: [S; 3]) -> (S, [S; 3]) {

@@ -66,6 +66,11 @@ impl SkillMap {
         &self.limits
     }
 
+    /// From tick to tick, microseconds.
+    pub fn control_period_us(&self) -> u32 {
+        self.period_us
+    }
+
     /// The control sequence of a skill as it is shipped.
     ///
     /// # Errors

@@ -179,7 +179,7 @@ const STRUCTURE: &[Case] = &[
     (
         "[optimiser]",
         "[optimizer]",
-        ": optimizer at line 95: unknown field `optimizer`, expected one of `name`, `domain`, `powder`, `time`, `container`, `gate`, `tool`, `skill`, `limits`, `objective`, `optimiser`; did you mean `optimiser`?",
+        ": optimizer at line 95: unknown field `optimizer`, expected one of `name`, `domain`, `powder`, `time`, `container`, `gate`, `tool`, `skill`, `limits`, `arm`, `objective`, `optimiser`; did you mean `optimiser`?",
     ),
     (
         "[optimiser]",
@@ -895,6 +895,41 @@ fn gates_and_columns_are_refused() {
     let base = format!("{BASE}{GATES}");
     assert_eq!(Scene::from_toml("base.toml", &base).map(|scene| scene.gates.len()), Ok(2));
     check_all_of(&base, GATES_AND_COLUMNS);
+}
+
+/// What `base.toml` gets where the arm is spoiled.
+const ARM: &str = r#"
+[arm]
+kind = "ur5e"
+base_position_m = [0.26, -0.8, -0.1]
+base_rotation_deg = [0.0, 0.0, -90.0]
+tool_position_m = [0.0, 0.0, 0.2]
+tool_rotation_deg = [90.0, 0.0, -90.0]
+posture = { shoulder = "forward", elbow = "up", wrist = "positive" }
+table_height_m = -0.1
+clearance_m = 0.02
+payload_kg = 0.4
+"#;
+
+#[rustfmt::skip]
+const ARMS: &[Case] = &[
+    ("[0.26, -0.8, -0.1]", "[0.26, -800, -0.1]", ": arm.base_position_m[1] is -800, but it must be from -10 to 10; did you mean metres, that is -0.8?"),
+    ("[0.0, 0.0, -90.0]", "[0.0, 0.0, nan]", ": arm.base_rotation_deg[2] is nan, but it must be from -360 to 360"),
+    ("[0.0, 0.0, 0.2]", "[0.0, 0.0, 2.0]", ": arm.tool_position_m[2] is 2, but it must be from -1 to 1; did you mean metres, that is 0.002?"),
+    ("[90.0, 0.0, -90.0]", "[900.0, 0.0, -90.0]", ": arm.tool_rotation_deg[0] is 900, but it must be from -360 to 360"),
+    ("table_height_m = -0.1", "table_height_m = 0.1", ": arm.table_height_m is 0.1, but it must be from -10 to 0"),
+    ("clearance_m = 0.02", "clearance_m = -0.02", ": arm.clearance_m is -0.02, but it must be from 0 to 1"),
+    ("payload_kg = 0.4", "payload_kg = 5.1", ": arm.payload_kg is 5.1, but it must be from 0 to 5"),
+    ("shoulder = \"forward\"", "shoulder = \"left\"", ": arm.posture.shoulder at line 105: unknown variant `left`, expected `forward` or `backward`"),
+];
+
+#[test]
+fn arms_are_refused() {
+    let base = format!("{BASE}{ARM}");
+    assert!(Scene::from_toml("base.toml", &base).is_ok_and(|scene| scene.arm.is_some()));
+    check_all_of(&base, ARMS);
+    let unknown = refusal(&base.replacen("\"ur5e\"", "\"ur5\"", 1));
+    assert!(unknown.contains("arm.kind") && unknown.ends_with("did you mean `ur5e`?"), "{unknown}");
 }
 
 #[test]

@@ -1,7 +1,10 @@
 //! The scenes that come with the program.
 
+use powderline_shared::arm::ArmModel;
+use powderline_shared::arm::inverse::Posture;
+use powderline_simulator::arm::Mount;
 use powderline_simulator::scene::figures::{about, grouped, mass};
-use powderline_simulator::scene::{EMBEDDED_SCENES, Scene, ToolShape};
+use powderline_simulator::scene::{EMBEDDED_SCENES, Elbow, PostureChoice, Scene, Shoulder, ToolShape, Wrist};
 
 #[test]
 fn shipped_scenes_are_valid_and_round_trip() {
@@ -33,6 +36,31 @@ fn the_gate_that_the_reference_shows_is_one() {
     let (vanish, slide) = (inline("{ kind = \"vanish\""), inline("{ kind = \"slide\""));
     assert_ne!(other(&format!("\nshape = {tube}"), &format!("\nshape = {plate}")).gates, scene.gates);
     assert_ne!(other(&format!("\nopening = {vanish}"), &format!("\nopening = {slide}")).gates, scene.gates);
+}
+
+/// The arm beside the bench stands in its scene, and with the programs that know no scenes.
+#[test]
+fn the_simulated_arm_is_that_of_the_bench() {
+    let arm = Scene::load("bench").unwrap().arm.unwrap();
+    let (of_scene, known) = (Mount::of(&arm).model(Posture::PREFERRED[0]), ArmModel::bench());
+    let poses = |model: &ArmModel| [model.world_from_base, model.flange_from_tool];
+    for (a, b) in poses(&of_scene).iter().zip(&poses(&known)) {
+        assert!(a.displacement_to(b).components().iter().all(|off| off.abs() < 1e-15), "{a:?} {b:?}");
+    }
+}
+
+/// The bench with the arm's keys that the reference shows in comments.
+#[test]
+fn the_arm_that_the_reference_shows_is_one() {
+    let (_, text) = EMBEDDED_SCENES[0];
+    let with = text.replacen("# posture = {", "posture = {", 1).replacen(
+        "# payload_kg = 0.4",
+        "payload_kg = 0.4",
+        1,
+    );
+    let arm = Scene::from_toml("bench", &with).unwrap().arm.unwrap();
+    let chosen = PostureChoice { shoulder: Shoulder::Forward, elbow: Elbow::Up, wrist: Wrist::Positive };
+    assert_eq!((arm.posture, arm.payload_kg), (Some(chosen), Some(0.4)));
 }
 
 #[test]

@@ -1,9 +1,10 @@
 //! `optimise export`: motions, and powder with the stand-in, whose powder is two particles.
 
 use super::*;
+use powderline_shared::plan::PlanHeader;
 
 /// A plan of 100 ticks that an arm can make, pinned where plans are at home.
-const GOLDEN: &[u8] = include_bytes!("../../../../shared/tests/golden/plan-v2.plan");
+const GOLDEN: &[u8] = include_bytes!("../../../../shared/tests/golden/plan-v3.plan");
 
 /// An arm that can make it.
 const ARM: [&str; 6] = ["--arm", "ur5e", "--base", "0.6,0.25,0,0,0,0", "--tool", "0,0,0.1,20,0,0"];
@@ -34,7 +35,7 @@ fn a_motion_is_written_beside_its_plan_in_every_format() {
         let done = export(&plan, format, &ARM);
         assert_eq!(done.code, 0, "{format}: {}", done.err);
         assert!(done.out.contains(name) && done.out.contains("100 ticks of 10 ms, 1.00 s."), "{}", done.out);
-        let said = "The UR5e reaches forward, elbow up, wrist 2 at a positive angle. Its forearm comes nearest to the scene's floor";
+        let said = "The UR5e reaches forward, elbow up, wrist 2 at a positive angle. Its forearm comes nearest to anything: ";
         assert!(done.out.contains(said), "{}", done.out);
         assert_eq!(names(&place).len(), 2);
         let bytes = fs::read(place.path(name)).unwrap();
@@ -65,9 +66,47 @@ fn what_was_written_is_said_in_json_too() {
 #[test]
 fn without_an_arm_there_are_no_joints() {
     let (place, plan) = with_plan();
+    fs::write(&plan, golden_with(|header| PlanHeader { arm: None, ..header })).unwrap();
     assert_eq!(export(&plan, "csv", &[]).code, 0);
     let table = fs::read_to_string(place.path("skill.csv")).unwrap();
     assert!(!table.contains("joint") && table.lines().count() == 102);
+    for (format, more, about) in [
+        ("urscript", &[][..], "--format urscript needs an arm, and "),
+        ("json", &["--near", "1,2,3,4,5,6"], "--near needs an arm"),
+        ("mcap", &["--table", "-0.1"], "skill.plan was made for a scene without [arm]"),
+    ] {
+        assert_sentence(&export(&plan, format, more), 2, about);
+    }
+}
+
+#[test]
+fn a_plan_brings_its_own_arm() {
+    let (place, plan) = with_plan();
+    let header = |more: &[&str]| {
+        let done = export(&plan, "urscript", &[more, &["--force"]].concat());
+        assert_eq!(done.code, 0, "{}", done.err);
+        // What it says of base, tool and first joints; digits behind these know how the angles were given.
+        fs::read_to_string(place.path("skill.script")).unwrap().lines().take(12).collect::<Vec<_>>().join("\n")
+    };
+    assert_eq!(header(&[]), header(&ARM));
+    let moved = header(&["--arm", "ur5e", "--base", "0.6,0.2,0,0,0,0", "--tool", "0,0,0.1,20,0,0"]);
+    assert!(header(&[]).contains("p[0.6, 0.25, 0, 0, 0, 0]") && moved.contains("p[0.6, 0.2, 0, 0, 0, 0]"), "{moved}");
+}
+
+#[test]
+fn links_stay_clear_of_what_the_scene_has() {
+    let place = Place::new();
+    let plan = format!("{}/skill.plan", place.finished("run", 1));
+    let said = export(
+        &plan,
+        "csv",
+        &["--arm", "ur3e", "--base", "0.22,-0.5,-0.1,0,0,-90", "--tool", "0,0,0.1,90,0,-90"],
+    );
+    assert!(
+        said.code == 2 && said.err.contains("mm from container \"source\", and 20 mm is the least"),
+        "{}",
+        said.err
+    );
 }
 
 #[test]
@@ -149,15 +188,20 @@ fn a_plan_longer_than_a_controller_takes_is_refused_for_a_program_alone() {
 
 /// The golden plan with more ticks at its end, in which nothing moves.
 fn long_plan(ticks: u32) -> Vec<u8> {
+    golden_with(|header| PlanHeader { step_count: ticks, ..header })
+}
+
+/// The golden plan under another header, with as many ticks as that says.
+fn golden_with(change: impl Fn(PlanHeader) -> PlanHeader) -> Vec<u8> {
     let golden = PlanReader::new(GOLDEN).unwrap();
-    let header = powderline_shared::plan::PlanHeader { step_count: ticks, ..*golden.header() };
+    let header = change(*golden.header());
     let mut bytes = Vec::new();
     let sink = |part: &[u8]| {
         bytes.extend_from_slice(part);
         Ok::<(), std::convert::Infallible>(())
     };
     let mut writer = powderline_shared::plan::PlanWriter::new(sink, &header).unwrap();
-    for step in golden.steps().chain(std::iter::repeat([0; 6])).take(ticks as usize) {
+    for step in golden.steps().chain(std::iter::repeat([0; 6])).take(header.step_count as usize) {
         writer.step(step).unwrap();
     }
     writer.finish().unwrap();
@@ -172,7 +216,8 @@ fn a_base_out_of_reach_is_refused_with_time_value_limit_and_remedy() {
         let done = export(&plan, format, &far);
         assert_sentence(&done, 2, "is no motion for this arm: at 0.000 s the wrist would be 2.");
         assert_sentence(&done, 2, "m from the shoulder, and can be 0.8172 m at the most");
-        assert_sentence(&done, 2, "put --base at least");
+        assert_sentence(&done, 2, "put the base at least");
+        assert_sentence(&done, 2, "--base, --tool, --near, --rate say otherwise");
     }
     assert_eq!(names(&place), ["skill.plan"]);
 }
@@ -180,8 +225,7 @@ fn a_base_out_of_reach_is_refused_with_time_value_limit_and_remedy() {
 #[test]
 fn what_does_not_go_together_is_refused_before_anything_is_read() {
     for (format, more, about) in [
-        ("urscript", &[][..], "--format urscript needs an arm"),
-        ("json", &["--particles"], "json holds a motion alone"),
+        ("json", &["--particles"][..], "json holds a motion alone"),
         ("urscript", &[&ARM[..], &["--particles"]].concat(), "urscript holds a motion alone"),
         ("vtk", &ARM, "--arm goes with a motion"),
         ("csv", &[&ARM[..], &["--particles"]].concat(), "--arm goes with a motion"),

@@ -20,9 +20,9 @@ use mcap::{McapError, WriteOptions, Writer};
 use serde::Serialize;
 
 use super::Motion;
-use super::arm::ArmMotion;
 use super::ros::{self, Header, Kind};
 use crate::{Destination, Frame, Sink, ViewError};
+use powderline_simulator::arm::ArmMotion;
 
 const WORLD: &str = "world";
 const TOOL: &str = "tool";
@@ -103,7 +103,7 @@ impl<W: Write> Messages<W> {
             ("plan_hash", format!("{:016x}", motion.plan_hash)),
             ("scene_digest", motion.digest_text()),
             ("optimiser_version", motion.version_text()),
-            ("period_us", motion.period_us.to_string()),
+            ("period_us", motion.path.period_us.to_string()),
         ];
         let metadata = metadata.map(|(name, value)| (name.to_owned(), value)).into();
         self.writer.write_metadata(&Metadata { name: "powderline".into(), metadata }).map_err(io_error)
@@ -115,12 +115,12 @@ impl<W: Write> Messages<W> {
             velocities: &arm.speeds[tick],
             accelerations: &[],
             effort: &[],
-            time_from_start: ros::Time::from_us(motion.time_us(tick)),
+            time_from_start: ros::Time::from_us(motion.path.time_us(tick)),
         };
         let trajectory = ros::JointTrajectory {
             header: Header::new(0, BASE),
             joint_names: &ros::JOINT_NAMES,
-            points: (0..=motion.last_tick()).map(point).collect(),
+            points: (0..=motion.path.last_tick()).map(point).collect(),
         };
         let mut channel = self.channel("/joint_trajectory", &ros::JOINT_TRAJECTORY)?;
         self.write(&mut channel, 0, &trajectory)
@@ -131,8 +131,8 @@ impl<W: Write> Messages<W> {
         let mut transforms = self.channel("/tf", &ros::TF_MESSAGE)?;
         let arm = motion.arm.as_ref();
         let mut states = arm.map(|_| self.channel("/joint_states", &ros::JOINT_STATE)).transpose()?;
-        for (tick, tool) in motion.poses.iter().enumerate() {
-            let time_us = motion.time_us(tick);
+        for (tick, tool) in motion.path.poses.iter().enumerate() {
+            let time_us = motion.path.time_us(tick);
             let header = |frame_id| Header::new(time_us, frame_id);
             let pose = ros::PoseStamped { header: header(WORLD), pose: tool.into() };
             self.write(&mut poses, time_us, &pose)?;

@@ -5,21 +5,19 @@
 //! |---------|----------------------------------------------------------------------------------------------------|
 //! | pose    | of the tool's frame in the world, exactly that of the plan's setpoint                               |
 //! | between | the cubic spline ([`spline`]) through all ticks, whose slopes are the velocities; rest at both ends |
-//! | joints  | those of an arm that holds the tool ([`arm`]), where there is one                                   |
+//! | joints  | those of an arm that holds the tool ([`powderline_simulator::arm`]), where there is one             |
 
-pub mod arm;
 pub mod mcap;
 mod ros;
-pub mod spline;
 pub mod table;
 pub mod urscript;
 
-use powderline_shared::displacement::{Lsb, pose_at};
-use powderline_shared::limits::{Limits, Violation};
+use powderline_shared::displacement::pose_at;
+use powderline_shared::limits::Violation;
 use powderline_shared::plan::{PlanReader, Version};
 use powderline_shared::pose::Pose;
 
-use arm::ArmMotion;
+use powderline_simulator::arm::{ArmMotion, ToolPath, spline};
 
 /// Where the tool of a plan is and how fast it goes, at each tick.
 #[derive(Clone, Debug)]
@@ -30,14 +28,8 @@ pub struct Motion {
     pub scene_digest: [u8; 32],
     /// What made the plan.
     pub version: Version,
-    /// From tick to tick, microseconds.
-    pub period_us: u32,
-    /// What a count of the plan is worth: a pose is within half of it on each axis.
-    pub lsb: Lsb,
-    /// What the motion keeps.
-    pub limits: Limits,
-    /// Tool in the world at each tick, the start first.
-    pub poses: Vec<Pose>,
+    /// Where the tool is at each tick.
+    pub path: ToolPath,
     /// Velocity of the tool's origin (m/s) and angular velocity (rad/s) at each tick, world axes.
     pub velocities: Vec<[f64; 6]>,
     /// The arm that makes the motion.
@@ -55,42 +47,15 @@ impl Motion {
         let (start, lsb, period_us) = (header.start_pose(), header.lsb, header.control_period_us);
         let setpoints = plan.setpoints().map(|setpoint| pose_at(&start, setpoint, lsb));
         let poses: Vec<Pose> = std::iter::once(start).chain(setpoints).collect();
-        let velocities = per_second(spline::slopes(&ways(&poses)), period_us);
+        let velocities = spline::per_second(spline::slopes(&ways(&poses)), period_us);
         Ok(Self {
             plan_hash: plan.content_hash(),
             scene_digest: header.scene_digest,
             version: header.optimiser_version,
-            period_us,
-            lsb,
-            limits: header.limits,
-            poses,
+            path: ToolPath { period_us, lsb, limits: header.limits, poses },
             velocities,
             arm: None,
         })
-    }
-
-    /// The last tick.
-    #[must_use]
-    pub fn last_tick(&self) -> usize {
-        self.poses.len() - 1
-    }
-
-    /// Microseconds from the beginning to a tick.
-    #[must_use]
-    pub fn time_us(&self, tick: usize) -> u64 {
-        tick as u64 * u64::from(self.period_us)
-    }
-
-    /// Seconds from the beginning to a tick.
-    #[must_use]
-    pub fn time_s(&self, tick: usize) -> f64 {
-        self.time_us(tick) as f64 / 1e6
-    }
-
-    /// Length of the motion, seconds.
-    #[must_use]
-    pub fn duration_s(&self) -> f64 {
-        self.time_s(self.last_tick())
     }
 
     fn version_text(&self) -> String {
@@ -101,10 +66,6 @@ impl Motion {
     /// Digest of the scene, hexadecimal.
     fn digest_text(&self) -> String {
         self.scene_digest.iter().map(|byte| format!("{byte:02x}")).collect()
-    }
-
-    fn period_s(&self) -> f64 {
-        f64::from(self.period_us) / 1e6
     }
 }
 
@@ -121,11 +82,6 @@ fn ways(poses: &[Pose]) -> Vec<[f64; 6]> {
         [x, y, z, rx, ry, rz]
     };
     poses.iter().map(way).collect()
-}
-
-fn per_second<const N: usize>(slopes: Vec<[f64; N]>, period_us: u32) -> Vec<[f64; N]> {
-    let period_s = f64::from(period_us) / 1e6;
-    slopes.into_iter().map(|slope| slope.map(|value| value / period_s)).collect()
 }
 
 #[cfg(test)]

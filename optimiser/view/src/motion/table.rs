@@ -14,8 +14,7 @@
 
 use std::io::{self, Write};
 
-use powderline_shared::arm::ArmModel;
-use powderline_shared::plan::StartPose;
+use powderline_shared::plan::{Mounting, StartPose};
 use serde::ser::{Serialize, SerializeMap, Serializer};
 
 use super::Motion;
@@ -33,7 +32,7 @@ const SPEEDS: [&str; 6] =
 /// What the system says.
 pub fn write_csv(out: &mut dyn Write, motion: &Motion) -> io::Result<()> {
     writeln!(out, "{}", names(motion).join(","))?;
-    for tick in 0..=motion.last_tick() {
+    for tick in 0..=motion.path.last_tick() {
         let row: Vec<String> = row(motion, tick).iter().map(f64::to_string).collect();
         writeln!(out, "{}", row.join(","))?;
     }
@@ -55,10 +54,14 @@ fn names(motion: &Motion) -> Vec<&'static str> {
 }
 
 fn row(motion: &Motion, tick: usize) -> Vec<f64> {
-    let StartPose { position_m, orientation_wxyz } = StartPose::from(&motion.poses[tick]);
+    let StartPose { position_m, orientation_wxyz } = StartPose::from(&motion.path.poses[tick]);
     let joints = motion.arm.iter().flat_map(|arm| arm.joints[tick].into_iter().chain(arm.speeds[tick]));
     let pose = position_m.into_iter().chain(orientation_wxyz);
-    std::iter::once(motion.time_s(tick)).chain(pose).chain(motion.velocities[tick]).chain(joints).collect()
+    std::iter::once(motion.path.time_s(tick))
+        .chain(pose)
+        .chain(motion.velocities[tick])
+        .chain(joints)
+        .collect()
 }
 
 /// The JSON object.
@@ -98,25 +101,25 @@ impl<'a> Document<'a> {
             plan_hash: format!("{:016x}", motion.plan_hash),
             scene_digest: motion.digest_text(),
             optimiser_version: motion.version_text(),
-            period_s: motion.period_s(),
-            steps: motion.last_tick(),
-            translation_lsb_m: motion.lsb.translation_m(),
-            rotation_lsb_rad: motion.lsb.rotation_rad(),
-            arm: motion.arm.as_ref().map(|arm| Arm::from(&arm.model)),
+            period_s: motion.path.period_s(),
+            steps: motion.path.last_tick(),
+            translation_lsb_m: motion.path.lsb.translation_m(),
+            rotation_lsb_rad: motion.path.lsb.rotation_rad(),
+            arm: motion.arm.as_ref().map(|arm| Arm::from(&Mounting::from(&arm.model))),
             motion: Columns(motion),
         }
     }
 }
 
-impl From<&ArmModel> for Arm {
-    fn from(model: &ArmModel) -> Self {
+impl From<&Mounting> for Arm {
+    fn from(arm: &Mounting) -> Self {
         Self {
-            model: "ur5e",
-            world_from_base: StartPose::from(&model.world_from_base),
-            flange_from_tool: StartPose::from(&model.flange_from_tool),
-            reaches_forward: model.posture.reaches_forward,
-            elbow_up: model.posture.elbow_is_up(),
-            wrist_positive: model.posture.wrist_positive,
+            model: arm.kind.name(),
+            world_from_base: arm.world_from_base,
+            flange_from_tool: arm.flange_from_tool,
+            reaches_forward: arm.posture.reaches_forward,
+            elbow_up: arm.posture.elbow_is_up(),
+            wrist_positive: arm.posture.wrist_positive,
         }
     }
 }
@@ -125,7 +128,7 @@ struct Columns<'a>(&'a Motion);
 
 impl Serialize for Columns<'_> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let rows: Vec<Vec<f64>> = (0..=self.0.last_tick()).map(|tick| row(self.0, tick)).collect();
+        let rows: Vec<Vec<f64>> = (0..=self.0.path.last_tick()).map(|tick| row(self.0, tick)).collect();
         let names = names(self.0);
         let mut map = serializer.serialize_map(Some(names.len()))?;
         for (column, name) in names.into_iter().enumerate() {

@@ -2,18 +2,19 @@ use std::f64::consts::PI;
 
 use nalgebra::Vector3;
 use powderline_shared::arm::ArmError;
+use powderline_shared::arm::ArmKind;
 use powderline_shared::arm::inverse::Posture;
-use powderline_shared::displacement::{Displacement, Quantiser};
-use powderline_shared::limits::Limit;
+use powderline_shared::arm::links::{self, Link};
+use powderline_shared::displacement::{Displacement, Lsb, Quantiser};
+use powderline_shared::limits::{Limit, Limits};
 use powderline_shared::plan::{PlanHeader, PlanWriter, Precision, Prediction, StartPose, Version};
 use powderline_shared::pose::{Pose, exp_so3, norm};
 use serde_json::Value;
 
-use super::arm::{ArmMotion, CLEARANCE_M, Mount, Refusal, Table, cycles_us};
 use super::*;
 use crate::Sink as _;
 use crate::picture::sample;
-use powderline_shared::arm::ur5e::{self, Link};
+use powderline_simulator::arm::{Mount, Refusal, Surroundings, cycles_us};
 
 const PERIOD_US: u32 = 10_000;
 const CYCLE_US: u32 = 2_000;
@@ -61,6 +62,7 @@ fn plan_along(
         start: StartPose { position_m: [-0.45, -0.1, 0.3], orientation_wxyz: [0.5, 0.5, -0.5, 0.5] },
         limits,
         predicted: Prediction::default(),
+        arm: None,
     };
     let at = |tick: u32| done(f64::from(tick) / f64::from(ticks));
     let mut bytes = Vec::new();
@@ -98,11 +100,18 @@ fn mount() -> Mount {
         orientation: exp_so3(&Vector3::new(0.3, 0.2, 0.1)),
     };
     Mount {
+        kind: ArmKind::Ur5e,
         world_from_base: Pose::identity(),
         flange_from_tool,
+        posture: None,
         near: None,
-        table: Table { height_m: -1.0, is_kept: false },
+        clearance_m: None,
     }
+}
+
+/// The arm's motion with a table far below.
+fn arm_motion(motion: &Motion, mount: &Mount, cycle_us: u32) -> Result<ArmMotion, Refusal> {
+    ArmMotion::new(&motion.path, mount, &Surroundings::table(-1.0), cycle_us)
 }
 
 fn shifted(x_m: f64) -> Mount {
@@ -112,12 +121,12 @@ fn shifted(x_m: f64) -> Mount {
 
 fn with_arm() -> Motion {
     let mut motion = motion();
-    motion.arm = Some(ArmMotion::new(&motion, &mount(), CYCLE_US).expect("an arm that can"));
+    motion.arm = Some(arm_motion(&motion, &mount(), CYCLE_US).expect("an arm that can"));
     motion
 }
 
 fn refused(motion: &Motion, mount: &Mount, cycle_us: u32) -> Refusal {
-    ArmMotion::new(motion, mount, cycle_us).map(drop).expect_err("a motion that no arm can make")
+    arm_motion(motion, mount, cycle_us).map(drop).expect_err("a motion that no arm can make")
 }
 
 fn arm_of(motion: &Motion) -> &ArmMotion {
@@ -129,10 +138,10 @@ fn arm_of(motion: &Motion) -> &ArmMotion {
 #[test]
 fn velocities_are_the_derivatives_of_the_poses_and_both_ends_rest() {
     let motion = motion();
-    assert_eq!((motion.last_tick(), motion.duration_s(), motion.time_s(7)), (100, 1.0, 0.07));
+    assert_eq!((motion.path.last_tick(), motion.path.duration_s(), motion.path.time_s(7)), (100, 1.0, 0.07));
     assert_eq!((motion.velocities[0], motion.velocities[100]), ([0.0; 6], [0.0; 6]));
     for tick in 1..100 {
-        let over = motion.poses[tick - 1].displacement_to(&motion.poses[tick + 1]).components();
+        let over = motion.path.poses[tick - 1].displacement_to(&motion.path.poses[tick + 1]).components();
         for (found, over) in motion.velocities[tick].iter().zip(over) {
             assert!((found - over / 0.02).abs() < 2e-3, "tick {tick}: {found} for {}", over / 0.02);
         }
@@ -161,18 +170,18 @@ fn the_joints_put_the_tool_where_the_plan_has_it() {
     let arm = arm_of(&motion);
     assert_eq!(arm.joints.len(), 101);
     assert_eq!(arm.model.posture, Posture::PREFERRED[0]);
-    for (joints, pose) in arm.joints.iter().zip(&motion.poses) {
+    for (joints, pose) in arm.joints.iter().zip(&motion.path.poses) {
         let off = pose.displacement_to(&arm.model.world_from_tool(joints));
         assert!(norm(&off.translation()) < 1e-13 && norm(&off.rotation()) < 1e-13, "{off:?}");
     }
     // Between ticks the tool is on the plan's own way, but for what a spline in joints is another than one in space.
-    for (tick, pair) in motion.poses.windows(2).enumerate() {
-        let joints = arm.joints_at(&motion, motion.time_us(tick) + 5_000);
+    for (tick, pair) in motion.path.poses.windows(2).enumerate() {
+        let joints = arm.joints_at(&motion.path, motion.path.time_us(tick) + 5_000);
         let middle = (pair[0].position_m + pair[1].position_m) / 2.0;
         let off_m = norm(&(arm.model.world_from_tool(&joints).position_m - middle));
         assert!(off_m < 1e-4, "tick {tick}: {off_m}");
     }
-    assert_eq!(arm.joints_at(&motion, 99_000_000), arm.joints[100]);
+    assert_eq!(arm.joints_at(&motion.path, 99_000_000), arm.joints[100]);
     // The Jacobian takes the speeds of the joints to the tool's.
     let speeds = arm.model.jacobian(&arm.joints[40]) * nalgebra::Vector6::from(arm.speeds[40]);
     for (found, expected) in speeds.iter().zip(motion.velocities[40]) {
@@ -183,7 +192,7 @@ fn the_joints_put_the_tool_where_the_plan_has_it() {
 #[test]
 fn figures_are_the_worst_of_the_whole_way() {
     let motion = with_arm();
-    let figures = arm_of(&motion).figures;
+    let figures = &arm_of(&motion).figures;
     let speeds = || arm_of(&motion).speeds.iter().flatten().map(|speed| speed.abs());
     let fastest = speeds().fold(0.0, f64::max);
     assert!((figures.speed_rad_s - fastest).abs() < 1e-3, "{figures:?} for {fastest}");
@@ -195,9 +204,9 @@ fn figures_are_the_worst_of_the_whole_way() {
 #[test]
 fn cycles_go_on_until_the_motion_is_over() {
     let motion = motion();
-    assert_eq!(cycles_us(&motion, 2_000).count(), 500);
-    assert_eq!(cycles_us(&motion, 2_000).last(), Some(1_000_000));
-    assert_eq!(cycles_us(&motion, 64_000).last(), Some(1_024_000));
+    assert_eq!(cycles_us(&motion.path, 2_000).count(), 500);
+    assert_eq!(cycles_us(&motion.path, 2_000).last(), Some(1_000_000));
+    assert_eq!(cycles_us(&motion.path, 64_000).last(), Some(1_024_000));
 }
 
 #[test]
@@ -213,7 +222,7 @@ fn an_arm_too_far_away_is_refused_with_how_much_nearer_it_must_be() {
         panic!("{refusal}")
     };
     assert!(time_s == 0.0 && distance_m > bound_m, "{refusal}");
-    let nearer = format!("put --base at least {:.0} mm nearer", 1e3 * (distance_m - bound_m) + 1.0);
+    let nearer = format!("put the base at least {:.0} mm nearer", 1e3 * (distance_m - bound_m) + 1.0);
     assert!(refusal.to_string().ends_with(&nearer), "{refusal}");
     assert!(refusal.to_string().starts_with("at 0.000 s the wrist would be 1."), "{refusal}");
 }
@@ -223,7 +232,7 @@ fn an_arm_that_loses_reach_on_the_way_is_refused_with_the_time() {
     let motion = motion_of(&plan(3_000, [-0.7, 0.0, 0.0], [0.0; 3], limits()));
     let refusal = refused(&motion, &mount(), CYCLE_US);
     assert!(matches!(refusal, Refusal::Arm { time_s, .. } if (5.0..25.0).contains(&time_s)), "{refusal}");
-    assert!(refusal.to_string().ends_with("put --base at least 1 mm nearer"), "{refusal}");
+    assert!(refusal.to_string().ends_with("put the base at least 1 mm nearer"), "{refusal}");
 }
 
 #[test]
@@ -239,7 +248,7 @@ fn joints_that_would_be_too_fast_are_refused() {
 
 /// Turning about the flange's axis is wrist 3 alone.
 fn on_axis() -> (Mount, Vector3<f64>) {
-    let axis = motion().poses[0].orientation * Vector3::z();
+    let axis = motion().path.poses[0].orientation * Vector3::z();
     (Mount { flange_from_tool: Pose::identity(), ..mount() }, axis)
 }
 
@@ -247,7 +256,7 @@ fn on_axis() -> (Mount, Vector3<f64>) {
 fn far_turned() -> (Mount, f64) {
     let (mount, axis) = on_axis();
     let motion = motion_of(&plan(400, [0.0; 3], axis.into(), limits()));
-    let mut near = ArmMotion::new(&motion, &mount, CYCLE_US).expect("a turn").joints[0];
+    let mut near = arm_motion(&motion, &mount, CYCLE_US).expect("a turn").joints[0];
     near[5] += 2.0 * PI;
     (Mount { near: Some(near), ..mount }, near[5])
 }
@@ -257,7 +266,7 @@ fn joints_beyond_their_range_are_refused() {
     let (mount, begin_rad) = far_turned();
     let turned = |turn_rad: f64| plan(400, [0.0; 3], (on_axis().1 * turn_rad).into(), limits());
     let left_rad = 2.0 * PI - begin_rad;
-    ArmMotion::new(&motion_of(&turned(left_rad - 1e-3)), &mount, CYCLE_US).expect("within its range");
+    arm_motion(&motion_of(&turned(left_rad - 1e-3)), &mount, CYCLE_US).expect("within its range");
     let refusal = refused(&motion_of(&turned(left_rad + 0.2)), &mount, CYCLE_US);
     let is_limit = |error| matches!(error, ArmError::JointLimit { joint: 6, .. });
     assert!(
@@ -279,7 +288,7 @@ fn joints_beyond_their_range_between_ticks_are_refused() {
         matches!(refusal, Refusal::Arm { time_s, error, .. } if is_limit(error) && (time_s - 1.005).abs() < 0.004),
         "{refusal}"
     );
-    ArmMotion::new(&motion, &mount, PERIOD_US).expect("within its range at every tick");
+    arm_motion(&motion, &mount, PERIOD_US).expect("within its range at every tick");
 }
 
 #[test]
@@ -293,20 +302,19 @@ fn joints_too_fast_between_ticks_are_refused() {
         matches!(refusal, Refusal::Arm { error: ArmError::JointSpeed { joint: 6, .. }, .. }),
         "{refusal}"
     );
-    ArmMotion::new(&motion, &mount, PERIOD_US).expect("slow enough from tick to tick");
+    arm_motion(&motion, &mount, PERIOD_US).expect("slow enough from tick to tick");
 }
 
 #[test]
 fn a_pose_beyond_the_workspace_by_its_rounding_is_within() {
     let tight = Limits { workspace_max_m: [-0.45 - 4e-8, 2.0, 2.0], ..limits() };
     let motion = motion_of(&plan(100, [0.0, 0.1, 0.0], [0.0; 3], tight));
-    ArmMotion::new(&motion, &mount(), CYCLE_US).expect("what the plan's own check takes");
+    arm_motion(&motion, &mount(), CYCLE_US).expect("what the plan's own check takes");
 }
 
 #[test]
 fn what_could_help_near_a_singularity_depends_on_which_it_is() {
-    for (joint, remedy) in [(1, "farther away"), (3, "nearer"), (5, "turn the tool in the flange by --tool")]
-    {
+    for (joint, remedy) in [(1, "farther away"), (3, "nearer"), (5, "turn the tool in the flange")] {
         let error = ArmError::Singular { joint, margin: 0.01, bound: 0.05 };
         let text = Refusal::Arm { time_s: 1.0, error, all_postures: false }.to_string();
         assert!(
@@ -320,44 +328,51 @@ fn what_could_help_near_a_singularity_depends_on_which_it_is() {
 #[test]
 fn links_stay_above_the_table() {
     let motion = motion();
-    let make = |height_m, is_kept, near| {
-        ArmMotion::new(&motion, &Mount { table: Table { height_m, is_kept }, near, ..mount() }, CYCLE_US)
+    let make = |height_m, clearance_m, near| {
+        let mount = Mount { clearance_m, near, ..mount() };
+        ArmMotion::new(&motion.path, &mount, &Surroundings::table(height_m), CYCLE_US)
     };
-    let free = make(0.0, false, None).expect("an arm that can");
-    let nearest = free.figures.nearest_to_table();
+    let (kept_m, kept) = (0.02, Some(0.02));
+    let free = make(0.0, None, None).expect("an arm that can");
+    let nearest = free.figures.nearest();
     // As high as its own joints put it.
-    let links = free.joints.iter().flat_map(|joints| ur5e::axes(joints).into_iter().zip(Link::ALL).skip(1));
-    let heights = links.map(|(ends, link)| ends[0].z.min(ends[1].z) - link.radius_m());
+    let links = free
+        .joints
+        .iter()
+        .flat_map(|joints| links::axes(ArmKind::Ur5e, joints).into_iter().zip(Link::ALL).skip(1));
+    let heights = links.map(|(ends, link)| ends[0].z.min(ends[1].z) - link.radius_m(ArmKind::Ur5e));
     let lowest_m = heights.fold(f64::INFINITY, f64::min);
     assert!((lowest_m - nearest.distance_m).abs() < 1e-4, "{lowest_m} {nearest:?}");
-    // This posture lets the table be so high and no higher.
-    let (near, highest_m) = (Some(free.joints[0]), nearest.distance_m - CLEARANCE_M);
-    make(highest_m - 1e-6, true, near).expect("just enough room");
-    let refusal = make(highest_m + 1e-6, true, near).map(drop).expect_err("just too little");
-    assert!(matches!(refusal, Refusal::Table { all_postures: false, .. }), "{refusal}");
+    // This posture lets the table be so high and no higher, to what distances are right to.
+    let (near, highest_m) = (Some(free.joints[0]), nearest.distance_m - kept_m);
+    make(highest_m - 2e-4, kept, near).expect("just enough room");
+    let refusal = make(highest_m + 2e-4, kept, near).map(drop).expect_err("just too little");
+    assert!(matches!(refusal, Refusal::TooNear { all_postures: false, .. }), "{refusal}");
     // Of all postures the one with most room is taken where that decides.
-    let table_m = highest_m + CLEARANCE_M - 1e-3;
-    assert!(
-        make(table_m, false, None).map_or(0.0, |arm| arm.figures.nearest_to_table().distance_m)
-            >= 1e-3 - 1e-9
-    );
-    let refusal = make(2.0, true, None).map(drop).expect_err("no posture is above that");
-    assert!(matches!(refusal, Refusal::Table { all_postures: true, .. }), "{refusal}");
+    let table_m = highest_m + kept_m - 1e-3;
+    let room_m = make(table_m, None, None).map_or(0.0, |arm| arm.figures.nearest().distance_m);
+    assert!(room_m >= 1e-3 - 2e-4, "{room_m}");
+    let refusal = make(2.0, kept, None).map(drop).expect_err("no posture is above that");
+    assert!(matches!(refusal, Refusal::TooNear { all_postures: true, .. }), "{refusal}");
     let sentence = refusal.to_string();
-    assert!(sentence.contains("mm above the table, and 20 mm is the least"), "{sentence}");
+    assert!(sentence.contains("mm deep in the table, and 20 mm is the least that is kept"), "{sentence}");
 }
 
 #[test]
 fn near_decides_the_posture() {
     let motion = motion();
-    let start = motion.poses[0];
+    let start = motion.path.poses[0];
     let mut begun = 0;
     for posture in Posture::PREFERRED {
-        let model =
-            powderline_shared::arm::ArmModel::new(mount().world_from_base, mount().flange_from_tool, posture);
+        let model = powderline_shared::arm::ArmModel::new(
+            ArmKind::Ur5e,
+            mount().world_from_base,
+            mount().flange_from_tool,
+            posture,
+        );
         let Ok(joints) = model.joints_near(&[0.0; 6], &start) else { continue };
         let near = Some(joints.map(|joint| joint + 0.01));
-        if let Ok(found) = ArmMotion::new(&motion, &Mount { near, ..mount() }, CYCLE_US) {
+        if let Ok(found) = arm_motion(&motion, &Mount { near, ..mount() }, CYCLE_US) {
             assert_eq!(found.model.posture, posture);
             assert!(found.joints[0].iter().zip(joints).all(|(a, b)| (a - b).abs() < 1e-12));
             begun += 1;
@@ -375,7 +390,7 @@ fn what_breaks_a_limit_between_ticks_only_is_refused_for_cycles_shorter_than_tic
     let Refusal::Between { time_s, violation } = refusal else { panic!("{refusal}") };
     assert!(violation.limit == Limit::LinearJerk && time_s < 0.05, "{refusal}");
     assert!(refusal.to_string().contains("m/s^3, but the plan's limit is 84.375 m/s^3"), "{refusal}");
-    ArmMotion::new(&motion, &mount(), PERIOD_US).expect("what the plan's own check looks at");
+    arm_motion(&motion, &mount(), PERIOD_US).expect("what the plan's own check looks at");
 }
 
 // --- tables ---
@@ -402,8 +417,8 @@ fn a_table_has_a_row_for_each_tick_and_numbers_that_read_back() {
     );
     for (tick, line) in csv.lines().skip(1).enumerate() {
         let cells: Vec<f64> = line.split(',').map(|cell| cell.parse().expect("a number")).collect();
-        let pose = &motion.poses[tick];
-        assert_eq!(cells[0], motion.time_s(tick));
+        let pose = &motion.path.poses[tick];
+        assert_eq!(cells[0], motion.path.time_s(tick));
         assert_eq!([cells[1], cells[2], cells[3]], <[f64; 3]>::from(pose.position_m));
         assert_eq!([cells[4], cells[5]], [pose.orientation.w, pose.orientation.i]);
         assert_eq!(cells[8..14], motion.velocities[tick]);

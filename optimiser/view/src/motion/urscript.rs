@@ -5,12 +5,12 @@
 
 use std::io::{self, Write};
 
-use powderline_shared::arm::ur5e::base_from_flange;
+use powderline_shared::arm::links::base_from_flange;
 use powderline_shared::arm::{ArmModel, Joints};
 use powderline_shared::pose::{Pose, log_so3};
 
 use super::Motion;
-use super::arm::ArmMotion;
+use powderline_simulator::arm::ArmMotion;
 
 /// Cycles a second of an e-Series controller.
 pub const CONTROLLER_HZ: u32 = 500;
@@ -81,7 +81,7 @@ fn write_header(out: &mut dyn Write, motion: &Motion, arm: &ArmMotion, cycle_us:
         base = pose(world_from_base),
         tool = pose(flange_from_tool),
         approach = APPROACH[0],
-        duration = motion.duration_s(),
+        duration = motion.path.duration_s(),
     )
 }
 
@@ -114,15 +114,15 @@ def powderline():
 
 ",
         start = list(&arm.joints[0]),
-        period_s = motion.period_s(),
-        period_us = motion.period_us,
+        period_s = motion.path.period_s(),
+        period_us = motion.path.period_us,
         cycle_s = f64::from(cycle_us) / 1e6,
     )
 }
 
 fn write_approach(out: &mut dyn Write, motion: &Motion, arm: &ArmMotion) -> io::Result<()> {
     let [speed, acceleration] = APPROACH;
-    let [x, y, z]: [f64; 3] = base_from_flange(&arm.joints[0]).position_m.into();
+    let [x, y, z]: [f64; 3] = base_from_flange(arm.model.kind, &arm.joints[0]).position_m.into();
     write!(
         out,
         "  # Where this arm would have its flange at the start. What it is off is its calibration, unless it is another arm.

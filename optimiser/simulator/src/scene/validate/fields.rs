@@ -3,8 +3,8 @@
 use super::checker::{Checked, Checker, Range, container_paths, gate_paths};
 use crate::scene::figures::plain;
 use crate::scene::{
-    Container, ContainerShape, Cuboid, Domain, Gate, GateOpening, GateShape, Limits, MAX_CUBOIDS, Objective,
-    Observation, Optimiser, Powder, Quantity, Scene, Skill, Time, Tool, ToolShape,
+    Arm, Container, ContainerShape, Cuboid, Domain, Gate, GateOpening, GateShape, Limits, MAX_CUBOIDS,
+    Objective, Observation, Optimiser, Powder, Quantity, Scene, Skill, Time, Tool, ToolShape,
 };
 use powderline_shared::plan::{PERIOD_US_MAX, PERIOD_US_MIN};
 
@@ -27,6 +27,7 @@ pub(super) fn check(checker: &Checker<'_>, scene: &Scene) -> Checked {
     tool(checker, &scene.tool, scene.domain.cell_m)?;
     skill(checker, &scene.skill)?;
     limits(checker, &scene.limits)?;
+    scene.arm.as_ref().map_or(Ok(()), |one| arm(checker, one))?;
     objective(checker, &scene.objective)?;
     optimiser(checker, &scene.optimiser)
 }
@@ -53,6 +54,18 @@ fn powder(checker: &Checker<'_>, powder: &Powder) -> Checked {
         checker.number("powder.tensile_strength_pa", strength_pa, Range::closed(0.0, 1e7))?;
     }
     checker.number("powder.viscosity_pa_s", powder.viscosity_pa_s, Range::closed(0.0, 100.0))
+}
+
+fn arm(checker: &Checker<'_>, arm: &Arm) -> Checked {
+    checker.vector("arm.base_position_m", &arm.base_position_m, WORLD_M)?;
+    checker.vector("arm.base_rotation_deg", &arm.base_rotation_deg, TURN_DEG)?;
+    checker.vector("arm.tool_position_m", &arm.tool_position_m, Range::closed(-1.0, 1.0))?;
+    checker.vector("arm.tool_rotation_deg", &arm.tool_rotation_deg, TURN_DEG)?;
+    checker.number("arm.table_height_m", arm.table_height_m, Range::closed(-10.0, 0.0))?;
+    checker.number("arm.clearance_m", arm.clearance_m, Range::closed(0.0, 1.0))?;
+    let carries_kg = arm.kind.figures().payload_kg;
+    let payload_kg = arm.payload_kg.unwrap_or(0.0);
+    checker.number("arm.payload_kg", payload_kg, Range::closed(0.0, carries_kg))
 }
 
 fn time(checker: &Checker<'_>, time: &Time) -> Checked {

@@ -11,7 +11,7 @@ use nalgebra::{Matrix6, UnitQuaternion, Vector3};
 use powderline_cortex_m4::report::fail;
 use powderline_executor::{Action, Config, Endpoint, Executor, FrameAction};
 use powderline_shared::arm::inverse::Posture;
-use powderline_shared::arm::ur5e::SingularityMargins;
+use powderline_shared::arm::links::SingularityMargins;
 use powderline_shared::arm::{ArmError, ArmModel, Joints};
 use powderline_shared::displacement::{
     Displacement, Lsb, Quantiser, Setpoint, SetpointError, StepCounts, displacement_between, pose_at,

@@ -48,6 +48,13 @@ pub fn between<const N: usize>(values: &[[f64; N]], slopes: &[[f64; N]], k: usiz
     })
 }
 
+/// Slopes per period as slopes per second.
+#[must_use]
+pub fn per_second<const N: usize>(slopes: Vec<[f64; N]>, period_us: u32) -> Vec<[f64; N]> {
+    let period_s = f64::from(period_us) / 1e6;
+    slopes.into_iter().map(|slope| slope.map(|value| value / period_s)).collect()
+}
+
 #[cfg(test)]
 #[expect(clippy::float_cmp, reason = "ticks are passed to the last bit")]
 mod tests {

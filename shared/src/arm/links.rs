@@ -1,17 +1,16 @@
-//! Geometry of the UR5e: where the joints put the flange, how fast, and how near to a singularity.
+//! Geometry of the arms: where the joints put the flange, how fast, and how near to a singularity.
 //!
-//! Denavit-Hartenberg parameters (classic convention, T = Rz(q) Tz(d) Tx(a) Rx(alpha)) as published by Universal Robots,
-//! "DH Parameters for calculations of kinematics and dynamics", table UR5e. They are the nominal ones; a real arm comes
-//! with its own small corrections.
+//! Denavit-Hartenberg parameters (classic convention, T = Rz(q) Tz(d) Tx(a) Rx(alpha)); their values are those of
+//! [`ArmFigures`], the nominal ones. A real arm comes with its own small corrections.
 //!
-//! | joint      | a (m)   | d (m)  | alpha   | identifier      |
-//! |------------|---------|--------|---------|-----------------|
-//! | 1 base     | 0       | 0.1625 | pi / 2  | [`D1_M`]        |
-//! | 2 shoulder | -0.425  | 0      | 0       | [`A2_M`]        |
-//! | 3 elbow    | -0.3922 | 0      | 0       | [`A3_M`]        |
-//! | 4 wrist 1  | 0       | 0.1333 | pi / 2  | [`D4_M`]        |
-//! | 5 wrist 2  | 0       | 0.0997 | -pi / 2 | [`D5_M`]        |
-//! | 6 wrist 3  | 0       | 0.0996 | 0       | [`D6_M`]        |
+//! | joint      | a  | d  | alpha   |
+//! |------------|----|----|---------|
+//! | 1 base     | 0  | d1 | pi / 2  |
+//! | 2 shoulder | a2 | 0  | 0       |
+//! | 3 elbow    | a3 | 0  | 0       |
+//! | 4 wrist 1  | 0  | d4 | pi / 2  |
+//! | 5 wrist 2  | 0  | d5 | -pi / 2 |
+//! | 6 wrist 3  | 0  | d6 | 0       |
 //!
 //! The axes of joints 2, 3 and 4 are parallel, so upper arm and forearm move in one plane. In the base's coordinates, with
 //! c and s for cosine and sine and q23 for q2 + q3:
@@ -27,38 +26,14 @@
 //! | w      | wrist's distance from joint 1, along e       | a2 c2 + a3 c23 + d5 s234                      |
 //! | p      | flange                                       | w e + (d1 + a2 s2 + a3 s23 - d5 c234) k + d4 n + d6 z5 |
 
-use core::f64::consts::{FRAC_PI_2, PI, TAU};
+use core::f64::consts::FRAC_PI_2;
 
+use super::kind::{ArmFigures, ArmKind};
 use crate::pose::{Pose, exp_so3, renormalised};
 use nalgebra::Vector3;
 
 /// Angles of the six joints, from the base to the flange, radians.
 pub type Joints = [f64; 6];
-
-/// Height of the shoulder above the base, metres.
-pub const D1_M: f64 = 0.1625;
-/// Length of the upper arm, metres; negative, since the arm stretches against its x axes.
-pub const A2_M: f64 = -0.425;
-/// Length of the forearm, metres; negative as well.
-pub const A3_M: f64 = -0.3922;
-/// Sideways offset of the wrist from the arm's plane, metres.
-pub const D4_M: f64 = 0.1333;
-/// From wrist 1 to wrist 2, metres.
-pub const D5_M: f64 = 0.0997;
-/// From wrist 2 to the flange, metres.
-pub const D6_M: f64 = 0.0996;
-
-/// Longest and shortest distance that upper arm and forearm span, metres.
-pub const SPAN_M: [f64; 2] = [-(A2_M + A3_M), A3_M - A2_M];
-
-/// How far each joint turns to either side, radians.
-pub const RANGE_RAD: [f64; 6] = [TAU; 6];
-/// How fast each joint turns, rad/s.
-pub const SPEED_RAD_S: [f64; 6] = [PI; 6];
-
-/// Upper arm and forearm lie beside the plane of the table above, along n by so much, metres: the offsets of their meshes in
-/// Universal Robots' own ROS description (`ur_description`, `config/ur5e/visual_parameters.yaml`).
-const BESIDE_M: [f64; 2] = [0.138, 0.007];
 
 /// A part of the arm that moves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -91,28 +66,31 @@ impl Link {
         }
     }
 
-    /// Radius of the capsule that the link lies in, metres; housings and tubes as UR's drawing of the arm has them, rounded up.
+    /// Radius of the capsule that the link lies in, metres.
     #[must_use]
-    pub const fn radius_m(self) -> f64 {
+    pub const fn radius_m(self, kind: ArmKind) -> f64 {
+        let [upper_arm, forearm, wrist_1, wrist_2, wrist_3] = kind.figures().radius_m;
         match self {
-            Self::UpperArm => 0.07,
-            Self::Forearm => 0.06,
-            Self::Wrist1 | Self::Wrist2 | Self::Wrist3 => 0.05,
+            Self::UpperArm => upper_arm,
+            Self::Forearm => forearm,
+            Self::Wrist1 => wrist_1,
+            Self::Wrist2 => wrist_2,
+            Self::Wrist3 => wrist_3,
         }
     }
 }
 
 /// Both ends of the axis of each link's capsule in the order of [`Link::ALL`], base coordinates, metres.
 #[must_use]
-pub fn axes(joints: &Joints) -> [[Vector3<f64>; 2]; 5] {
-    let links = Links::at(joints);
-    let [upper, fore] = BESIDE_M.map(|aside_m| links.n * aside_m);
+pub fn axes(kind: ArmKind, joints: &Joints) -> [[Vector3<f64>; 2]; 5] {
+    let links = Links::at(kind, joints);
+    let [upper, fore] = links.figures.beside_m.map(|aside_m| links.n * aside_m);
     let [shoulder, elbow, wrist_1] = [links.shoulder(), links.elbow(), links.wrist_1()];
     [
         [shoulder + upper, elbow + upper],
         [elbow + fore, wrist_1 + fore],
-        [wrist_1 + fore, wrist_1 + links.n * D4_M],
-        [wrist_1 + links.n * D4_M, links.wrist_2()],
+        [wrist_1 + fore, wrist_1 + links.n * links.figures.d4_m],
+        [wrist_1 + links.n * links.figures.d4_m, links.wrist_2()],
         [links.wrist_2(), links.flange()],
     ]
 }
@@ -133,6 +111,7 @@ impl Turn {
 
 /// The vectors of the table above, base coordinates.
 struct Links {
+    figures: &'static ArmFigures,
     e: Vector3<f64>,
     n: Vector3<f64>,
     z4: Vector3<f64>,
@@ -142,42 +121,43 @@ struct Links {
 }
 
 impl Links {
-    fn at(joints: &Joints) -> Self {
+    fn at(kind: ArmKind, joints: &Joints) -> Self {
         let [q1, q2, q3, q4, q5, _] = *joints;
         let [q1, q234, q5] = [q1, q2 + q3 + q4, q5].map(Turn::by);
         let [e, n] = [Vector3::new(q1.c, q1.s, 0.0), Vector3::new(q1.s, -q1.c, 0.0)];
         let k = Vector3::z();
         let x4 = e * q234.c + k * q234.s;
         let z4 = e * q234.s - k * q234.c;
-        Self { e, n, z4, z5: n * q5.c - x4 * q5.s, q2: Turn::by(q2), q23: Turn::by(joints[1] + q3) }
+        let figures = kind.figures();
+        Self { figures, e, n, z4, z5: n * q5.c - x4 * q5.s, q2: Turn::by(q2), q23: Turn::by(joints[1] + q3) }
     }
 
     fn shoulder(&self) -> Vector3<f64> {
-        Vector3::z() * D1_M
+        Vector3::z() * self.figures.d1_m
     }
 
     fn elbow(&self) -> Vector3<f64> {
-        self.shoulder() + (self.e * self.q2.c + Vector3::z() * self.q2.s) * A2_M
+        self.shoulder() + (self.e * self.q2.c + Vector3::z() * self.q2.s) * self.figures.a2_m
     }
 
     /// Where the axis of joint 4 meets the arm's plane.
     fn wrist_1(&self) -> Vector3<f64> {
-        self.elbow() + (self.e * self.q23.c + Vector3::z() * self.q23.s) * A3_M
+        self.elbow() + (self.e * self.q23.c + Vector3::z() * self.q23.s) * self.figures.a3_m
     }
 
     /// Where the axes of joints 5 and 6 meet.
     fn wrist_2(&self) -> Vector3<f64> {
-        self.wrist_1() + self.n * D4_M + self.z4 * D5_M
+        self.wrist_1() + self.n * self.figures.d4_m + self.z4 * self.figures.d5_m
     }
 
     fn flange(&self) -> Vector3<f64> {
-        self.wrist_2() + self.z5 * D6_M
+        self.wrist_2() + self.z5 * self.figures.d6_m
     }
 }
 
 /// Pose of the flange in the base's coordinates.
 #[must_use]
-pub fn base_from_flange(joints: &Joints) -> Pose {
+pub fn base_from_flange(kind: ArmKind, joints: &Joints) -> Pose {
     let [q1, q2, q3, q4, q5, q6] = *joints;
     let about = |axis: Vector3<f64>, angle_rad: f64| exp_so3(&(axis * angle_rad));
     // Rz(q1) Rx(90) Rz(q234) Rx(90) Rz(q5) Rx(-90) Rz(q6), with the first three quarter turns carried through.
@@ -186,13 +166,13 @@ pub fn base_from_flange(joints: &Joints) -> Pose {
         * about(Vector3::z(), -q5)
         * about(Vector3::x(), FRAC_PI_2)
         * about(Vector3::z(), q6);
-    Pose { position_m: Links::at(joints).flange(), orientation: renormalised(orientation) }
+    Pose { position_m: Links::at(kind, joints).flange(), orientation: renormalised(orientation) }
 }
 
 /// Columns of the geometric Jacobian in the base's coordinates of the point `tip_m`, fixed to the flange: number i is the
 /// velocity (m/s) of the point and the angular velocity (rad/s) of the flange while joint i turns by 1 rad/s.
-pub(super) fn twists(joints: &Joints, tip_m: &Vector3<f64>) -> [[f64; 6]; 6] {
-    let links = Links::at(joints);
+pub(super) fn twists(kind: ArmKind, joints: &Joints, tip_m: &Vector3<f64>) -> [[f64; 6]; 6] {
+    let links = Links::at(kind, joints);
     let twist = |axis: Vector3<f64>, origin_m: Vector3<f64>| {
         let [vx, vy, vz] = axis.cross(&(tip_m - origin_m)).into();
         let [wx, wy, wz] = axis.into();
@@ -231,8 +211,8 @@ impl SingularityMargins {
 
     /// Margins of a posture.
     #[must_use]
-    pub fn of(joints: &Joints) -> Self {
-        Self { shares: signed_margins(joints).map(f64::abs) }
+    pub fn of(kind: ArmKind, joints: &Joints) -> Self {
+        Self { shares: signed_margins(kind, joints).map(f64::abs) }
     }
 
     /// The least of the three, and its joint.
@@ -244,16 +224,18 @@ impl SingularityMargins {
 }
 
 /// Shoulder, elbow and wrist margin, with the signs that tell the eight postures apart.
-pub(super) fn signed_margins(joints: &Joints) -> [f64; 3] {
+pub(super) fn signed_margins(kind: ArmKind, joints: &Joints) -> [f64; 3] {
+    let ArmFigures { a2_m, a3_m, d5_m, .. } = kind.figures();
     let [_, q2, q3, q4, q5, _] = *joints;
-    let reach_m = A2_M * libm::cos(q2) + A3_M * libm::cos(q2 + q3) + D5_M * libm::sin(q2 + q3 + q4);
-    [reach_m / -(A2_M + A3_M), libm::sin(q3), libm::sin(q5)]
+    let reach_m = a2_m * libm::cos(q2) + a3_m * libm::cos(q2 + q3) + d5_m * libm::sin(q2 + q3 + q4);
+    [reach_m / -(a2_m + a3_m), libm::sin(q3), libm::sin(q5)]
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::pose::norm;
+    use core::f64::consts::TAU;
     use nalgebra::{Matrix4, Matrix6, Rotation3};
     use proptest::prelude::*;
 
@@ -280,15 +262,20 @@ mod tests {
         )
     }
 
-    /// The published table, row by row.
-    fn product_of_links(joints: &Joints) -> Matrix4<f64> {
+    /// The table, row by row.
+    fn product_of_links(kind: ArmKind, joints: &Joints) -> Matrix4<f64> {
         let [q1, q2, q3, q4, q5, q6] = *joints;
-        link(q1, 0.1625, 0.0, FRAC_PI_2)
-            * link(q2, 0.0, -0.425, 0.0)
-            * link(q3, 0.0, -0.3922, 0.0)
-            * link(q4, 0.1333, 0.0, FRAC_PI_2)
-            * link(q5, 0.0997, 0.0, -FRAC_PI_2)
-            * link(q6, 0.0996, 0.0, 0.0)
+        let ArmFigures { d1_m, a2_m, a3_m, d4_m, d5_m, d6_m, .. } = *kind.figures();
+        link(q1, d1_m, 0.0, FRAC_PI_2)
+            * link(q2, 0.0, a2_m, 0.0)
+            * link(q3, 0.0, a3_m, 0.0)
+            * link(q4, d4_m, 0.0, FRAC_PI_2)
+            * link(q5, d5_m, 0.0, -FRAC_PI_2)
+            * link(q6, d6_m, 0.0, 0.0)
+    }
+
+    fn kinds() -> impl Strategy<Value = ArmKind> {
+        prop::sample::select(&ArmKind::ALL[..])
     }
 
     fn joints() -> impl Strategy<Value = Joints> {
@@ -302,7 +289,7 @@ mod tests {
     }
 
     fn assert_stands(joints: Joints, position_m: [f64; 3], rotation: Rotation3<f64>) {
-        let found = base_from_flange(&joints);
+        let found = base_from_flange(ArmKind::Ur5e, &joints);
         assert!(norm(&(found.position_m - Vector3::from(position_m))) < 1e-15, "{found:?}");
         assert!((found.orientation.to_rotation_matrix().matrix() - rotation.matrix()).norm() < 1e-15);
     }
@@ -327,35 +314,36 @@ mod tests {
     #[test]
     fn margins_name_the_joint() {
         let fine = [0.3, -1.2, 1.5, -0.4, FRAC_PI_2, 0.0];
-        assert!(SingularityMargins::of(&fine).least().1 > 0.5);
-        assert_eq!(SingularityMargins::of(&turned(fine, 2, -1.5)).least(), (3, 0.0));
-        assert_eq!(SingularityMargins::of(&turned(fine, 4, -FRAC_PI_2)).least(), (5, 0.0));
+        assert!(SingularityMargins::of(ArmKind::Ur5e, &fine).least().1 > 0.5);
+        assert_eq!(SingularityMargins::of(ArmKind::Ur5e, &turned(fine, 2, -1.5)).least(), (3, 0.0));
+        assert_eq!(SingularityMargins::of(ArmKind::Ur5e, &turned(fine, 4, -FRAC_PI_2)).least(), (5, 0.0));
         // Upright with wrist 2 above the shoulder.
         let (joint, share) =
-            SingularityMargins::of(&[0.0, -FRAC_PI_2 - 0.1, 0.2, -0.1 - FRAC_PI_2, 1.0, 0.0]).least();
-        let reach_m = A2_M * -(0.1f64.sin()) + A3_M * 0.1f64.sin();
+            SingularityMargins::of(ArmKind::Ur5e, &[0.0, -FRAC_PI_2 - 0.1, 0.2, -0.1 - FRAC_PI_2, 1.0, 0.0])
+                .least();
+        let reach_m = -0.425 * -(0.1f64.sin()) - 0.3922 * 0.1f64.sin();
         assert_eq!(joint, 1);
         assert!((share - reach_m.abs() / 0.8172).abs() < 1e-15, "{share}");
     }
 
     proptest! {
         #[test]
-        fn the_flange_is_where_the_product_of_the_links_puts_it(joints in joints()) {
-            let found = base_from_flange(&joints);
-            let expected = product_of_links(&joints);
+        fn the_flange_is_where_the_product_of_the_links_puts_it(kind in kinds(), joints in joints()) {
+            let found = base_from_flange(kind, &joints);
+            let expected = product_of_links(kind, &joints);
             let position = expected.fixed_view::<3, 1>(0, 3);
-            prop_assert!((found.position_m - position).norm() < 2e-15);
+            prop_assert!((found.position_m - position).norm() < 4e-15);
             let rotation = found.orientation.to_rotation_matrix();
             prop_assert!((rotation.matrix() - expected.fixed_view::<3, 3>(0, 0)).norm() < 5e-15);
         }
 
         #[test]
-        fn the_jacobian_is_the_derivative(joints in joints(), lever in [-0.2..0.2, -0.2..0.2, -0.2..0.2f64]) {
+        fn the_jacobian_is_the_derivative(kind in kinds(), joints in joints(), lever in [-0.2..0.2, -0.2..0.2, -0.2..0.2f64]) {
             let (lever, step) = (Vector3::from(lever), 1e-5);
-            let found = Matrix6::from(twists(&joints, &base_from_flange(&joints).world_from_tool(&lever)));
+            let found = Matrix6::from(twists(kind, &joints, &base_from_flange(kind, &joints).world_from_tool(&lever)));
             for (column, joint) in found.column_iter().zip(0..6) {
                 let [before, after] = [-step, step].map(|step| {
-                    let flange = base_from_flange(&turned(joints, joint, step));
+                    let flange = base_from_flange(kind, &turned(joints, joint, step));
                     Pose { position_m: flange.world_from_tool(&lever), ..flange }
                 });
                 let difference = before.displacement_to(&after);
@@ -365,11 +353,12 @@ mod tests {
         }
 
         #[test]
-        fn the_margins_are_the_factors_of_the_determinant(joints in joints()) {
-            let flange_m = base_from_flange(&joints).position_m;
-            let determinant = Matrix6::from(twists(&joints, &flange_m)).determinant();
-            let factors: f64 = SingularityMargins::of(&joints).shares.iter().product();
-            prop_assert!((determinant.abs() - 0.425 * 0.3922 * 0.8172 * factors).abs() < 1e-14);
+        fn the_margins_are_the_factors_of_the_determinant(kind in kinds(), joints in joints()) {
+            let flange_m = base_from_flange(kind, &joints).position_m;
+            let determinant = Matrix6::from(twists(kind, &joints, &flange_m)).determinant();
+            let factors: f64 = SingularityMargins::of(kind, &joints).shares.iter().product();
+            let ArmFigures { a2_m, a3_m, .. } = kind.figures();
+            prop_assert!((determinant.abs() + a2_m * a3_m * (a2_m + a3_m) * factors).abs() < 1e-13);
         }
     }
 }

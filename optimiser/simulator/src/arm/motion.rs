@@ -1,0 +1,436 @@
+//! The joints of an arm that makes a motion, and whether it can: the whole way, also between ticks.
+
+use nalgebra::Vector3;
+use powderline_shared::arm::inverse::Posture;
+use powderline_shared::arm::links::{Link, SingularityMargins, axes};
+use powderline_shared::arm::{ArmError, ArmKind, ArmModel, Joints};
+use powderline_shared::displacement::Lsb;
+use powderline_shared::limits::{LimitChecker, Limits, PeakUse, Violation};
+use powderline_shared::pose::Pose;
+use std::fmt;
+
+use super::path::ToolPath;
+use super::spline;
+use super::surroundings::Surroundings;
+use crate::scene::Obstacle;
+use std::f64::consts::FRAC_PI_4;
+
+/// How an arm stands and holds the tool.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mount {
+    /// Which arm.
+    pub kind: ArmKind,
+    /// The arm's base in the world.
+    pub world_from_base: Pose,
+    /// The tool's frame in the flange.
+    pub flange_from_tool: Pose,
+    /// The posture that it has to take. Without, the best one (see [`ArmMotion::new`]).
+    pub posture: Option<Posture>,
+    /// Joints near which the motion is to begin, radians, which also decide the posture. Without, each joint begins within half
+    /// a turn of zero.
+    pub near: Option<Joints>,
+    /// What every link keeps from its surroundings, metres: a motion that does not is refused. Without, the clearance is only
+    /// measured, and the posture chosen by it.
+    pub clearance_m: Option<f64>,
+}
+
+/// How near a link comes to what is around it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Clearance {
+    /// Which.
+    pub link: Link,
+    /// What it comes near to.
+    pub obstacle: Obstacle,
+    /// From surface to surface, metres; negative where they would pass through each other.
+    pub distance_m: f64,
+    /// When, seconds.
+    pub time_s: f64,
+}
+
+/// What the joints do.
+#[derive(Clone, Debug)]
+pub struct ArmMotion {
+    /// The arm, in the posture that it keeps.
+    pub model: ArmModel,
+    /// Joints at each tick, radians.
+    pub joints: Vec<Joints>,
+    /// Their speeds, rad/s.
+    pub speeds: Vec<Joints>,
+    /// What the checks found.
+    pub figures: Figures,
+}
+
+/// How near the motion comes to what the arm can do.
+#[derive(Clone, Debug)]
+pub struct Figures {
+    /// Joint that comes nearest to its speed, from 1.
+    pub fastest_joint: usize,
+    /// Its largest speed, rad/s.
+    pub speed_rad_s: f64,
+    /// Joint that comes nearest to a singularity, from 1.
+    pub singular_joint: u8,
+    /// Least margin from a singularity, 0 to 1.
+    pub margin: f64,
+    /// Largest use of the plan's limits, looked at from cycle to cycle.
+    pub limit_use: PeakUse,
+    /// How far a joint stays from the ends of its range, radians.
+    pub range_left_rad: f64,
+    /// How near each link comes to its surroundings, in the order of [`Link::ALL`].
+    pub clearances: [Clearance; 5],
+}
+
+/// Why an arm cannot make a motion.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum Refusal {
+    /// In no posture, or not in the one that was asked for.
+    #[error(
+        "at {time_s:.3} s {error}{}; {}",
+        if *all_postures { ", and no other posture gets further" } else { "" },
+        remedy(error)
+    )]
+    Arm {
+        /// When, seconds.
+        time_s: f64,
+        /// Joint, value and limit.
+        error: ArmError,
+        /// All that were allowed were tried; this is the one that gets furthest.
+        all_postures: bool,
+    },
+    /// A link would come too near to its surroundings.
+    #[error(
+        "at {:.3} s its {} would {}, and {:.0} mm is the least that is kept{}; another place for the base, or the tool turned \
+         otherwise in the flange, would be right",
+        clearance.time_s, clearance.link.name(), clearance, 1e3 * least_m,
+        if *all_postures { ", and no other posture gets further" } else { "" }
+    )]
+    TooNear {
+        /// Which link, what it comes near to, when, and how near.
+        clearance: Clearance,
+        /// What is to be kept, metres.
+        least_m: f64,
+        /// All that were allowed were tried; this is the one that gets furthest.
+        all_postures: bool,
+    },
+    /// Between ticks the tool would break a limit that it keeps from tick to tick.
+    #[error(
+        "at {time_s:.3} s, from cycle to cycle, the {} is {:.4} {unit}, but the plan's limit is {} {unit}; a lower rate looks at \
+         it as the plan does, or make the skill slower",
+        violation.limit, violation.value, violation.bound, unit = violation.limit.unit()
+    )]
+    Between {
+        /// When, seconds.
+        time_s: f64,
+        /// What.
+        violation: Violation,
+    },
+}
+
+/// The part of the upper arm that is looked at begins beyond this share of its length: its shoulder is as near to the table as the
+/// base is high, in every posture.
+const SHOULDER: f64 = 0.25;
+
+/// A posture that is as good as this share of the best one may be taken for being usual.
+const NEARLY: f64 = 0.8;
+
+/// What could help.
+fn remedy(error: &ArmError) -> String {
+    match *error {
+        ArmError::Unreachable { distance_m, bound_m, .. } if distance_m > bound_m => {
+            format!("put the base at least {:.0} mm nearer", 1e3 * (distance_m - bound_m) + 1.0)
+        }
+        ArmError::Unreachable { distance_m, bound_m, .. } => {
+            format!("put the base at least {:.0} mm farther away", 1e3 * (bound_m - distance_m) + 1.0)
+        }
+        ArmError::JointLimit { .. } => "turn the base, or begin with that joint farther from its end".into(),
+        ArmError::JointSpeed { .. } => {
+            "another place for the base or the tool may ask less of it, or a slower skill".into()
+        }
+        ArmError::Singular { joint: 1, .. } => "put the base farther away from the tool's way".into(),
+        ArmError::Singular { joint: 3, .. } => {
+            "put the base nearer, so that the arm is not stretched out".into()
+        }
+        ArmError::Singular { .. } => "turn the tool in the flange, or put the base elsewhere".into(),
+    }
+}
+
+impl fmt::Display for Clearance {
+    /// Such as "be 12 mm from the table".
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.distance_m < 0.0 {
+            write!(f, "be {:.0} mm deep in {}", -1e3 * self.distance_m, self.obstacle)
+        } else {
+            write!(f, "be {:.0} mm from {}", 1e3 * self.distance_m, self.obstacle)
+        }
+    }
+}
+
+impl Mount {
+    /// Postures that may be tried, the usual ones first.
+    fn postures(&self, path: &ToolPath) -> Vec<Posture> {
+        match (&self.near, self.posture) {
+            (_, Some(posture)) => vec![posture],
+            (Some(near), None) => vec![self.nearest(path, near)],
+            (None, None) => Posture::PREFERRED.to_vec(),
+        }
+    }
+
+    /// The posture whose joints at the start are nearest to `near`.
+    fn nearest(&self, path: &ToolPath, near: &Joints) -> Posture {
+        let away = |posture: &Posture| {
+            self.model(*posture).joints_near(near, &path.poses[0]).map_or(f64::INFINITY, |joints| {
+                joints.iter().zip(near).map(|(joint, near)| (joint - near).abs()).fold(0.0, f64::max)
+            })
+        };
+        let [first, others @ ..] = Posture::PREFERRED;
+        others.into_iter().fold(first, |best, other| if away(&other) < away(&best) { other } else { best })
+    }
+
+    /// The arm in one posture.
+    #[must_use]
+    pub fn model(&self, posture: Posture) -> ArmModel {
+        ArmModel::new(self.kind, self.world_from_base, self.flange_from_tool, posture)
+    }
+}
+
+impl ArmMotion {
+    /// Joints for a motion, checked at every tick and every `cycle_us` microseconds between.
+    ///
+    /// Of the postures that can make it, the first of [`Posture::PREFERRED`] that is nearly as good as the best: how good one is
+    /// says the least of its margins over the whole way ([`Figures::score`]).
+    ///
+    /// # Errors
+    /// What the arm cannot do first.
+    pub fn new(
+        path: &ToolPath,
+        mount: &Mount,
+        around: &Surroundings,
+        cycle_us: u32,
+    ) -> Result<Self, Refusal> {
+        let made = Self::all(path, mount, around, cycle_us)?;
+        let score = |arm: &Self| arm.figures.score(&arm.model);
+        let best = made.iter().map(score).fold(f64::NEG_INFINITY, f64::max);
+        // Where the best passes through something, a share of it would be above it, and nothing be chosen.
+        let enough = if best > 0.0 { NEARLY * best } else { best };
+        let chosen = made.into_iter().find(|arm| score(arm) >= enough);
+        Ok(chosen.expect("one of them is the best"))
+    }
+
+    /// What every posture does that can make it; at least one.
+    fn all(
+        path: &ToolPath,
+        mount: &Mount,
+        around: &Surroundings,
+        cycle_us: u32,
+    ) -> Result<Vec<Self>, Refusal> {
+        let postures = mount.postures(path);
+        let (mut made, mut furthest) = (Vec::new(), None::<Stuck>);
+        for posture in &postures {
+            match attempt(path, mount, *posture, around, cycle_us) {
+                Ok(arm) => made.push(arm),
+                Err(stuck) if furthest.as_ref().is_none_or(|other| stuck.time_us > other.time_us) => {
+                    furthest = Some(stuck);
+                }
+                Err(_) => {}
+            }
+        }
+        match furthest {
+            Some(stuck) if made.is_empty() => Err(stuck.refusal(postures.len() > 1)),
+            _ => Ok(made),
+        }
+    }
+
+    /// Joints so many microseconds after the beginning, radians.
+    #[must_use]
+    pub fn joints_at(&self, path: &ToolPath, time_us: u64) -> Joints {
+        let slopes = |k: usize| self.speeds[k].map(|speed| speed * path.period_s());
+        let period_us = u64::from(path.period_us);
+        let (k, share) = ((time_us / period_us) as usize, (time_us % period_us) as f64 / period_us as f64);
+        if k >= path.last_tick() {
+            return self.joints[path.last_tick()];
+        }
+        spline::between(&self.joints[k..k + 2], &[slopes(k), slopes(k + 1)], 0, share)
+    }
+}
+
+/// Where an attempt ends.
+struct Stuck {
+    time_us: u64,
+    cause: Cause,
+}
+
+enum Cause {
+    Arm(ArmError),
+    Limit(Violation),
+    TooNear { clearance: Clearance, least_m: f64 },
+}
+
+impl Stuck {
+    fn arm(time_us: u64) -> impl Fn(ArmError) -> Self {
+        move |error| Self { time_us, cause: Cause::Arm(error) }
+    }
+
+    fn refusal(self, all_postures: bool) -> Refusal {
+        let time_s = self.time_us as f64 / 1e6;
+        match self.cause {
+            Cause::Arm(error) => Refusal::Arm { time_s, error, all_postures },
+            Cause::Limit(violation) => Refusal::Between { time_s, violation },
+            Cause::TooNear { clearance, least_m } => Refusal::TooNear { clearance, least_m, all_postures },
+        }
+    }
+}
+
+fn attempt(
+    path: &ToolPath,
+    mount: &Mount,
+    posture: Posture,
+    around: &Surroundings,
+    cycle_us: u32,
+) -> Result<ArmMotion, Stuck> {
+    let model = mount.model(posture);
+    let near = mount.near.unwrap_or_default();
+    let start = model.joints_near(&near, &path.poses[0]).map_err(Stuck::arm(0))?;
+    let mut joints = vec![start];
+    for (tick, pose) in path.poses.iter().enumerate().skip(1) {
+        let next = model.joints_after(&joints[tick - 1], pose, path.period_s());
+        joints.push(next.map_err(Stuck::arm(path.time_us(tick)))?);
+    }
+    let speeds = spline::per_second(spline::slopes(&joints), path.period_us);
+    let mut made = ArmMotion { model, joints, speeds, figures: Figures::new() };
+    made.figures = made.checked(path, cycle_us, &Kept { around, least_m: mount.clearance_m })?;
+    Ok(made)
+}
+
+/// What is around, and what is to be kept from it.
+struct Kept<'a> {
+    around: &'a Surroundings,
+    least_m: Option<f64>,
+}
+
+impl ArmMotion {
+    /// Goes the whole way from cycle to cycle, as a controller does.
+    fn checked(&self, path: &ToolPath, cycle_us: u32, kept: &Kept<'_>) -> Result<Figures, Stuck> {
+        let (model, mut figures) = (&self.model, Figures::new());
+        let near = |time_us| move |cause| Stuck { time_us, cause };
+        figures.keep_clear(model, &self.joints[0], 0, kept).map_err(near(0))?;
+        let mut checker = LimitChecker::new(widened(&path.limits, path.lsb), EXACT, cycle_us, path.poses[0]);
+        let mut before = self.joints[0];
+        for time_us in cycles_us(path, cycle_us) {
+            let limit = |violation| Stuck { time_us, cause: Cause::Limit(violation) };
+            let joints = self.joints_at(path, time_us);
+            model.check_joints(&joints).map_err(Stuck::arm(time_us))?;
+            let cycle_s = f64::from(cycle_us) / 1e6;
+            model.check_speed(&before, &joints, cycle_s).map_err(Stuck::arm(time_us))?;
+            checker.check(model.world_from_tool(&joints)).map_err(limit)?;
+            figures.look(model, &before, &joints, cycle_s);
+            figures.keep_clear(model, &joints, time_us, kept).map_err(near(time_us))?;
+            before = joints;
+        }
+        let end_us = path.time_us(path.last_tick());
+        checker.finish().map_err(|violation| Stuck { time_us: end_us, cause: Cause::Limit(violation) })?;
+        figures.limit_use = checker.peak_use();
+        Ok(figures)
+    }
+}
+
+/// Poses between ticks are exact but for the rounding of floating-point numbers.
+const EXACT: Lsb = Lsb { translation_nm: 1, rotation_nrad: 1 };
+
+/// The limits with the workspace as wide as the plan's own poses may be off.
+fn widened(limits: &Limits, lsb: Lsb) -> Limits {
+    let off_m = lsb.translation_m();
+    Limits {
+        workspace_min_m: limits.workspace_min_m.map(|side| side - off_m),
+        workspace_max_m: limits.workspace_max_m.map(|side| side + off_m),
+        ..*limits
+    }
+}
+
+/// Moments at which a controller is given joints, microseconds: each cycle, up to the first at which the motion is over.
+pub fn cycles_us(path: &ToolPath, cycle_us: u32) -> impl Iterator<Item = u64> {
+    let cycle_us = u64::from(cycle_us);
+    (1..=path.time_us(path.last_tick()).div_ceil(cycle_us)).map(move |cycle| cycle * cycle_us)
+}
+
+impl Figures {
+    fn new() -> Self {
+        Self {
+            fastest_joint: 1,
+            speed_rad_s: 0.0,
+            singular_joint: 1,
+            margin: f64::INFINITY,
+            limit_use: PeakUse::default(),
+            range_left_rad: f64::INFINITY,
+            clearances: Link::ALL.map(|link| Clearance {
+                link,
+                obstacle: Obstacle::Table,
+                distance_m: f64::INFINITY,
+                time_s: 0.0,
+            }),
+        }
+    }
+
+    /// How good a posture is for a motion, 0 to 1: the least of its margins, each as a share of what is ample. A quarter of the
+    /// way from a singularity's worst to its best, half of a joint's speed, an eighth of a turn of a joint's range and 150 mm
+    /// from everything around are ample.
+    #[must_use]
+    pub fn score(&self, model: &ArmModel) -> f64 {
+        let speed_left = 1.0 - self.speed_rad_s / model.joint_speed_rad_s[self.fastest_joint - 1];
+        let clear_m = self.nearest().distance_m;
+        let shares = [self.margin / 0.25, speed_left / 0.5, self.range_left_rad / FRAC_PI_4, clear_m / 0.15];
+        shares.into_iter().fold(1.0, f64::min)
+    }
+
+    /// The link that comes nearest to its surroundings.
+    #[must_use]
+    pub fn nearest(&self) -> &Clearance {
+        let [first, others @ ..] = &self.clearances;
+        others
+            .iter()
+            .fold(first, |least, other| if other.distance_m < least.distance_m { other } else { least })
+    }
+
+    fn keep_clear(
+        &mut self,
+        model: &ArmModel,
+        joints: &Joints,
+        time_us: u64,
+        kept: &Kept<'_>,
+    ) -> Result<(), Cause> {
+        let in_world = |point: &Vector3<f64>| {
+            model.world_from_base.position_m + model.world_from_base.orientation * point
+        };
+        let time_s = time_us as f64 / 1e6;
+        for (least, axis) in self.clearances.iter_mut().zip(axes(model.kind, joints)) {
+            let link = least.link;
+            let [mut from, to] = [in_world(&axis[0]), in_world(&axis[1])];
+            // The upper arm hangs at the shoulder, which stands where the base does.
+            if link == Link::UpperArm {
+                from = from + (to - from) * SHOULDER;
+            }
+            let near = kept.around.nearest([from, to], link.radius_m(model.kind), time_s, least.distance_m);
+            let Some(near) = near else { continue };
+            *least = Clearance { link, obstacle: near.obstacle.clone(), distance_m: near.distance_m, time_s };
+            if let Some(least_m) = kept.least_m.filter(|least_m| near.distance_m < *least_m) {
+                return Err(Cause::TooNear { clearance: least.clone(), least_m });
+            }
+        }
+        Ok(())
+    }
+
+    fn look(&mut self, model: &ArmModel, before: &Joints, joints: &Joints, cycle_s: f64) {
+        let left = joints.iter().zip(model.joint_range_rad).map(|(joint, range)| range - joint.abs());
+        self.range_left_rad = left.fold(self.range_left_rad, f64::min);
+        let share = |joint: usize, speed: f64| speed / model.joint_speed_rad_s[joint - 1];
+        for (joint, (from, to)) in (1..).zip(before.iter().zip(joints)) {
+            let speed = (to - from).abs() / cycle_s;
+            if share(joint, speed) > share(self.fastest_joint, self.speed_rad_s) {
+                (self.fastest_joint, self.speed_rad_s) = (joint, speed);
+            }
+        }
+        let (joint, margin) = SingularityMargins::of(model.kind, joints).least();
+        if margin < self.margin {
+            (self.singular_joint, self.margin) = (joint, margin);
+        }
+    }
+}
