@@ -85,7 +85,7 @@ fn what_the_arm_can_do_is_said_and_what_it_cannot_is_refused() {
     );
     // Near the end of its reach it makes the shorter transports only.
     let (code, said) = checked("edge.toml", |scene| {
-        scene.arm.as_mut().unwrap().base_position_m = [-0.08, -0.85, -0.1];
+        scene.arm.as_mut().unwrap().base_position_m[1] = -1.04;
     });
     assert_eq!(code, Some(0));
     let note = said.lines().find(|line| line.starts_with("Note: ")).unwrap_or_else(|| panic!("{said}"));

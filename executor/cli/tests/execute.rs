@@ -113,7 +113,7 @@ fn files_that_are_no_plans_are_refused_in_one_sentence() {
     assert_refused(&written(&dir, "flipped", &flipped), &["checksum", "damaged"]);
     let mut future = good;
     future[8] = 9;
-    assert_refused(&written(&dir, "future", &future), &["version 9", "version 2"]);
+    assert_refused(&written(&dir, "future", &future), &["version 9", "version 3"]);
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! `optimise compare`: the paper's experiment.
 
 use super::{
-    CliError, Context, Progress, Resources,
+    CliError, Context, Progress, Resources, check,
     motion::{Motion, Task},
     next,
     options::{DEFAULT_PRECISION, PrecisionArg},

@@ -99,7 +99,7 @@ pub enum Refusal {
     },
     /// A link would come too near to its surroundings.
     #[error(
-        "at {:.3} s its {} would {}, and {:.0} mm is the least that is kept{}; another place for the base, or the tool turned \
+        "at {:.3} s its {} would {}, and {:.1} mm is the least that is kept{}; another place for the base, or the tool turned \
          otherwise in the flange, would be right",
         clearance.time_s, clearance.link.name(), clearance, 1e3 * least_m,
         if *all_postures { ", and no other posture gets further" } else { "" }
@@ -155,12 +155,12 @@ fn remedy(error: &ArmError) -> String {
 }
 
 impl fmt::Display for Clearance {
-    /// Such as "be 12 mm from the table".
+    /// Such as "be 12.0 mm from the table".
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if self.distance_m < 0.0 {
-            write!(f, "be {:.0} mm deep in {}", -1e3 * self.distance_m, self.obstacle)
+            write!(f, "be {:.1} mm deep in {}", -1e3 * self.distance_m, self.obstacle)
         } else {
-            write!(f, "be {:.0} mm from {}", 1e3 * self.distance_m, self.obstacle)
+            write!(f, "be {:.1} mm from {}", 1e3 * self.distance_m, self.obstacle)
         }
     }
 }

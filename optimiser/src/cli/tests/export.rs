@@ -86,11 +86,19 @@ fn a_plan_brings_its_own_arm() {
         let done = export(&plan, "urscript", &[more, &["--force"]].concat());
         assert_eq!(done.code, 0, "{}", done.err);
         // What it says of base, tool and first joints; digits behind these know how the angles were given.
-        fs::read_to_string(place.path("skill.script")).unwrap().lines().take(12).collect::<Vec<_>>().join("\n")
+        fs::read_to_string(place.path("skill.script"))
+            .unwrap()
+            .lines()
+            .take(12)
+            .collect::<Vec<_>>()
+            .join("\n")
     };
     assert_eq!(header(&[]), header(&ARM));
     let moved = header(&["--arm", "ur5e", "--base", "0.6,0.2,0,0,0,0", "--tool", "0,0,0.1,20,0,0"]);
-    assert!(header(&[]).contains("p[0.6, 0.25, 0, 0, 0, 0]") && moved.contains("p[0.6, 0.2, 0, 0, 0, 0]"), "{moved}");
+    assert!(
+        header(&[]).contains("p[0.6, 0.25, 0, 0, 0, 0]") && moved.contains("p[0.6, 0.2, 0, 0, 0, 0]"),
+        "{moved}"
+    );
 }
 
 #[test]
@@ -100,10 +108,10 @@ fn links_stay_clear_of_what_the_scene_has() {
     let said = export(
         &plan,
         "csv",
-        &["--arm", "ur3e", "--base", "0.22,-0.5,-0.1,0,0,-90", "--tool", "0,0,0.1,90,0,-90"],
+        &["--arm", "ur3e", "--base", "0.22,-0.5,-0.1,0,0,-90", "--tool", "0,0,0.05,90,0,-90"],
     );
     assert!(
-        said.code == 2 && said.err.contains("mm from container \"source\", and 20 mm is the least"),
+        said.code == 2 && said.err.contains("mm deep in container \"source\", and 20.0 mm is the least"),
         "{}",
         said.err
     );
