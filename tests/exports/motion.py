@@ -1,10 +1,10 @@
 """Opens exported motions with programs that are not ours, and compares them with the plan that they are of.
 
-    python3 tests/exports/motion.py [--spoil] [--base X,Y,Z,R,P,Y --tool X,Y,Z,R,P,Y] PLAN DIR
+    python3 tests/exports/motion.py [--spoil] [--arm KIND --base X,Y,Z,R,P,Y --tool X,Y,Z,R,P,Y] PLAN DIR
 
-DIR holds what `optimise export` made of PLAN: `skill.csv`, `skill.json`, `skill.mcap`; with an arm, at this base and with this
-tool, `skill.script` as well; without one, and with its powder in `skill.mcap`, a folder `powder` with the same powder as
-tables. The program is run by the interpreter in urscript.py and its joints turned into poses by ur5e.py; tables are opened with
+DIR holds what `optimise export` made of PLAN: `skill.csv`, `skill.json`, `skill.mcap`; with an arm, the plan's own or this one,
+`skill.script` as well; without one, and with its powder in `skill.mcap`, a folder `powder` with the same powder as
+tables. The program is run by the interpreter in urscript.py and its joints turned into poses by ur.py; tables are opened with
 pandas, messages with mcap and mcap-ros2-support. The plan is read by plan.py. Nothing of this knows the code that wrote the
 files.
 
@@ -27,7 +27,7 @@ from mcap.writer import Writer
 from mcap_ros2.decoder import DecoderFactory
 
 import plan as plans
-import ur5e
+import ur
 import urscript
 from check import Differs, close, same, spoil_byte
 
@@ -62,10 +62,8 @@ def spline(values, period_s, times_s):
 class Motion:
     """What must be in the files."""
 
-    def __init__(self, plan, base, tool):
-        self.plan, self.has_arm = plan, base is not None
-        if self.has_arm:
-            self.base, self.tool = ur5e.placed(*base), ur5e.placed(*tool)
+    def __init__(self, plan, arm):
+        self.plan, self.arm = plan, arm
         self.period_s = plan.period_us / 1e6
         turns = [plans.turn(b @ a.T) for a, b in zip(plan.rotations, plan.rotations[1:])]
         # The sine is not the angle.
@@ -75,7 +73,7 @@ class Motion:
 
     def tools(self, joints):
         """Position and orientation of the tool in the world for each row of joints."""
-        matrices = numpy.array([self.base @ ur5e.flange(row) @ self.tool for row in joints])
+        matrices = numpy.array([self.arm.base @ self.arm.flange(row) @ self.arm.tool for row in joints])
         return matrices[:, :3, 3], matrices[:, :3, :3]
 
     def off_lsb(self, positions, rotations, ticks):
@@ -105,7 +103,7 @@ def derivatives(values, step_s):
 def check_script(folder, motion):
     program = urscript.Program((folder / "skill.script").read_text())
     plan = motion.plan
-    arm = urscript.Arm()
+    arm = urscript.Arm(motion.arm)
     same("skill.script: runs to its end", program.run(arm), True)
     cycle_s = arm.setpoints[0][0]
     same("skill.script: cycles of another length", [t for t, _ in arm.setpoints if t != cycle_s], [])
@@ -132,16 +130,16 @@ def check_script(folder, motion):
     if plan.period_us % round(1e6 * cycle_s) == 0:
         same("skill.script: ticks that were passed", len(ticks), len(plan.positions))
 
-    smooth = check_joints(joints, cycle_s)
+    smooth = check_joints(motion.arm, joints, cycle_s)
     between = check_between(motion, positions, rotations, times_us / 1e6, cycle_s)
-    check_refusals(program)
+    check_refusals(program, motion.arm)
     return f"{len(joints) - 1} setpoints: {text}; {smooth}; {between}"
 
 
-def check_joints(joints, cycle_s):
+def check_joints(arm, joints, cycle_s):
     """Range and speed; speeds that change from cycle to cycle no faster than over a whole tick: no jumps."""
     speeds = numpy.diff(numpy.vstack([joints[:1], joints, joints[-1:]]), axis=0) / cycle_s
-    if not (abs(joints) <= ur5e.RANGE).all() or not (abs(speeds) <= ur5e.SPEED).all():
+    if not (abs(joints) <= ur.RANGE).all() or not (abs(speeds) <= arm.speeds).all():
         raise Differs(f"skill.script: joints up to {abs(joints).max()} rad and {abs(speeds).max()} rad/s")
     jump = abs(numpy.diff(speeds, axis=0)).max()
     longer = abs(speeds[5:] - speeds[:-5]).max()
@@ -170,9 +168,9 @@ def check_between(motion, positions, rotations, times_s, cycle_s):
     return f"{percent} of the plan's limits (v, a, j, angular too); between ticks {off_nm:.1f} nm off the tool's own spline"
 
 
-def check_refusals(program):
+def check_refusals(program, made_as):
     """An arm that is another, or does not come to the start, is not given the motion."""
-    for arm, moves in ((urscript.Arm(size=1.05), 0), (urscript.Arm(misses_by=0.01), 1)):
+    for arm, moves in ((urscript.Arm(made_as, size=1.05), 0), (urscript.Arm(made_as, misses_by=0.01), 1)):
         same("skill.script: halts", program.run(arm), False)
         same("skill.script: moves when it halts", (len(arm.moves), len(arm.setpoints)), (moves, 0))
 
@@ -189,7 +187,7 @@ def check_columns(what, table, motion):
     text = motion.on_the_plan(what, positions, rotations, ticks)
     velocities = column("vx_m_s", "vy_m_s", "vz_m_s", "wx_rad_s", "wy_rad_s", "wz_rad_s")
     close(f"{what}: velocities", velocities, motion.velocities, SOLVED, 1.0)
-    if not motion.has_arm:
+    if not motion.arm:
         return f"tool {text}"
     joints = column(*(f"joint{joint}_rad" for joint in range(1, 7)))
     by_joints = motion.on_the_plan(f"{what}: joints", *motion.tools(joints), ticks)
@@ -200,7 +198,7 @@ def check_columns(what, table, motion):
 
 def check_csv(folder, motion):
     table = pandas.read_csv(folder / "skill.csv")
-    same("skill.csv: columns", len(table.columns), 26 if motion.has_arm else 14)
+    same("skill.csv: columns", len(table.columns), 26 if motion.arm else 14)
     return check_columns("skill.csv", table, motion)
 
 
@@ -211,9 +209,9 @@ def check_json(folder, motion):
     same("skill.json: version", document["optimiser_version"], plan.version)
     same("skill.json: steps", (document["period_s"], document["steps"]), (motion.period_s, len(plan.positions) - 1))
     same("skill.json: LSB", (document["translation_lsb_m"], document["rotation_lsb_rad"]), plan.lsb)
-    same("skill.json: columns", len(document["motion"]), 26 if motion.has_arm else 14)
-    same("skill.json: arm", (document["arm"] or {}).get("model"), "ur5e" if motion.has_arm else None)
-    arm = (("world_from_base", motion.base), ("flange_from_tool", motion.tool)) if motion.has_arm else ()
+    same("skill.json: columns", len(document["motion"]), 26 if motion.arm else 14)
+    same("skill.json: arm", (document["arm"] or {}).get("model"), motion.arm and motion.arm.kind)
+    arm = (("world_from_base", motion.arm.base), ("flange_from_tool", motion.arm.tool)) if motion.arm else ()
     for name, expected in arm:
         found = document["arm"][name]
         close(f"skill.json: {name}", found["position_m"], expected[:3, 3], SAME, 1.0)
@@ -257,14 +255,14 @@ def check_mcap(folder, motion):
     name, powder = "skill.mcap", folder / "powder"
     topics, kinds, about = messages(folder / name)
     plan, times_us = motion.plan, motion.plan.times_us.tolist()
-    same(f"{name}: topics", kinds, KINDS | (KINDS_OF_ARM if motion.has_arm else KINDS_OF_POWDER))
+    same(f"{name}: topics", kinds, KINDS | (KINDS_OF_ARM if motion.arm else KINDS_OF_POWDER))
     same(f"{name}: plan and scene", (about["plan_hash"], about["scene_digest"]), (f"{plan.hash:016x}", plan.scene_digest))
     for topic in topics.keys() - {"/joint_trajectory", "/powder"}:
         same(f"{name}: times of {topic}", [time for time, _ in topics[topic]], times_us)
     ticks = numpy.arange(len(times_us))
     text = f"tool {motion.on_the_plan(name, *check_poses(name, topics, times_us), ticks)}"
     check_transforms(name, topics["/tf"], motion)
-    if motion.has_arm:
+    if motion.arm:
         joints = check_trajectory(name, topics, motion)
         text += f"; joints put it {motion.on_the_plan(f'{name}: joints', *motion.tools(joints), ticks)}"
     else:
@@ -281,7 +279,7 @@ def check_poses(name, topics, times_us):
 
 
 def check_transforms(name, messages_, motion):
-    base = [("base", motion.base[:3, 3], motion.base[:3, :3])] if motion.has_arm else []
+    base = [("base", motion.arm.base[:3, 3], motion.arm.base[:3, :3])] if motion.arm else []
     for tick, (time_us, message) in enumerate(messages_):
         frames = [("tool", motion.plan.positions[tick], motion.plan.rotations[tick]), *base]
         same(f"{name}: transforms", len(message.transforms), len(frames))
@@ -333,7 +331,7 @@ CHECKS = {"skill.script": check_script, "skill.csv": check_csv, "skill.json": ch
 
 
 def checks_of(motion):
-    return {name: check for name, check in CHECKS.items() if motion.has_arm or name != "skill.script"}
+    return {name: check for name, check in CHECKS.items() if motion.arm or name != "skill.script"}
 
 
 def spoil_text(path, old, new, after=""):
@@ -425,7 +423,7 @@ def spoilings(motion, rows):
         ("a position by 0.1 um", bag, lambda p: spoil_message(p, "/tool_pose", tick, other_double(height, 1e-7))),
         ("a stamp", bag, lambda p: spoil_message(p, "/tf", tick, lambda data: data[:8] + bytes([data[8] + 1]) + data[9:])),
     ]
-    if not motion.has_arm:
+    if not motion.arm:
         # The last number of the last particle, behind which is whether all are numbers.
         return always + [("a particle", bag, lambda p: spoil_message(p, "/powder", 3, other_byte(4)))]
     return always + [
@@ -437,7 +435,7 @@ def spoilings(motion, rows):
         ("the setpoint", script, lambda p: spoil_text(p, "servoj(powderline_q + s", "servoj(1.001 * powderline_q + s")),
         ("the start", script, lambda p: spoil_text(p, "powderline_q = [", "powderline_q = [0.1 + ")),
         ("the look at the start", script, lambda p: spoil_text(p, "halt", "textmsg(1)", after="not at the start")),
-        ("the look at the arm", script, lambda p: spoil_text(p, "halt", "textmsg(1)", after="no UR5e")),
+        ("the look at the arm", script, lambda p: spoil_text(p, "halt", "textmsg(1)", after="the motion is not played")),
         ("a bracket", script, lambda p: spoil_text(p, "])", "]", after="  powderline_tick([")),
         ("the way to the start", script, lambda p: spoil_text(p, "v=0.2", "v=2.0")),
         ("a joint", table, lambda p: spoil_number(p, tick, "joint3_rad", 1e-7)),
@@ -476,12 +474,15 @@ def six(text):
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--spoil", action="store_true")
+    parser.add_argument("--arm", choices=ur.ARMS)
     parser.add_argument("--base", type=six)
     parser.add_argument("--tool", type=six)
     parser.add_argument("plan", type=pathlib.Path)
     parser.add_argument("made", type=pathlib.Path)
     words = parser.parse_args()
-    motion = Motion(plans.read(words.plan), words.base, words.tool)
+    plan = plans.read(words.plan)
+    given = words.arm and ur.Arm(words.arm, ur.placed(*words.base), ur.placed(*words.tool))
+    motion = Motion(plan, given or plan.arm)
     failures = []
     for name, check in checks_of(motion).items():
         try:

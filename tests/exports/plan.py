@@ -6,6 +6,10 @@ import zlib
 
 import numpy
 
+import ur
+
+KINDS = ["ur3e", "ur5e", "ur10e", "ur16e", "ur20", "ur30"]
+
 
 @dataclasses.dataclass
 class Plan:
@@ -17,6 +21,7 @@ class Plan:
     limits: dict
     positions: numpy.ndarray  # (ticks + 1, 3), m, world
     rotations: numpy.ndarray  # (ticks + 1, 3, 3), tool to world
+    arm: ur.Arm | None
 
     @property
     def times_us(self):
@@ -74,9 +79,17 @@ def turn(matrix):
     return numpy.array([matrix[2, 1] - matrix[1, 2], matrix[0, 2] - matrix[2, 0], matrix[1, 0] - matrix[0, 1]]) / 2
 
 
+def framed(body):
+    """4 x 4 matrix of a position and a unit quaternion."""
+    matrix = numpy.eye(4)
+    matrix[:3, 3] = body.floats(3)
+    matrix[:3, :3] = of_quaternion(*body.floats(4))
+    return matrix
+
+
 def read(path):
     data = path.read_bytes()
-    assert data[:8] == b"PWDLPLAN" and struct.unpack("<H", data[8:10]) == (2,), "magic and version"
+    assert data[:8] == b"PWDLPLAN" and struct.unpack("<H", data[8:10]) == (3,), "magic and version"
     assert zlib.crc32(data[:-4]) == struct.unpack("<I", data[-4:])[0], "checksum"
     body = Bytes(data[10:-4])
     digest = body.take(32).hex()
@@ -91,6 +104,11 @@ def read(path):
     body.floats(1), body.signed(), body.floats(2)  # loss, indicator; masses wanted and of a particle
     for _ in range(6):  # particles by where they end
         body.whole()
+    arm = None
+    if body.whole():
+        kind = KINDS[body.whole()]
+        arm = ur.Arm(kind, framed(body), framed(body))
+        body.take(3)  # posture
     counts = numpy.array([[body.signed() for _ in range(6)] for _ in range(steps)], dtype=object).cumsum(axis=0)
     assert body.at == len(body.data), "bytes after the last step"
     cumulative = numpy.vstack([numpy.zeros(6), (counts * numpy.array([nano[0]] * 3 + [nano[1]] * 3) / 1e9).astype(float)])
@@ -103,6 +121,7 @@ def read(path):
         limits=limits,
         positions=start + cumulative[:, :3],
         rotations=numpy.array([rotation(vector) @ orientation for vector in cumulative[:, 3:]]),
+        arm=arm,
     )
 
 

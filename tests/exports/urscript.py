@@ -8,7 +8,6 @@ lengths, arguments out of range, a loop that takes no time. Variables are found 
 import math
 import re
 
-import ur5e
 
 TOKEN = re.compile(
     r"(?P<number>\d+\.\d+|\d+)|(?P<name>[A-Za-z_]\w*)|(?P<text>\"[^\"]*\")|(?P<sign><=|>=|==|!=|[-+*/<>=()\[\],:])|(?P<bad>\S)"
@@ -262,10 +261,10 @@ def combined(sign, a, b):
 
 
 class Arm:
-    """An arm that is where it is told to be, and a record of what it was told."""
+    """An arm (`ur.Arm`) that is where it is told to be, and a record of what it was told."""
 
-    def __init__(self, joints=(0.1, -1.2, 1.4, -0.3, 1.2, 0.2), misses_by=0.0, size=1.0):
-        self.joints, self.misses_by, self.size = list(joints), misses_by, size
+    def __init__(self, made_as, joints=(0.1, -1.2, 1.4, -0.3, 1.2, 0.2), misses_by=0.0, size=1.0):
+        self.made_as, self.joints, self.misses_by, self.size = made_as, list(joints), misses_by, size
         self.time_s, self.setpoints, self.moves, self.messages, self.stops = 0.0, [], [], [], []
 
     def check(self, q):
@@ -304,7 +303,7 @@ class Arm:
         self.check(q)
         if not numbers(tcp) or len(tcp) != 6 or any(tcp):
             raise ScriptError(f"{tcp!r} is a tool that is not looked at here")
-        return [*(ur5e.flange(q)[:3, 3] * self.size), 0.0, 0.0, 0.0]
+        return [*(self.made_as.flange(q)[:3, 3] * self.size), 0.0, 0.0, 0.0]
 
     def norm(self, value):
         return abs(value) if number(value) else math.sqrt(sum(x * x for x in value))

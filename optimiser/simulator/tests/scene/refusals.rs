@@ -920,7 +920,7 @@ const ARMS: &[Case] = &[
     ("table_height_m = -0.1", "table_height_m = 0.1", ": arm.table_height_m is 0.1, but it must be from -10 to 0"),
     ("clearance_m = 0.02", "clearance_m = -0.02", ": arm.clearance_m is -0.02, but it must be from 0 to 1"),
     ("payload_kg = 0.4", "payload_kg = 5.1", ": arm.payload_kg is 5.1, but it must be from 0 to 5"),
-    ("shoulder = \"forward\"", "shoulder = \"left\"", ": arm.posture.shoulder at line 105: unknown variant `left`, expected `forward` or `backward`"),
+    ("shoulder = \"forward\"", "shoulder = \"left\"", ": arm.posture.shoulder at line 111: unknown variant `left`, expected `forward` or `backward`"),
 ];
 
 #[test]
