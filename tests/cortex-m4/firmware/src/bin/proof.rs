@@ -12,7 +12,7 @@ use powderline_cortex_m4::report::fail;
 use powderline_executor::{Action, Config, Endpoint, Executor, FrameAction};
 use powderline_shared::arm::inverse::Posture;
 use powderline_shared::arm::links::SingularityMargins;
-use powderline_shared::arm::{ArmError, ArmModel, Joints};
+use powderline_shared::arm::{ArmError, ArmKind, ArmModel, Joints};
 use powderline_shared::displacement::{
     Displacement, Lsb, Quantiser, Setpoint, SetpointError, StepCounts, displacement_between, pose_at,
 };
@@ -65,7 +65,7 @@ fn arm() {
     black_box(ArmModel::joints_after as fn(&ArmModel, &Joints, &Pose, f64) -> Found);
     black_box(ArmModel::check_joints as fn(&ArmModel, &Joints) -> Checked);
     black_box(ArmModel::check_speed as fn(&ArmModel, &Joints, &Joints, f64) -> Checked);
-    black_box(Posture::of as fn(&Joints) -> Posture);
+    black_box(Posture::of as fn(ArmKind, &Joints) -> Posture);
     black_box(SingularityMargins::least as fn(&SingularityMargins) -> (u8, f64));
 }
 
