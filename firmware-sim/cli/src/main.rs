@@ -80,7 +80,7 @@ const PRIORITY: u8 = 50;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum ArmChoice {
-    /// The arm of the plan, as [arm] of its scene puts it, with joints that lag; without a plan the one beside the scene bench
+    /// The arm of the plan, as `[arm]` of its scene puts it, with joints that lag; without a plan the one beside the scene bench
     Own,
     /// An arm that is where it is told to be
     Ideal,
