@@ -430,9 +430,11 @@ impl<'a> Executor<'a> {
         if self.reached.is_some_and(|known| known.tick > reached.tick) {
             return;
         }
+        // An arm that settles says the last tick more than once.
+        let first = self.reached.is_none_or(|known| known.tick < reached.tick);
         self.reached = Some(reached);
         if let Some(sent) = self.window.setpoint(reached.tick).filter(|_| self.stage == Stage::Streaming) {
-            self.telemetry.handle_tracking(sent, reached, self.lsb);
+            self.telemetry.handle_tracking(sent, reached, self.lsb, first);
         }
         self.leave_at_end(now_us);
     }

@@ -22,6 +22,8 @@ pub struct Telemetry {
     pub dropped: u16,
     /// From saying something to hearing of it; waiting for the arm's next report included.
     pub round_trip: RoundTrip,
+    /// Ticks at which the arm said where it was, and were compared with what was sent for them.
+    pub tracked: u32,
     /// Largest distance of the arm from where it was due, metres.
     pub tracking_m: f64,
     /// Largest angle of the arm from where it was due, radians.
@@ -29,7 +31,9 @@ pub struct Telemetry {
 }
 
 impl Telemetry {
-    pub(crate) fn handle_tracking(&mut self, sent: Setpoint, reached: Setpoint, lsb: Lsb) {
+    /// `first`: nothing has been compared at this tick before.
+    pub(crate) fn handle_tracking(&mut self, sent: Setpoint, reached: Setpoint, lsb: Lsb, first: bool) {
+        self.tracked = self.tracked.saturating_add(u32::from(first));
         let off = displacement_between(sent, reached, lsb);
         self.tracking_m = self.tracking_m.max(norm(&off.translation()));
         self.tracking_rad = self.tracking_rad.max(norm(&off.rotation()));

@@ -1,4 +1,5 @@
-//! The setpoints on their way: sent, and not yet taken by the arm.
+//! The setpoints on their way, and those that the arm is at: it says where it was at a tick after it has granted the place of
+//! that tick to a later one, so twice its depth is kept.
 
 use powderline_shared::displacement::Setpoint;
 use powderline_shared::wire::message::DEPTH;
@@ -13,16 +14,19 @@ struct Sent {
     arrived: bool,
 }
 
-/// One slot for each tick that the arm can have room for.
+/// Ticks that are kept: those that the arm can have room for, and as many before them.
+const KEPT: u32 = 2 * DEPTH;
+
+/// One slot for each tick that is kept.
 #[derive(Clone, Debug, Default)]
 pub struct Window {
-    slots: [Option<Sent>; DEPTH as usize],
+    slots: [Option<Sent>; KEPT as usize],
 }
 
 impl Window {
     /// A setpoint leaves, for the first time or again.
     pub fn sent(&mut self, now_us: u64, setpoint: Setpoint) {
-        let slot = (setpoint.tick % DEPTH) as usize;
+        let slot = (setpoint.tick % KEPT) as usize;
         if let Some(slot) = self.slots.get_mut(slot) {
             let again = slot.is_some_and(|sent| sent.setpoint.tick == setpoint.tick);
             *slot = Some(Sent { setpoint, at_us: now_us, again, arrived: false });
@@ -60,7 +64,7 @@ impl Window {
     /// What was sent for a tick, if it is not too long ago.
     #[must_use]
     pub fn setpoint(&self, tick: u32) -> Option<Setpoint> {
-        let kept = self.slots.get((tick % DEPTH) as usize).copied().flatten();
+        let kept = self.slots.get((tick % KEPT) as usize).copied().flatten();
         kept.map(|sent| sent.setpoint).filter(|setpoint| setpoint.tick == tick)
     }
 }
@@ -110,9 +114,12 @@ mod tests {
     fn an_old_tick_gives_way_to_the_one_that_needs_its_place() {
         let mut window = Window::default();
         window.sent(0, setpoint(2));
+        // The arm may have granted its whole depth before it says where it was.
         window.sent(1, setpoint(2 + DEPTH));
+        assert_eq!(window.setpoint(2), Some(setpoint(2)));
+        window.sent(2, setpoint(2 + KEPT));
         assert_eq!(window.setpoint(2), None);
-        assert_eq!(window.setpoint(2 + DEPTH), Some(setpoint(2 + DEPTH)));
+        assert_eq!(window.setpoint(2 + KEPT), Some(setpoint(2 + KEPT)));
     }
 
     #[test]

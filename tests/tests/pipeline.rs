@@ -20,6 +20,9 @@ fn a_skill_is_optimised_played_and_reproduced_with_the_same_bits_for_any_number_
     let errors = played["error_lsb"].as_array().unwrap();
     assert_eq!(errors.len(), 6);
     assert!(errors.iter().all(|error| error.as_f64().unwrap().abs() <= 0.5), "{errors:?}");
+    // It is the scene's own arm that plays it, and its joints lag.
+    assert_eq!(played["plan"]["arm"]["kind"], "ur3e");
+    assert!(played["stream"]["tracking_m"].as_f64().unwrap() > 1e-4, "{}", played["stream"]);
 
     let again = run(OPTIMISE, &["simulate", "--plan", plan, "--threads", "1", "--json"]).json();
     assert_eq!(again["plan"]["reproduced"], true);

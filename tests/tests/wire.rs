@@ -15,6 +15,10 @@ use powderline_firmware_sim::controller::ArmConfig;
 use powderline_firmware_sim_cli::link::motion::{Move, plan_bytes};
 use powderline_firmware_sim_cli::serve::bench_start;
 use powderline_host::candump::{self, Content};
+use powderline_shared::displacement::pose_at;
+use powderline_shared::plan::PlanReader;
+use powderline_shared::pose::norm;
+use powderline_shared::trajectory::TrajectoryReader;
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -195,8 +199,9 @@ fn assert_played(on: &str) {
 #[track_caller]
 fn played(on: &str) -> Result<(), HeldUp> {
     let dir = TempDir::new().unwrap();
-    let (mut arm, wire) = arm(on, &["--once"]);
-    let (code, out) = execute(&plan(dir.path()), &wire, &["--json"]).ends();
+    let (plan, executed) = (plan(dir.path()), dir.path().join("executed.txt"));
+    let (mut arm, wire) = arm(on, &["--once", "--executed", executed.to_str().unwrap()]);
+    let (code, out) = execute(&plan, &wire, &["--json"]).ends();
     let report: Value = serde_json::from_str(&out).unwrap();
     if report["stop"]["code"] == HELD_UP {
         return Err(HeldUp);
@@ -207,14 +212,35 @@ fn played(on: &str) -> Result<(), HeldUp> {
         (&report["ticks"]["applied"], &report["standstill"]),
         (&Value::from(TICKS), &Value::from(true))
     );
-    assert!(
-        report["stream"]["tracking_m"].as_f64().unwrap() > 1e-4,
-        "an arm that lags must be seen to: {report}"
-    );
     arm.says("holding the last setpoint");
     arm.says("State: ready to switch on");
     assert_eq!(arm.ends().0, Some(0));
+    assert_tracked(on, &plan, &executed, &report["stream"]);
     Ok(())
+}
+
+/// What the executor says of an arm that lags is what the arm has written of its motion, but for the counts of the wire.
+#[track_caller]
+fn assert_tracked(on: &str, plan: &Path, executed: &Path, stream: &Value) {
+    let plan = fs::read(plan).unwrap();
+    let plan = PlanReader::new(&plan).unwrap();
+    let (start, lsb) = (plan.header().start_pose(), plan.header().lsb);
+    let mut reader = TrajectoryReader::default();
+    let text = fs::read_to_string(executed).unwrap();
+    let made = text.lines().filter_map(|line| reader.line(line.as_bytes()).unwrap()).skip(1);
+    let off: Vec<_> = made
+        .zip(plan.setpoints())
+        .map(|(sample, setpoint)| pose_at(&start, setpoint, lsb).displacement_to(&sample.pose))
+        .collect();
+    assert_eq!((off.len(), &stream["tracked"]), (TICKS as usize, &Value::from(TICKS)));
+    let off_m = off.iter().map(|off| norm(&off.translation())).fold(0.0, f64::max);
+    let off_rad = off.iter().map(|off| norm(&off.rotation())).fold(0.0, f64::max);
+    assert!(off_m > 1e-4 && off_rad > 1e-3, "the arm must lag: {off_m} m, {off_rad} rad");
+    let [said_m, said_rad] = ["tracking_m", "tracking_rad"].map(|key| stream[key].as_f64().unwrap());
+    // A report's counts.
+    let [count_m, count_rad] = if on.starts_with("can:") { [1e-6, 1e-5] } else { [1e-7, 1e-7] };
+    assert!((said_m - off_m).abs() <= 2.0 * count_m, "{said_m} m said, {off_m} m off");
+    assert!((said_rad - off_rad).abs() <= 2.0 * count_rad, "{said_rad} rad said, {off_rad} rad off");
 }
 
 #[test]

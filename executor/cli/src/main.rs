@@ -295,8 +295,8 @@ fn say_dry(arguments: &Arguments) -> anyhow::Result<ExitCode> {
 fn perform_here(arguments: &Arguments, plan: &PlanReader<'_>, config: Config) -> anyhow::Result<RunResult> {
     let mut person = Person::attend(arguments, plan, arguments.realtime)?;
     let clock = if arguments.realtime { "by the wall clock" } else { "in virtual time" };
-    announce(arguments, &format!("Playing on the simulated arm, {clock}.\n"))?;
-    let arm = ArmConfig::ideal(plan.header().start_pose());
+    let (arm, which) = simulated_arm(plan)?;
+    announce(arguments, &format!("Playing on the simulated arm, {which}, {clock}.\n"))?;
     let period_us = config.period_us.unwrap_or(plan.header().control_period_us);
     let result = if arguments.realtime {
         play(plan, config, arm, &mut WallClock::start(u64::from(period_us) / 10), &mut person)
@@ -305,6 +305,19 @@ fn perform_here(arguments: &Arguments, plan: &PlanReader<'_>, config: Config) ->
     };
     person.finish();
     Ok(result)
+}
+
+/// The plan's own arm, whose joints lag, and what it is; an ideal one where no arm was looked at.
+fn simulated_arm(plan: &PlanReader<'_>) -> anyhow::Result<(ArmConfig, String)> {
+    let start = plan.header().start_pose();
+    let Some(arm) = plan.header().arm else {
+        return Ok((ArmConfig::ideal(start), "which is where it is told to be".into()));
+    };
+    let kind = arm.kind.label();
+    let config = ArmConfig::jointed(arm.model(), start).map_err(|error| {
+        anyhow!("the plan's {kind} cannot stand at the plan's start: {error}; make the plan anew")
+    })?;
+    Ok((config, format!("a {kind} whose joints lag")))
 }
 
 fn perform_there(

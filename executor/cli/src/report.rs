@@ -9,7 +9,7 @@ use powderline_shared::displacement::{Axis, Lsb, Setpoint};
 use powderline_shared::fault::{Fault, FaultCode};
 use powderline_shared::limits::PeakUse;
 use powderline_shared::mass::Mass;
-use powderline_shared::plan::{PlanReader, Precision, Prediction, SKILL_PARAMETERS, StartPose};
+use powderline_shared::plan::{Mounting, PlanReader, Precision, Prediction, SKILL_PARAMETERS, StartPose};
 use serde::Serialize;
 
 use crate::run::{FrameCounts, RunResult};
@@ -83,6 +83,8 @@ pub struct PlanFacts {
     pub lsb: Lsb,
     /// What it brings, as it was simulated.
     pub predicted: Prediction,
+    /// The arm that it was made for; none if no arm was looked at.
+    pub arm: Option<Mounting>,
 }
 
 /// Why an arm stopped.
@@ -111,22 +113,26 @@ pub struct Stream {
     pub quickest_round_trip_s: Option<f64>,
     /// Longest time from saying something to hearing of it, the wait for the arm's next report included, seconds.
     pub longest_round_trip_s: Option<f64>,
-    /// Largest distance of the arm from where it was due, metres.
-    pub tracking_m: f64,
-    /// Largest angle of the arm from where it was due, radians.
-    pub tracking_rad: f64,
+    /// Ticks at which where the arm was could be compared with where it was due.
+    pub tracked: u32,
+    /// Largest distance of the arm from where it was due, metres; unknown if nothing could be compared.
+    pub tracking_m: Option<f64>,
+    /// Largest angle of the arm from where it was due, radians; unknown if nothing could be compared.
+    pub tracking_rad: Option<f64>,
 }
 
 impl Stream {
     fn new(telemetry: &Telemetry) -> Self {
+        let known = |largest| (telemetry.tracked > 0).then_some(largest);
         Self {
             resent: telemetry.resent,
             retries: telemetry.retries,
             dropped_by_arm: telemetry.dropped,
             quickest_round_trip_s: telemetry.round_trip.shortest_us().map(seconds),
             longest_round_trip_s: telemetry.round_trip.longest_us().map(seconds),
-            tracking_m: telemetry.tracking_m,
-            tracking_rad: telemetry.tracking_rad,
+            tracked: telemetry.tracked,
+            tracking_m: known(telemetry.tracking_m),
+            tracking_rad: known(telemetry.tracking_rad),
         }
     }
 }
@@ -231,6 +237,7 @@ impl PlanFacts {
             step_count: header.step_count,
             lsb: header.lsb,
             predicted: header.predicted,
+            arm: header.arm,
         }
     }
 }
@@ -260,6 +267,18 @@ impl fmt::Display for PlanFacts {
             counted(self.step_count, "step", "steps"),
             f64::from(self.control_period_us) / 1e3
         )?;
+        match self.arm {
+            Some(arm) => {
+                let Mounting { kind, posture, .. } = arm;
+                let [x, y, z] = arm.world_from_base.position_m.map(|metres| 1e3 * metres);
+                writeln!(
+                    f,
+                    "  for       a {} with its base at ({x:.0}, {y:.0}, {z:.0}) mm: {posture}",
+                    kind.label()
+                )?;
+            }
+            None => writeln!(f, "  for       no arm that was looked at: its scene has no [arm]")?,
+        }
         writeln!(
             f,
             "  predicts  {} ({}) of the {} wanted arrive; {}",
@@ -337,7 +356,7 @@ impl fmt::Display for Report {
 
 impl Report {
     fn fmt_stream(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Stream { resent, retries, tracking_m, tracking_rad, .. } = self.stream;
+        let Stream { resent, retries, tracked, tracking_m, tracking_rad, .. } = self.stream;
         if let Some(frames) = self.frames {
             let FrameCounts { sent, received, rejected, not_taken, garbled } = frames;
             writeln!(
@@ -358,13 +377,19 @@ impl Report {
                 longest * 1e3
             )?;
         }
-        if self.ticks.applied > 0 {
-            writeln!(
+        match (tracking_m, tracking_rad) {
+            (Some(metres), Some(radians)) => writeln!(
                 f,
-                "  tracking  {:.3} mm, {:.3} mrad behind at the most",
-                tracking_m * 1e3,
-                tracking_rad * 1e3
-            )?;
+                "  tracking  {:.3} mm, {:.3} mrad off at the most, at {} of {} ticks",
+                metres * 1e3,
+                radians * 1e3,
+                tracked,
+                self.ticks.applied
+            )?,
+            _ if self.ticks.applied > 0 => {
+                writeln!(f, "  tracking  unknown: the arm did not say where it was on its way")?
+            }
+            _ => {}
         }
         self.wire.iter().try_for_each(|wire| writeln!(f, "  wire      {wire}"))?;
         self.jitter.iter().try_for_each(|jitter| writeln!(f, "  clock     {jitter}"))

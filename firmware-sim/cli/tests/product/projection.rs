@@ -9,7 +9,7 @@ use std::fmt::{Debug, Write};
 use std::hash::{DefaultHasher, Hasher};
 
 /// Fields that are left out.
-const LEFT_OUT: [&str; 29] = [
+const LEFT_OUT: [&str; 30] = [
     // Constant, or said by other fields already.
     "own_limits",
     "limits",
@@ -29,6 +29,7 @@ const LEFT_OUT: [&str; 29] = [
     "anchor",
     "violation",
     "received",
+    "tracked",
     "tracking_m",
     "tracking_rad",
     // Numbers that only grow. Of `counter`, the world keeps whether a report under way is news.
