@@ -1,6 +1,6 @@
 """Opens exported motions with programs that are not ours, and compares them with the plan that they are of.
 
-    python3 tests/exports/motion.py [--spoil] [--arm KIND --base X,Y,Z,R,P,Y --tool X,Y,Z,R,P,Y] PLAN DIR
+    python3 tests/exports/motion.py [--spoil] [--arm KIND --base X,Y,Z,R,P,Y --tool X,Y,Z,R,P,Y] [--speed S] [--payload KG] PLAN DIR
 
 DIR holds what `optimise export` made of PLAN: `skill.csv`, `skill.json`, `skill.mcap`; with an arm, the plan's own or this one,
 `skill.script` as well; without one, and with its powder in `skill.mcap`, a folder `powder` with the same powder as
@@ -13,6 +13,7 @@ Prints the largest deviations. With --spoil single values are then changed in co
 
 import argparse
 import json
+import math
 import pathlib
 import shutil
 import struct
@@ -62,8 +63,8 @@ def spline(values, period_s, times_s):
 class Motion:
     """What must be in the files."""
 
-    def __init__(self, plan, arm):
-        self.plan, self.arm = plan, arm
+    def __init__(self, plan, arm, speed=1.0, payload_kg=None):
+        self.plan, self.arm, self.speed, self.payload_kg = plan, arm, speed, payload_kg
         self.period_s = plan.period_us / 1e6
         turns = [plans.turn(b @ a.T) for a, b in zip(plan.rotations, plan.rotations[1:])]
         # The sine is not the angle.
@@ -102,19 +103,30 @@ def derivatives(values, step_s):
 
 def check_script(folder, motion):
     program = urscript.Program((folder / "skill.script").read_text())
-    plan = motion.plan
-    arm = urscript.Arm(motion.arm)
+    begin = check_refusals(program, motion.arm)
+    arm = urscript.Arm(motion.arm, begin)
     same("skill.script: runs to its end", program.run(arm), True)
-    cycle_s = arm.setpoints[0][0]
-    same("skill.script: cycles of another length", [t for t, _ in arm.setpoints if t != cycle_s], [])
-    same("skill.script: stops", (len(arm.moves), len(arm.stops)), (1, 1))
-    start, acceleration, speed = arm.moves[0]
-    if speed > 0.25 or acceleration > 0.5:
-        raise Differs(f"skill.script: goes to the start at {speed} rad/s, with {acceleration} rad/s^2")
+    once = list(arm.setpoints)
+    same("skill.script: runs again", (program.run(arm), arm.setpoints), (True, once + once))
+    plan, cycle_s = motion.plan, once[0][0]
+    same("skill.script: cycles of another length", [t for t, _ in once if t != cycle_s], [])
+    if motion.payload_kg is not None:
+        same("skill.script: payload", arm.payload and arm.payload[0], motion.payload_kg)
+    tool = numpy.array(arm.tcp)
+    close("skill.script: tool centre point", tool[:3], motion.arm.tool[:3, 3], 1e-9, 1.0)
+    close("skill.script: tool centre point", plans.rotation(tool[3:]), motion.arm.tool[:3, :3], 1e-8, 1.0)
+    for _, acceleration, speed in arm.moves:
+        if speed > 0.25 or acceleration > 0.5:
+            raise Differs(f"skill.script: moves at {speed} rad/s, with {acceleration} rad/s^2")
 
-    # From the start, then a setpoint each cycle until the end is held.
-    joints = numpy.array([start] + [q for _, q in arm.setpoints])
-    cycles = round(plan.times_us[-1] / 1e6 / cycle_s)
+    # From where it begins to the start, the motion, back; each with its end held.
+    at = {text.removeprefix("Powderline: "): number for number, text in reversed(arm.messages)}
+    (begins,) = {number for text, number in at.items() if text.startswith("slowly to the start")}
+    ends = [begins, at["plays the motion"], at["back to where it began"], len(once)]
+    approach, joints, retreat = (numpy.array([q for _, q in once[a:b]]) for a, b in zip(ends, ends[1:]))
+    ways = check_ways(motion, arm, approach, numpy.vstack([joints[-1:], retreat]), cycle_s)
+    joints = numpy.vstack([approach[-1:], joints])
+    cycles = round(plan.times_us[-1] / 1e6 / motion.speed / cycle_s)
     held = joints[cycles:]
     if len(held) * cycle_s < 0.25:
         raise Differs(f"skill.script: the end is held for {len(held) * cycle_s} s only")
@@ -122,18 +134,47 @@ def check_script(folder, motion):
     joints = joints[: cycles + 1]
 
     # Every so many cycles there is a tick.
-    times_us = numpy.round(1e6 * cycle_s * numpy.arange(len(joints))).astype(int)
+    times_us = numpy.round(1e6 * motion.speed * cycle_s * numpy.arange(len(joints))).astype(int)
     at_tick = times_us % plan.period_us == 0
     positions, rotations = motion.tools(joints)
     ticks = times_us[at_tick] // plan.period_us
     text = motion.on_the_plan("skill.script", positions[at_tick], rotations[at_tick], ticks)
-    if plan.period_us % round(1e6 * cycle_s) == 0:
+    if plan.period_us % round(1e6 * motion.speed * cycle_s) == 0:
         same("skill.script: ticks that were passed", len(ticks), len(plan.positions))
 
     smooth = check_joints(motion.arm, joints, cycle_s)
     between = check_between(motion, positions, rotations, times_us / 1e6, cycle_s)
-    check_refusals(program, motion.arm)
-    return f"{len(joints) - 1} setpoints: {text}; {smooth}; {between}"
+    return f"{len(joints) - 1} setpoints: {text}; {smooth}; {between}; {ways}"
+
+
+def check_ways(motion, arm, approach, retreat, cycle_s):
+    """Straight down to the start and straight up from the end, back to where it began, within half of the limits."""
+    plan, homed = motion.plan, len(arm.moves) > 2
+    # Twice run: from home and back there, or to where it begins.
+    same("skill.script: moves", len(arm.moves), 6 if homed else 2)
+    begin, first = arm.moves[0][0], arm.moves[1 if homed else 0][0]
+    same("skill.script: goes back", arm.moves[2 if homed else 1][0], begin)
+    same("skill.script: stops", len(arm.stops), 2 * 3)
+    approach = numpy.vstack([[first], approach])
+    close("skill.script: ends where it began", retreat[-1], first, 1e-9, 1.0)
+    heights = []
+    for way in (approach, retreat):
+        check_joints(motion.arm, way, cycle_s)
+        positions, rotations = motion.tools(way)
+        check_limits("skill.script: way", motion, positions, rotations, cycle_s, 0.5 * motion.speed)
+        heights.append(positions[:, 2])
+    positions, rotations = motion.tools(approach)
+    low = abs(positions - plan.positions[0])
+    close("skill.script: down to the start", positions[:, :2], plan.positions[:1, :2].repeat(len(positions), 0), 1e-6, 1.0)
+    close("skill.script: turned as at the start", rotations, plan.rotations[:1].repeat(len(rotations), 0), 1e-6, 1.0)
+    close("skill.script: at the start", positions[-1], plan.positions[0], plan.lsb[0], 1.0)
+    positions, rotations = motion.tools(retreat)
+    up = positions[:, 2] < positions[:, 2].max() - 1e-6
+    aside = abs(positions[up][:, :2] - plan.positions[-1, :2]).max(initial=0.0)
+    turned = abs(rotations[up] - plan.rotations[-1]).max(initial=0.0)
+    if not max(aside, turned) <= 1e-6 or (numpy.diff(heights[1]) < -1e-6).any() or (numpy.diff(heights[0]) > 1e-9).any():
+        raise Differs(f"skill.script: on its way up {aside} m aside, turned by {turned}, or not only up")
+    return f"{1e3 * low[0, 2]:.0f} mm down to the start, and back over {1e3 * heights[1][-1]:.0f} mm to the same joints"
 
 
 def check_joints(arm, joints, cycle_s):
@@ -148,18 +189,25 @@ def check_joints(arm, joints, cycle_s):
     return f"joints at most {abs(speeds).max():.3f} rad/s, changing by at most {jump:.4f} rad/s from cycle to cycle"
 
 
-def check_between(motion, positions, rotations, times_s, cycle_s):
-    """The tool keeps the plan's limits from cycle to cycle, and goes the way of the spline through the plan's positions."""
+def check_limits(what, motion, positions, rotations, cycle_s, speed):
+    """Shares of the plan's limits that are used, which a motion at so much of the speed uses the less of."""
     limits, lsb = motion.plan.limits, motion.plan.lsb[0]
     low, high = (numpy.array(limits[side]) for side in ("min", "max"))
     if not ((positions >= low - lsb) & (positions <= high + lsb)).all():
-        raise Differs("skill.script: leaves the workspace")
+        raise Differs(f"{what}: leaves the workspace")
     turns = [plans.turn(b @ a.T) for a, b in zip(rotations, rotations[1:])]
     angles = numpy.vstack([numpy.zeros(3), numpy.cumsum(turns, axis=0)])
     used = [*derivatives(positions, cycle_s), *derivatives(angles, cycle_s)]
     shares = [value / limits[name] for value, name in zip(used, ("v", "a", "j", "w", "alpha", "zeta"))]
-    if not max(shares) <= 1.001:
-        raise Differs(f"skill.script: uses {shares} of the plan's limits")
+    if not max(shares) <= 1.001 * speed:
+        raise Differs(f"{what}: uses {shares} of the plan's limits")
+    return shares
+
+
+def check_between(motion, positions, rotations, times_s, cycle_s):
+    """The tool keeps the plan's limits from cycle to cycle, and goes the way of the spline through the plan's positions."""
+    lsb = motion.plan.lsb[0]
+    shares = check_limits("skill.script", motion, positions, rotations, cycle_s, motion.speed)
     way = spline(motion.plan.positions, motion.period_s, times_s)
     off_nm = 1e9 * numpy.linalg.norm(positions - way, axis=1).max()
     if not off_nm <= 1e9 * lsb:
@@ -169,10 +217,19 @@ def check_between(motion, positions, rotations, times_s, cycle_s):
 
 
 def check_refusals(program, made_as):
-    """An arm that is another, or does not come to the start, is not given the motion."""
-    for arm, moves in ((urscript.Arm(made_as, size=1.05), 0), (urscript.Arm(made_as, misses_by=0.01), 1)):
+    """An arm that is another, or stands elsewhere, or does not come to the start, is not given the motion. Joints where it begins."""
+    away = urscript.Arm(made_as, [0.3] * 6)
+    same("skill.script: halts far away", program.run(away), False)
+    number, text = away.messages[-1]
+    begin = [math.radians(float(angle)) for angle in text.split("in degrees: ")[1].split(",")]
+    near = [angle + 0.03 for angle in begin]
+    other, missing = urscript.Arm(made_as, near, size=1.05), urscript.Arm(made_as, near, misses_by=0.01)
+    for arm in (other, missing):
         same("skill.script: halts", program.run(arm), False)
-        same("skill.script: moves when it halts", (len(arm.moves), len(arm.setpoints)), (moves, 0))
+    for arm in (away, other):
+        same("skill.script: moves when it halts", (arm.moves, arm.setpoints), ([], []))
+    same("skill.script: plays when it halts", [text for _, text in missing.messages if "plays" in text], [])
+    return near
 
 
 def check_columns(what, table, motion):
@@ -347,10 +404,11 @@ def spoil_line(path, number, change):
     path.write_text("".join(lines))
 
 
-def tick_line(path, tick):
-    """Number of the line that holds a tick."""
+def tick_line(path, tick, after="plays the motion"):
+    """Number of the line that holds a tick of a part."""
     lines = path.read_text().splitlines()
-    return [number for number, line in enumerate(lines) if line.startswith("  powderline_tick(")][tick]
+    begins = next(number for number, line in enumerate(lines) if after in line)
+    return [number for number, line in enumerate(lines) if number > begins and line.startswith("  powderline_tick(")][tick]
 
 
 def shifted(line, by):
@@ -435,6 +493,11 @@ def spoilings(motion, rows):
         ("the setpoint", script, lambda p: spoil_text(p, "servoj(powderline_q + s", "servoj(1.001 * powderline_q + s")),
         ("the start", script, lambda p: spoil_text(p, "powderline_q = [", "powderline_q = [0.1 + ")),
         ("the look at the start", script, lambda p: spoil_text(p, "halt", "textmsg(1)", after="not at the start")),
+        ("the look where it stands", script, lambda p: spoil_text(p, "halt", "textmsg(1)", after="in degrees")),
+        ("the way down", script, lambda p: spoil_line(p, tick_line(p, 5, "slowly to"), lambda line: shifted(line, 1e-4))),
+        ("the way back", script, lambda p: spoil_line(p, tick_line(p, 5, "back to"), lambda line: shifted(line, 1e-4))),
+        ("the end of the way back", script, lambda p: spoil_line(p, tick_line(p, -1, "back to"), lambda line: shifted(line, 1e-6))),
+        ("the tool centre point", script, lambda p: spoil_text(p, "set_tcp(p[", "set_tcp(p[0.01 + ")),
         ("the look at the arm", script, lambda p: spoil_text(p, "halt", "textmsg(1)", after="the motion is not played")),
         ("a bracket", script, lambda p: spoil_text(p, "])", "]", after="  powderline_tick([")),
         ("the way to the start", script, lambda p: spoil_text(p, "v=0.2", "v=2.0")),
@@ -477,12 +540,14 @@ def main():
     parser.add_argument("--arm", choices=ur.ARMS)
     parser.add_argument("--base", type=six)
     parser.add_argument("--tool", type=six)
+    parser.add_argument("--speed", type=float, default=1.0)
+    parser.add_argument("--payload", type=float)
     parser.add_argument("plan", type=pathlib.Path)
     parser.add_argument("made", type=pathlib.Path)
     words = parser.parse_args()
     plan = plans.read(words.plan)
     given = words.arm and ur.Arm(words.arm, ur.placed(*words.base), ur.placed(*words.tool))
-    motion = Motion(plan, given or plan.arm)
+    motion = Motion(plan, given or plan.arm, words.speed, words.payload)
     failures = []
     for name, check in checks_of(motion).items():
         try:

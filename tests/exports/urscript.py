@@ -266,6 +266,7 @@ class Arm:
     def __init__(self, made_as, joints=(0.1, -1.2, 1.4, -0.3, 1.2, 0.2), misses_by=0.0, size=1.0):
         self.made_as, self.joints, self.misses_by, self.size = made_as, list(joints), misses_by, size
         self.time_s, self.setpoints, self.moves, self.messages, self.stops = 0.0, [], [], [], []
+        self.tcp, self.payload = None, None
 
     def check(self, q):
         if not numbers(q) or len(q) != 6 or not all(math.isfinite(x) and abs(x) <= 2 * math.pi for x in q):
@@ -284,7 +285,7 @@ class Arm:
         if not 0.03 <= lookahead_time <= 0.2 or not 100 <= gain <= 2000 or t <= 0:
             raise ScriptError(f"servoj with t={t}, lookahead_time={lookahead_time}, gain={gain}")
         self.setpoints.append((t, list(q)))
-        self.joints = list(q)
+        self.joints = [x + self.misses_by for x in q]
         self.time_s += t
 
     def stopj(self, a):
@@ -294,7 +295,18 @@ class Arm:
         self.time_s += 0.1
 
     def textmsg(self, text, value=""):
-        self.messages.append(f"{text}{value}")
+        # And after how many setpoints.
+        self.messages.append((len(self.setpoints), f"{text}{value}"))
+
+    def set_tcp(self, pose):
+        if not numbers(pose) or len(pose) != 6:
+            raise ScriptError(f"{pose!r} is no tool")
+        self.tcp = pose
+
+    def set_payload(self, mass, centre):
+        if not (number(mass) and 0 <= mass <= 50 and numbers(centre) and len(centre) == 3):
+            raise ScriptError(f"{mass!r} kg at {centre!r} is no payload")
+        self.payload = (mass, centre)
 
     def get_actual_joint_positions(self):
         return list(self.joints)
@@ -309,7 +321,9 @@ class Arm:
         return abs(value) if number(value) else math.sqrt(sum(x * x for x in value))
 
 
-BUILT_IN = {"movej", "servoj", "stopj", "textmsg", "get_actual_joint_positions", "get_forward_kin", "norm"}
+BUILT_IN = {
+    "movej", "servoj", "stopj", "textmsg", "set_tcp", "set_payload", "get_actual_joint_positions", "get_forward_kin", "norm"
+}
 
 
 class Program:

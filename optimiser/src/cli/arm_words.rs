@@ -49,16 +49,21 @@ struct ClearanceUse {
     time_s: f64,
 }
 
-impl From<&ArmMotion> for ArmUse {
-    fn from(arm: &ArmMotion) -> Self {
-        let Figures { fastest_joint, speed_rad_s, singular_joint, margin, limit_use, clearances, .. } =
-            &arm.figures;
-        let clearance = |clearance: &Clearance| ClearanceUse {
+impl From<&Clearance> for ClearanceUse {
+    fn from(clearance: &Clearance) -> Self {
+        Self {
             link: clearance.link.name(),
             obstacle: clearance.obstacle.to_string(),
             distance_m: clearance.distance_m,
             time_s: clearance.time_s,
-        };
+        }
+    }
+}
+
+impl From<&ArmMotion> for ArmUse {
+    fn from(arm: &ArmMotion) -> Self {
+        let Figures { fastest_joint, speed_rad_s, singular_joint, margin, limit_use, clearances, .. } =
+            &arm.figures;
         Self {
             arm: table::Arm::from(&Mounting::from(&arm.model)),
             fastest_joint: *fastest_joint,
@@ -66,7 +71,7 @@ impl From<&ArmMotion> for ArmUse {
             singular_joint: *singular_joint,
             singularity_margin: *margin,
             limit_use: *limit_use,
-            clearances: clearances.iter().map(clearance).collect(),
+            clearances: clearances.iter().map(ClearanceUse::from).collect(),
         }
     }
 }

@@ -12,7 +12,7 @@ use super::{
 };
 use crate::report::{
     amounts::{Amounts, percent},
-    words::{grouped, hex, reaching},
+    words::{grouped, hex},
 };
 use powderline_shared::plan::Precision;
 use powderline_simulator::arm::Ability;
@@ -160,8 +160,8 @@ impl CheckReport {
                 .collect(),
             arm: middle.map(ArmUse::from),
             arm_words: middle.map(|arm| {
-                let how = reaching(arm.model.kind, arm.model.posture);
-                format!("{how}, in the middle of all ranges. {}", clearance_words(&arm.figures))
+                let (kind, posture) = (arm.model.kind.label(), arm.model.posture);
+                format!("{kind} {posture}, in the middle of all ranges. {}", clearance_words(&arm.figures))
             }),
             remarks: remarks(scene, ability.as_ref()),
         }

@@ -1,6 +1,7 @@
 //! `optimise export`: the motion of a plan for robots and other programs, and the powder for those who ask for it.
 
 mod destination;
+mod program;
 
 use super::{
     CliError, Context, PrecisionArg, Resources,
@@ -10,7 +11,6 @@ use super::{
     motion::{MotionArgs, Task, scene_of_plan},
     run::safe_name,
 };
-use crate::report::words::reaching;
 use clap::{Args, ValueEnum, builder::PossibleValuesParser, builder::TypedValueParser};
 use destination::{Destination, STDOUT};
 use powderline_shared::{
@@ -20,7 +20,7 @@ use powderline_shared::{
     pose::Pose,
 };
 use powderline_simulator::{
-    arm::{self, ArmMotion, CYCLE_US, Figures, Mount, Surroundings},
+    arm::{self, ArmMotion, Around, CYCLE_US, Figures, Mount, Surroundings, Transit},
     scene::Scene,
 };
 use powderline_view::{
@@ -28,6 +28,7 @@ use powderline_view::{
     export::{Format, Series},
     motion::{Motion, mcap, table, urscript},
 };
+use program::{Program, TransitUse};
 use serde::Serialize;
 use std::{
     io::{self, Write},
@@ -42,7 +43,7 @@ const DEFAULT_EVERY: u32 = 2;
 
 const FORMATS: &str = "\
 A motion (nothing is simulated; one file, beside the plan unless --out says where):
-  urscript  program for a UR e-Series controller; needs an arm
+  urscript  program for a UR e-Series controller, PolyScope 5.9 or later, with the ways to the start and back; needs an arm
   csv       table, a row for each tick of the plan: time_s; x_m y_m z_m qw qx qy qz, the tool in the world;
             vx_m_s vy_m_s vz_m_s wx_rad_s wy_rad_s wz_rad_s, its velocities along the world's axes;
             with an arm joint1_rad .. joint6_rad and joint1_rad_s .. joint6_rad_s
@@ -112,6 +113,13 @@ pub(super) struct ArmArgs {
     /// Setpoints a second of a URScript program; a whole part of 500 [default: 500, the e-Series' own]
     #[arg(long, value_name = "HZ", value_parser = parse_rate)]
     pub rate: Option<u32>,
+    /// Joints at which the arm is before a URScript program and after it, degrees [default: above the start]
+    #[arg(long, value_name = "J1,..,J6", allow_hyphen_values = true, value_parser = parse_joints)]
+    pub home: Option<[f64; 6]>,
+    /// Share of full speed at which a URScript program goes, 0.01 to 1: the same path, to look whether it is free before
+    /// there is powder [default: 1]
+    #[arg(long, value_name = "SHARE", value_parser = parse_speed)]
+    pub speed: Option<f64>,
 }
 
 /// Arguments about the powder.
@@ -204,6 +212,9 @@ impl ExportArgs {
             () if *format != Urscript && arm.rate.is_some() => {
                 format!("--rate goes with urscript, but {name} has the ticks of the plan")
             }
+            () if *format != Urscript && (arm.home.is_some() || arm.speed.is_some()) => {
+                format!("--home and --speed go with urscript, but {name} has the motion alone, at the plan's speed")
+            }
             () if !is_series && (powder.theta.is_some() || powder.executed.is_some()) => {
                 "--theta and --executed go with files of powder (vtk, ply, csv with --particles); a motion is that of a plan"
                     .into()
@@ -262,7 +273,14 @@ impl ExportArgs {
         if self.json {
             let powder = Some(Frames::from(&bench));
             let name = self.format.name();
-            return context.json(&Exported { path: &folder, format: name, motion: None, powder, arm: None });
+            return context.json(&Exported {
+                path: &folder,
+                format: name,
+                motion: None,
+                powder,
+                arm: None,
+                transit: None,
+            });
         }
         writeln!(
             context.out,
@@ -277,7 +295,7 @@ impl ExportArgs {
 
     fn write_motion(&self, context: &mut Context<'_>) -> Result<(), CliError> {
         let plan = self.plan().unwrap_or(Path::new(""));
-        let motion = self.motion(plan)?;
+        let (motion, program) = self.motion(plan)?;
         let task = (self.powder.particles || self.powder.scene.is_some()).then(|| self.task()).transpose()?;
         let usual = || plan.with_extension(self.format.ending());
         let destination = Destination::new(self.out.clone().unwrap_or_else(usual), self.force)?;
@@ -288,7 +306,7 @@ impl ExportArgs {
                 Some(Frames::from(&film.bench()))
             }
             None => {
-                destination.write(context.out, |out| self.write_to(out, &motion))?;
+                destination.write(context.out, |out| self.write_to(out, &motion, program.as_ref()))?;
                 None
             }
         };
@@ -296,19 +314,21 @@ impl ExportArgs {
             let arm = motion.arm.as_ref().map(ArmUse::from);
             let (path, format) = (destination.path(), self.format.name());
             let motion = Some(Ticks::from(&motion));
-            return context.json(&Exported { path, format, motion, powder, arm });
+            let transit = program.as_ref().map(TransitUse::from);
+            return context.json(&Exported { path, format, motion, powder, arm, transit });
         }
         let written = powder.map_or(String::new(), |Frames { frames, particles, .. }| {
             format!(", with {frames} frames of {particles} particles")
         });
-        let text = format!("{destination}: {}{written}.\n{}", ticks(&motion), self.text(&motion));
+        let around = program.as_ref().map_or(String::new(), Program::text);
+        let text = format!("{destination}: {}{written}.\n{}{around}", ticks(&motion), self.text(&motion));
         let words = if destination.is_stdout() { &mut *context.err } else { &mut *context.out };
         words.write_all(text.as_bytes())?;
         Ok(())
     }
 
-    /// The motion of the plan, and of the arm where there is one.
-    fn motion(&self, path: &Path) -> Result<Motion, CliError> {
+    /// The motion of the plan, and of the arm where there is one; and what a program makes around it, if it is one.
+    fn motion(&self, path: &Path) -> Result<(Motion, Option<Program>), CliError> {
         let wrong = |why: String| CliError::Input(format!("{} {why}", path.display()));
         let bytes = read_plan(path)?;
         let plan = PlanReader::new(&bytes).map_err(|error| wrong(format!("is no usable plan: {error}")))?;
@@ -322,18 +342,26 @@ impl ExportArgs {
                 urscript::MAX_TICKS
             )));
         }
-        motion.arm = self.arm_motion(path, &plan, &motion)?;
-        Ok(motion)
+        let Some(setting) = self.setting(path, plan.header())? else { return Ok((motion, None)) };
+        let Setting { mount, surroundings, .. } = &setting;
+        let arm =
+            ArmMotion::new(&motion.path, mount, surroundings, self.arm.cycle_us()).map_err(|refusal| {
+                let how = if self.arm.arm.is_some() {
+                    "; --base, --tool, --near, --rate say otherwise"
+                } else {
+                    ""
+                };
+                wrong(format!("is no motion for this arm: {refusal}{how}"))
+            })?;
+        let program =
+            (self.format == FormatArg::Urscript).then(|| self.program(path, &motion, &arm, &setting));
+        let program = program.transpose()?;
+        motion.arm = Some(arm);
+        Ok((motion, program))
     }
 
-    /// The motion of the arm that is asked for, or else of the plan's own.
-    fn arm_motion(
-        &self,
-        path: &Path,
-        plan: &PlanReader<'_>,
-        motion: &Motion,
-    ) -> Result<Option<ArmMotion>, CliError> {
-        let header = plan.header();
+    /// The arm that is asked for, or else the plan's own, and what is around it.
+    fn setting(&self, path: &Path, header: &PlanHeader) -> Result<Option<Setting>, CliError> {
         let scene = match &self.powder.scene {
             Some(_) => Some(self.task()?.scene),
             None => scene_of_plan(path, header),
@@ -348,12 +376,30 @@ impl ExportArgs {
                 None => Ok(None),
             };
         };
-        let around = self.arm.surroundings(scene.as_ref());
-        let made = ArmMotion::new(&motion.path, &mount, &around, self.arm.cycle_us());
-        made.map(Some).map_err(|refusal| {
-            let how =
-                if self.arm.arm.is_some() { "; --base, --tool, --near, --rate say otherwise" } else { "" };
-            CliError::Input(format!("{} is no motion for this arm: {refusal}{how}", path.display()))
+        let surroundings = self.arm.surroundings(scene.as_ref());
+        Ok(Some(Setting { mount, surroundings, scene }))
+    }
+
+    /// What a program makes around the motion.
+    fn program(
+        &self,
+        path: &Path,
+        motion: &Motion,
+        arm: &ArmMotion,
+        setting: &Setting,
+    ) -> Result<Program, CliError> {
+        let Setting { mount, surroundings, scene } = setting;
+        let scene = scene.as_ref();
+        let home = self.arm.home.map(|joints| joints.map(f64::to_radians));
+        let around = Around { mount, surroundings, scene, home, cycle_us: self.arm.cycle_us() };
+        let transit = Transit::new(&motion.path, arm, &around)
+            .map_err(|error| CliError::Input(format!("{} gets no program: {error}", path.display())))?;
+        let payload_kg = scene.and_then(|scene| scene.arm.as_ref()?.payload_kg);
+        Ok(Program {
+            transit,
+            payload_kg,
+            speed: self.arm.speed.unwrap_or(1.0),
+            knows_scene: scene.is_some(),
         })
     }
 
@@ -361,6 +407,7 @@ impl ExportArgs {
     fn needs_arm(&self) -> Option<&'static str> {
         let ArmArgs { near, table, rate, .. } = self.arm;
         match () {
+            // And with it --home and --speed.
             () if self.format == FormatArg::Urscript => Some("--format urscript"),
             () if near.is_some() => Some("--near"),
             () if table.is_some() => Some("--table"),
@@ -369,11 +416,14 @@ impl ExportArgs {
         }
     }
 
-    fn write_to(&self, out: &mut dyn Write, motion: &Motion) -> io::Result<()> {
-        match (self.format, &motion.arm) {
-            (FormatArg::Urscript, Some(arm)) => urscript::write(out, motion, arm, self.arm.cycle_us()),
-            (FormatArg::Json, _) => table::write_json(out, motion),
-            (FormatArg::Mcap, _) => mcap::write(out, motion),
+    fn write_to(&self, out: &mut dyn Write, motion: &Motion, program: Option<&Program>) -> io::Result<()> {
+        match (self.format, &motion.arm, program) {
+            (_, Some(arm), Some(Program { transit, payload_kg, speed, .. })) => {
+                let (cycle_us, speed, payload_kg) = (self.arm.cycle_us(), *speed, *payload_kg);
+                urscript::Program { motion, arm, transit, cycle_us, speed, payload_kg }.write(out)
+            }
+            (FormatArg::Json, ..) => table::write_json(out, motion),
+            (FormatArg::Mcap, ..) => mcap::write(out, motion),
             _ => table::write_csv(out, motion),
         }
     }
@@ -393,12 +443,13 @@ impl ExportArgs {
             angular_jerk,
         } = *limit_use;
         format!(
-            "The {}. {}\n\
+            "The {} {}. {}\n\
              Joint {fastest_joint} comes nearest to its speed, {speed_rad_s:.2} rad/s \
              ({share:.0} %); joint {singular_joint} nearest to a singularity, {margin:.2} (1 is best, {:.2} the least).\n\
              Looked at every {} ms it uses, of the plan's limits: linear velocity {}, acceleration {}, jerk {}; angular \
              velocity {}, acceleration {}, jerk {}.\n",
-            reaching(model.kind, model.posture),
+            model.kind.label(),
+            model.posture,
             clearance_words(figures),
             model.singularity_margin,
             f64::from(self.arm.cycle_us()) / 1e3,
@@ -412,6 +463,13 @@ impl ExportArgs {
     }
 }
 
+/// An arm, and what is around it as far as it is known.
+struct Setting {
+    mount: Mount,
+    surroundings: Surroundings,
+    scene: Option<Scene>,
+}
+
 /// What was written, as JSON.
 #[derive(Debug, Serialize)]
 struct Exported<'a> {
@@ -420,6 +478,7 @@ struct Exported<'a> {
     motion: Option<Ticks>,
     powder: Option<Frames>,
     arm: Option<ArmUse>,
+    transit: Option<TransitUse>,
 }
 
 /// A motion's length.
@@ -527,6 +586,12 @@ fn kinds() -> impl TypedValueParser<Value = ArmKind> {
 
 fn parse_joints(text: &str) -> Result<Joints, String> {
     parse_numbers(text, "degrees, from the base to the flange")
+}
+
+fn parse_speed(text: &str) -> Result<f64, String> {
+    let least = urscript::LEAST_SPEED;
+    let share = text.parse().ok().filter(|share| (least..=1.0).contains(share));
+    share.ok_or(format!("a share of full speed from {least} to 1 would be right, such as 0.1"))
 }
 
 fn parse_height(text: &str) -> Result<f64, String> {

@@ -3,7 +3,7 @@
 use super::{
     amounts::percent,
     finding::{Finding, Outcome},
-    words::{count, parameter, reaching},
+    words::{count, parameter},
 };
 use powderline_shared::plan::SKILL_PARAMETERS;
 use std::fmt::Write;
@@ -41,7 +41,7 @@ impl Finding {
     /// The sentences after the headline: where the rest is, which epoch it is and why, how the arm reaches, and which could not be.
     pub fn sentences(&self) -> Vec<String> {
         let rest = self.plan.map(|plan| self.amounts.rest(&plan.census));
-        let arm = self.arm.map(|arm| format!("The {}.", reaching(arm.kind, arm.posture)));
+        let arm = self.arm.map(|arm| format!("The {} {}.", arm.kind.label(), arm.posture));
         let ends = rest.into_iter().chain([self.choice()]).chain(self.end()).chain(arm);
         ends.chain(self.restart_words()).chain(self.passed_over_words()).collect()
     }

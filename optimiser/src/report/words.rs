@@ -1,7 +1,5 @@
 //! Numbers in words.
 
-use powderline_shared::arm::ArmKind;
-use powderline_shared::arm::inverse::Posture;
 use powderline_shared::plan::{Precision, SKILL_PARAMETERS};
 pub(crate) use powderline_simulator::scene::figures::{count, grouped};
 
@@ -29,14 +27,6 @@ pub(crate) fn parameter(index: usize, value: f64) -> String {
         "rad" => format!("{:.1} deg", value.to_degrees()),
         _ => format!("{:.1} mm", 1e3 * value),
     }
-}
-
-/// How an arm reaches, such as `UR5e reaches forward, elbow up, wrist 2 at a positive angle`.
-pub(crate) fn reaching(kind: ArmKind, posture: Posture) -> String {
-    let reach = if posture.reaches_forward { "forward" } else { "backward over its base" };
-    let elbow = if posture.elbow_is_up() { "up" } else { "down" };
-    let wrist = if posture.wrist_positive { "positive" } else { "negative" };
-    format!("{} reaches {reach}, elbow {elbow}, wrist 2 at a {wrist} angle", kind.label())
 }
 
 /// Bytes as hexadecimal digits.

@@ -12,6 +12,8 @@
 
 use core::f64::consts::TAU;
 
+use core::fmt;
+
 use super::kind::{ArmFigures, ArmKind};
 use super::links::{Joints, signed_margins};
 use crate::pose::Pose;
@@ -59,6 +61,16 @@ impl Posture {
     pub fn of(kind: ArmKind, joints: &Joints) -> Self {
         let [shoulder, elbow, wrist] = signed_margins(kind, joints);
         Self { reaches_forward: shoulder < 0.0, elbow_positive: elbow > 0.0, wrist_positive: wrist > 0.0 }
+    }
+}
+
+/// As people say it: `reaches forward, elbow up, wrist 2 at a positive angle`.
+impl fmt::Display for Posture {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let reach = if self.reaches_forward { "forward" } else { "backward over its base" };
+        let elbow = if self.elbow_is_up() { "up" } else { "down" };
+        let wrist = if self.wrist_positive { "positive" } else { "negative" };
+        write!(f, "reaches {reach}, elbow {elbow}, wrist 2 at a {wrist} angle")
     }
 }
 

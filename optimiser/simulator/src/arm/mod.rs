@@ -8,6 +8,7 @@
 //! | what is around it | [`Surroundings`] |
 //! | its joints, or why there are none | [`ArmMotion`], [`Refusal`] |
 //! | the path between two ticks | [`spline`] |
+//! | the ways to a motion's start and back | [`Transit`] |
 //!
 //! Links are capsules about the lines between the joints' axes. What joins flange and handle is the user's own and not looked at;
 //! handle and tool are, by [`crate::skill::collision`].
@@ -16,10 +17,12 @@ mod motion;
 mod path;
 pub mod spline;
 mod surroundings;
+mod transit;
 
 pub use motion::{ArmMotion, Clearance, Figures, Mount, Refusal, cycles_us};
 pub use path::ToolPath;
 pub use surroundings::Surroundings;
+pub use transit::{Around, Transit, TransitError};
 
 use crate::scene::{Arm, Scene};
 use crate::skill::{QuantisedControls, SkillMap, Theta};

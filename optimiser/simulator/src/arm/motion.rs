@@ -240,6 +240,15 @@ impl ArmMotion {
         }
     }
 
+    /// The same way back.
+    pub(super) fn reversed(mut self) -> Self {
+        self.joints.reverse();
+        self.speeds.reverse();
+        // Taking it from zero takes the sign from a zero that has one.
+        self.speeds.iter_mut().for_each(|speeds| *speeds = speeds.map(|speed| 0.0 - speed));
+        self
+    }
+
     /// Joints so many microseconds after the beginning, radians.
     #[must_use]
     pub fn joints_at(&self, path: &ToolPath, time_us: u64) -> Joints {
@@ -344,6 +353,20 @@ fn widened(limits: &Limits, lsb: Lsb) -> Limits {
         workspace_max_m: limits.workspace_max_m.map(|side| side + off_m),
         ..*limits
     }
+}
+
+/// What a link comes nearest to where the joints are so, at a time that is given to it.
+pub(super) fn line_clearance(
+    model: &ArmModel,
+    joints: &Joints,
+    around: &Surroundings,
+    time_s: f64,
+) -> Clearance {
+    let mut figures = Figures::new();
+    let time_us = (1e6 * time_s) as u64;
+    // Nothing is refused where nothing is kept.
+    let _ = figures.keep_clear(model, joints, time_us, &Kept { around, least_m: None });
+    figures.nearest().clone()
 }
 
 /// Moments at which a controller is given joints, microseconds: each cycle, up to the first at which the motion is over.

@@ -71,6 +71,23 @@ impl Surroundings {
         Self { pieces }
     }
 
+    /// The same with gates that stay where they are so long after the motion's start.
+    #[must_use]
+    pub fn standing(&self, time_s: f64) -> Self {
+        let stand = |piece: &Piece| {
+            let moved_m = piece.displacement_m(time_s)?;
+            let position_m = std::array::from_fn(|axis| piece.position_m[axis] + moved_m[axis]);
+            Some(Piece { position_m, gate: None, ..piece.clone() })
+        };
+        Self { pieces: self.pieces.iter().filter_map(stand).collect() }
+    }
+
+    /// Table and stand alone.
+    pub(super) fn ground(&self) -> Self {
+        let is_ground = |piece: &&Piece| matches!(piece.obstacle, Obstacle::Table | Obstacle::Stand);
+        Self { pieces: self.pieces.iter().filter(is_ground).cloned().collect() }
+    }
+
     /// What a capsule comes nearest to, if that is nearer than `known_m`, so long after the motion's start. `axis` holds its ends.
     pub(super) fn nearest(
         &self,
@@ -96,12 +113,14 @@ impl Piece {
         Self { obstacle, shape, position_m, turn: turned(0.0), gate: None }
     }
 
+    /// How far it is from its place; none if it is gone.
+    fn displacement_m(&self, time_s: f64) -> Option<[f64; 3]> {
+        self.gate.as_ref().map_or(Some([0.0; 3]), |gate| gate.displacement_m(time_s))
+    }
+
     /// From the capsule to the piece, or `known_m` where it is not nearer than that.
     fn distance_m(&self, axis: [Vector3<f64>; 2], radius_m: f64, time_s: f64, known_m: f64) -> f64 {
-        let Some(away_m) = self.gate.as_ref().map_or(Some([0.0; 3]), |gate| gate.displacement_m(time_s))
-        else {
-            return known_m;
-        };
+        let Some(away_m) = self.displacement_m(time_s) else { return known_m };
         let origin_m: Vector3<f64> = Vector3::from(self.position_m) + Vector3::from(away_m);
         let along = |share: f64| {
             let own_m: [f64; 3] = (axis[0] + (axis[1] - axis[0]) * share - origin_m).into();

@@ -30,6 +30,20 @@ pub struct Arm {
     /// controller keeps what it has been told if the file does not say.
     #[serde(default)]
     pub payload_kg: Option<f64>,
+    /// Above what a program for the arm turns the tool back after the motion; the target if the file does not say.
+    #[serde(default)]
+    pub turn_back_above: Option<TurnBack>,
+}
+
+/// Where the tool, with what is left on it, is turned back after the motion.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum TurnBack {
+    /// Where the motion ends: what still falls, falls there.
+    #[default]
+    Target,
+    /// Where the motion begins.
+    Source,
 }
 
 /// One of the eight ways to reach a pose.

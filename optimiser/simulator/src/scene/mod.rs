@@ -61,7 +61,7 @@ mod validate;
 use serde::{Deserialize, Serialize};
 
 pub use amount::{Amount, DEFAULT_TOLERANCE, Quantity};
-pub use arm::{Arm, Elbow, PostureChoice, Shoulder, Wrist};
+pub use arm::{Arm, Elbow, PostureChoice, Shoulder, TurnBack, Wrist};
 pub use canonical::{DIGEST_VERSION, Digest};
 pub use capacity::Capacity;
 pub use closest_match::closest_match;

@@ -32,10 +32,30 @@ pub struct Collision {
 /// Between two samples no point of the tool moves as far, seen from any wall, as the thinnest wall or tool part is thick (no
 /// tunnelling), whatever the control period.
 pub fn collision(scene: &Scene, start: &Pose, controls: &[Displacement]) -> Option<Collision> {
+    collision_by(scene, start, controls, |steps| steps * scene.time.control_period_s())
+}
+
+/// The same with all gates where they are so long after the motion's start.
+pub(crate) fn standing_collision(
+    scene: &Scene,
+    start: &Pose,
+    controls: &[Displacement],
+    time_s: f64,
+) -> Option<Collision> {
+    collision_by(scene, start, controls, |_| time_s)
+}
+
+/// `clock` says when, in seconds from the start of the motion, so many control steps are done.
+fn collision_by(
+    scene: &Scene,
+    start: &Pose,
+    controls: &[Displacement],
+    clock: impl Fn(f64) -> f64,
+) -> Option<Collision> {
     let (solids, stride_m) = (scene.solids(), stride_m(scene));
     let (mut pose, mut unseen_m) = (*start, 0.0);
     for (step, control) in controls.iter().enumerate() {
-        let at_s = |part: f64| (step as f64 + part) * scene.time.control_period_s();
+        let at_s = |part: f64| clock(step as f64 + part);
         let travel_m = travel_m(scene, control) + gates_travel_m(&scene.gates, [at_s(0.0), at_s(1.0)]);
         // A step that is long is looked at on the way, short ones at the end of a stride.
         let strides = (unseen_m + travel_m) / stride_m;

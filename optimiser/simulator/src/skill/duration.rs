@@ -27,7 +27,7 @@
 //! With `constant_speed` only D/v counts; its accelerations are jumps, which no duration brings within a limit.
 
 use super::{profile::MINIMUM_JERK, real::SkillScalar};
-use crate::scene::Profile;
+use crate::scene::{Limits, Profile};
 
 /// Limits that a segment's durations are made for: of translation (metres) or of rotation (radians).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -35,6 +35,26 @@ pub(super) struct Caps {
     pub(super) velocity: f64,
     pub(super) acceleration: f64,
     pub(super) jerk: f64,
+}
+
+impl Caps {
+    /// A share of an arm's limits of translation.
+    pub(super) fn linear(limits: &Limits, share: f64) -> Self {
+        Self {
+            velocity: share * limits.linear_velocity_m_s,
+            acceleration: share * limits.linear_acceleration_m_s2,
+            jerk: share * limits.linear_jerk_m_s3,
+        }
+    }
+
+    /// A share of an arm's limits of rotation.
+    pub(super) fn angular(limits: &Limits, share: f64) -> Self {
+        Self {
+            velocity: share * limits.angular_velocity_rad_s,
+            acceleration: share * limits.angular_acceleration_rad_s2,
+            jerk: share * limits.angular_jerk_rad_s3,
+        }
+    }
 }
 
 /// What a duration depends on besides the travel.
@@ -95,6 +115,19 @@ pub(super) fn rounded_steps<S: SkillScalar>(profile: Profile, legs: &[Leg<S>], p
         Profile::MinimumJerk => libm::ceil(longest(&mut legs.iter().flat_map(Leg::by_limits)) / period_s),
     };
     by_speed.max(by_limits).max(1.0) as u64
+}
+
+/// Control steps of a way (metres) and a turn (radians) that are made at the same time in minimum jerk, within a share of the limits.
+pub(crate) fn rest_to_rest_steps(
+    way_m: f64,
+    turn_rad: f64,
+    limits: &Limits,
+    share: f64,
+    period_s: f64,
+) -> u64 {
+    let leg = |travel, caps| Leg { travel, pace: Pace { speed: f64::INFINITY, caps, floor: 0.0 } };
+    let legs = [leg(way_m, Caps::linear(limits, share)), leg(turn_rad, Caps::angular(limits, share))];
+    rounded_steps(Profile::MinimumJerk, &legs, period_s)
 }
 
 /// The norm of order 16 of at most eight terms: an upper bound of their largest magnitude, smooth in each of them

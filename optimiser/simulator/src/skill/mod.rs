@@ -19,8 +19,11 @@ mod real;
 #[cfg(test)]
 mod tests;
 
+pub(crate) use clearance::standing_collision;
 pub use clearance::{Collision, Impassable, check_passable, colliding_skill, collision};
+pub(crate) use duration::rest_to_rest_steps;
 pub use motion::SegmentKind;
+pub(crate) use profile::minimum_jerk_position;
 pub use quantised::{LSB, QuantisedControls, controls_of};
 use real::{Dual5, SkillScalar};
 
@@ -291,22 +294,8 @@ fn clock(skill: &Skill, time: &Time, limits: &Limits) -> TimeParametrisation {
     let period_s = f64::from(time.control_period_us) * 1e-6;
     let pace = |speed, caps| Pace { speed, caps, floor: speed * period_s };
     TimeParametrisation {
-        linear: pace(
-            skill.linear_speed_m_s,
-            Caps {
-                velocity: limits.linear_velocity_m_s,
-                acceleration: limits.linear_acceleration_m_s2,
-                jerk: limits.linear_jerk_m_s3,
-            },
-        ),
-        angular: pace(
-            skill.angular_speed_rad_s,
-            Caps {
-                velocity: limits.angular_velocity_rad_s,
-                acceleration: limits.angular_acceleration_rad_s2,
-                jerk: limits.angular_jerk_rad_s3,
-            },
-        ),
+        linear: pace(skill.linear_speed_m_s, Caps::linear(limits, 1.0)),
+        angular: pace(skill.angular_speed_rad_s, Caps::angular(limits, 1.0)),
         timing: skill.timing,
         profile: skill.profile,
         period_s,

@@ -35,6 +35,11 @@ pub(super) fn position<S: SkillScalar>(profile: Profile, r: S) -> S {
     }
 }
 
+/// Normalised position of minimum jerk.
+pub(crate) fn minimum_jerk_position(r: f64) -> f64 {
+    position(Profile::MinimumJerk, r)
+}
+
 /// Evaluated from the nearer end, so that the approach to 1 is as smooth in floating point as the start at 0.
 fn minimum_jerk<S: SkillScalar>(r: S) -> S {
     let one = S::constant(1.0);

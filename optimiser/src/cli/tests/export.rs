@@ -96,9 +96,53 @@ fn a_plan_brings_its_own_arm() {
     assert_eq!(header(&[]), header(&ARM));
     let moved = header(&["--arm", "ur5e", "--base", "0.6,0.2,0,0,0,0", "--tool", "0,0,0.1,20,0,0"]);
     assert!(
-        header(&[]).contains("p[0.6, 0.25, 0, 0, 0, 0]") && moved.contains("p[0.6, 0.2, 0, 0, 0, 0]"),
+        header(&[]).contains("p[0.6, 0.25, 0.0, 0.0, 0.0, 0.0]")
+            && moved.contains("p[0.6, 0.2, 0.0, 0.0, 0.0, 0.0]"),
         "{moved}"
     );
+}
+
+#[test]
+fn a_program_begins_at_a_home_that_it_can_leave() {
+    let place = Place::new();
+    let plan = format!("{}/skill.plan", place.finished("run", 1));
+    let program = |more: &[&str]| export(&plan, "urscript", &[more, &["--force"]].concat());
+    let said = program(&["--home=-20,-80,100,-45,100,0", "--speed", "0.1"]);
+    assert_eq!(said.code, 0, "{}", said.err);
+    assert!(
+        said.out.contains("The program begins and ends at its home, goes across with the tool "),
+        "{}",
+        said.out
+    );
+    assert!(
+        said.out.contains(" mm high and turns it back above the target; on these ways its "),
+        "{}",
+        said.out
+    );
+    assert!(said.out.contains("It goes at 10 % of full speed; powder behaves"), "{}", said.out);
+    let said: Value = serde_json::from_str(&program(&["--json"]).out).unwrap();
+    let transit = &said["transit"];
+    assert_eq!((&transit["speed"], &transit["turn_back_above"]), (&1.0.into(), &"target".into()));
+    assert!(transit["distance_m"].as_f64().unwrap() > 0.02, "{transit}");
+
+    let low = program(&["--home", "0,0,0,0,0,0"]);
+    assert_sentence(
+        &low,
+        2,
+        "skill.plan gets no program: on the straight way of all joints from --home to above the start the ",
+    );
+    assert_sentence(&low, 2, "another --home would be right");
+    let far = program(&["--home", "0,400,0,0,0,0"]);
+    assert_sentence(
+        &far,
+        2,
+        "joint 2 of --home is 400.0 degrees, and turns 360.0 to either side at the most",
+    );
+
+    // Nobody knows what is there where no scene is known.
+    let (_place, plan) = with_plan();
+    let alone = export(&plan, "urscript", &[]);
+    assert!(alone.out.contains("Without the plan's scene nobody has looked"), "{}", alone.out);
 }
 
 #[test]
@@ -238,6 +282,8 @@ fn what_does_not_go_together_is_refused_before_anything_is_read() {
         ("vtk", &ARM, "--arm goes with a motion"),
         ("csv", &[&ARM[..], &["--particles"]].concat(), "--arm goes with a motion"),
         ("csv", &[&ARM[..], &["--rate", "125"]].concat(), "--rate goes with urscript"),
+        ("mcap", &["--home", "0,0,0,0,0,0"], "--home and --speed go with urscript"),
+        ("json", &["--speed", "0.1"], "--home and --speed go with urscript"),
         ("csv", &["--executed", "x"], "--theta and --executed go with files of powder"),
         ("mcap", &["--particles", "--executed", "x"], "--theta and --executed go with files of powder"),
         ("csv", &["--every", "3"], "--every goes with powder"),

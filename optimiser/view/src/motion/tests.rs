@@ -1,10 +1,9 @@
 use std::f64::consts::PI;
 
 use nalgebra::Vector3;
-use powderline_shared::arm::ArmError;
-use powderline_shared::arm::ArmKind;
 use powderline_shared::arm::inverse::Posture;
 use powderline_shared::arm::links::{self, Link};
+use powderline_shared::arm::{ArmError, ArmKind, Joints};
 use powderline_shared::displacement::{Displacement, Lsb, Quantiser};
 use powderline_shared::limits::{Limit, Limits};
 use powderline_shared::plan::{PlanHeader, PlanWriter, Precision, Prediction, StartPose, Version};
@@ -14,7 +13,7 @@ use serde_json::Value;
 use super::*;
 use crate::Sink as _;
 use crate::picture::sample;
-use powderline_simulator::arm::{Mount, Refusal, Surroundings, cycles_us};
+use powderline_simulator::arm::{Around, Mount, Refusal, Surroundings, Transit, cycles_us};
 
 const PERIOD_US: u32 = 10_000;
 const CYCLE_US: u32 = 2_000;
@@ -447,12 +446,26 @@ fn the_object_holds_the_table_and_what_it_is_of() {
 
 // --- programs ---
 
+/// The program of the motion, as it is or with something else.
+fn program(cycle_us: u32, speed: f64, home: Option<Joints>, payload_kg: Option<f64>) -> String {
+    let motion = with_arm();
+    let arm = arm_of(&motion);
+    let (mount, surroundings) = (&mount(), &Surroundings::table(-1.0));
+    let around = Around { mount, surroundings, scene: None, home, cycle_us };
+    let transit = Transit::new(&motion.path, arm, &around).expect("a way");
+    let program = urscript::Program { motion: &motion, arm, transit: &transit, cycle_us, speed, payload_kg };
+    text(|out| program.write(out))
+}
+
 #[test]
 fn a_program_has_a_line_for_each_tick_and_no_exponents() {
     let motion = with_arm();
     let arm = arm_of(&motion);
-    let program = text(|out| urscript::write(out, &motion, arm, CYCLE_US));
-    let ticks: Vec<&str> = program.lines().filter(|line| line.starts_with("  powderline_tick(")).collect();
+    let whole = program(CYCLE_US, 1.0, None, None);
+    let (_, rest) = whole.split_once("plays the motion").expect("a motion");
+    let (motion_alone, _) = rest.split_once("back to").expect("a way back");
+    let ticks: Vec<&str> =
+        motion_alone.lines().filter(|line| line.starts_with("  powderline_tick(")).collect();
     assert_eq!(ticks.len(), 100);
     for (line, (joints, speeds)) in ticks.iter().zip(arm.joints.iter().zip(&arm.speeds).skip(1)) {
         let inner = line.trim_start_matches("  powderline_tick([").trim_end_matches("])");
@@ -460,13 +473,45 @@ fn a_program_has_a_line_for_each_tick_and_no_exponents() {
             inner.replace("], [", ", ").split(", ").map(|n| n.parse().expect(n)).collect();
         let expected = joints.iter().chain(speeds);
         assert!(numbers.iter().zip(expected).all(|(a, b)| (a - b).abs() <= 1e-12), "{line}");
-        assert!(!line.contains('e') || !inner.contains('e'), "{line}");
     }
-    let code = |line: &&str| !line.trim_start().starts_with('#');
-    assert!(program.lines().filter(code).all(|line| line.is_ascii()));
-    assert!(program.contains("t=0.002, lookahead_time=0.03, gain=2000)"), "{program}");
-    let slower = text(|out| urscript::write(out, &motion, arm, 8_000));
+    for line in whole.lines().filter(|line| !line.trim_start().starts_with('#')) {
+        assert!(line.is_ascii(), "{line}");
+        let digit =
+            |letter: Option<char>| letter.is_some_and(|letter| letter.is_ascii_digit() || letter == '-');
+        let exponent = |at: usize| digit(line[..at].chars().last()) && digit(line[at + 1..].chars().next());
+        assert!(!line.match_indices('e').any(|(at, _)| exponent(at)), "{line}");
+    }
+    assert!(whole.contains("t=0.002, lookahead_time=0.03, gain=2000)"), "{whole}");
+    let slower = program(8_000, 1.0, None, None);
     assert!(slower.contains("global powderline_us = 8000.0") && slower.contains("t=0.008,"), "{slower}");
+}
+
+#[test]
+fn a_program_says_its_arm_its_speed_and_its_payload() {
+    let home = [0.0, -1.6, 0.0, -1.6, 0.0, 0.0];
+    let slow = program(CYCLE_US, 0.07, Some(home), Some(0.4));
+    for part in [
+        "for a UR5e; PolyScope 5.9 or later",
+        "like a UR5e by more than a calibration",
+        "is no UR5e",
+        "# At 7 % of full speed, on the same path",
+        "powderline_us = powderline_us + 140.0\n",
+        "  set_payload(0.4, [",
+        "0.0, -91.7, 0.0, -91.7, 0.0, 0.0 degrees. Bring it there first",
+        "movej(begin, a=0.021, v=0.014)",
+    ] {
+        assert!(slow.contains(part), "{part}: {slow:.3000}");
+    }
+    assert_eq!(slow.matches("movej(").count(), 3);
+    let full = program(CYCLE_US, 1.0, None, None);
+    assert!(
+        !full.contains("of full speed")
+            && !full.contains("set_payload")
+            && full.matches("movej(").count() == 1
+    );
+    // Of the way only how fast it is gone differs.
+    let ticks = |text: &str| text.matches("  powderline_tick(").count();
+    assert_eq!(ticks(&full), ticks(&slow));
 }
 
 // --- messages ---
