@@ -36,7 +36,7 @@ fn json_is_one_object_and_nothing_else() {
 
 #[test]
 fn a_bad_scene_is_one_sentence_on_standard_error_and_exit_code_2() {
-    let sentence = "there is no scene and no file called `bnch`; the embedded scenes are bench, bench-small, bench-fine, vial; did \
+    let sentence = "there is no scene and no file called `bnch`; the embedded scenes are bench, bench-small, bench-fine, vial, workcell; did \
                     you mean `bench`?";
     for (arguments, out) in [
         (&["check", "bnch"][..], String::new()),
@@ -59,7 +59,7 @@ fn skills_that_take_the_tool_through_a_wall_are_noted() {
     let said = text(&output.stdout);
     let note = said.lines().find(|line| line.starts_with("Note: ")).unwrap();
     assert!(note.contains("would pass over") && note.contains("through container \"target\" at "), "{note}");
-    for scene in ["bench", "bench-small", "bench-fine", "vial"] {
+    for scene in ["bench", "bench-small", "bench-fine", "vial", "workcell"] {
         assert!(!text(&optimise(&["check", scene]).stdout).contains("Note"), "{scene}");
     }
 }

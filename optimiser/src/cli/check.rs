@@ -24,7 +24,7 @@ use powderline_simulator::skill::{SkillMap, check_passable, colliding_skill};
 /// Arguments of `optimise check`.
 #[derive(Debug, Args)]
 pub struct CheckArgs {
-    /// Name of an embedded scene (bench, bench-small, bench-fine, vial) or path of a scene file.
+    /// Name of an embedded scene (bench, bench-small, bench-fine, vial, workcell) or path of a scene file.
     #[arg(default_value = DEFAULT_SCENE)]
     pub scene: String,
     /// Prints one JSON object instead of text.

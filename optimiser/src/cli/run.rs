@@ -30,7 +30,7 @@ use std::path::{Path, PathBuf};
 /// Arguments of `optimise run`.
 #[derive(Clone, Debug, Args)]
 pub(super) struct RunArgs {
-    /// Scene: the name of an embedded one (bench, bench-small, bench-fine, vial) or a TOML file [default: bench]
+    /// Scene: the name of an embedded one (bench, bench-small, bench-fine, vial, workcell) or a TOML file [default: bench]
     #[arg(value_name = "SCENE")]
     pub scene: Option<String>,
     /// Seed of the packing and of the first skill [default: 1]

@@ -82,12 +82,6 @@ impl Surroundings {
         Self { pieces: self.pieces.iter().filter_map(stand).collect() }
     }
 
-    /// Table and stand alone.
-    pub(super) fn ground(&self) -> Self {
-        let is_ground = |piece: &&Piece| matches!(piece.obstacle, Obstacle::Table | Obstacle::Stand);
-        Self { pieces: self.pieces.iter().filter(is_ground).cloned().collect() }
-    }
-
     /// What a capsule comes nearest to, if that is nearer than `known_m`, so long after the motion's start. `axis` holds its ends.
     pub(super) fn nearest(
         &self,

@@ -271,13 +271,13 @@ fn home_clearance(
     time_s: f64,
 ) -> Result<Clearance, TransitError> {
     let surroundings = around.surroundings.standing(time_s);
-    let ground = surroundings.ground();
     let turned: f64 = ends[0].iter().zip(ends[1]).map(|(from, to)| (to - from).abs()).sum();
     let arm_m = model.kind.figures().reach_m + norm(&model.flange_from_tool.position_m);
     let reach_m = arm_m + around.scene.map_or(0.0, |scene| scene.tool.bounding_radius_m());
     let looks = (turned * reach_m / LOOK_M).ceil().max(1.0) as u32;
     let blocked =
         |what: String, how: String, share: f64| TransitError::HomeBlocked { what, how, share: 100.0 * share };
+    let solids = around.scene.map(Scene::solids).unwrap_or_default();
     let mut nearest: Option<Clearance> = None;
     for look in 0..=looks {
         let share = f64::from(look) / f64::from(looks);
@@ -288,8 +288,8 @@ fn home_clearance(
         }
         if let Some(scene) = around.scene {
             let pose = model.world_from_tool(&joints);
-            if let Some((part, how)) = tool_hit(scene, &pose, &ground, time_s) {
-                return Err(blocked(part.to_string(), how, share));
+            if let Some((part, obstacle)) = PlacedTool::at(&scene.tool, &pose).inside_of(&solids, time_s) {
+                return Err(blocked(part.to_string(), format!("pass through {obstacle}"), share));
             }
         }
         if nearest.as_ref().is_none_or(|least| clearance.distance_m < least.distance_m) {
@@ -297,26 +297,6 @@ fn home_clearance(
         }
     }
     Ok(nearest.expect("two looks at least"))
-}
-
-/// What the tool is in at a pose: a container, a gate, or the ground.
-fn tool_hit(scene: &Scene, pose: &Pose, ground: &Surroundings, time_s: f64) -> Option<(ToolPart, String)> {
-    let solids = scene.solids();
-    let tool = PlacedTool::at(&scene.tool, pose);
-    if let Some((part, obstacle)) = tool.inside_of(&solids, time_s) {
-        return Some((part, format!("pass through {obstacle}")));
-    }
-    let at = |[x, y, z]: [f64; 3]| pose.position_m + pose.orientation * Vector3::new(x, y, z);
-    let handle = scene.tool.handle_axis_m().map(at);
-    // The body within a capsule along its x.
-    let [low, high] = scene.tool.body_extent_m();
-    let body = [at([low[0], 0.0, 0.0]), at([high[0], 0.0, 0.0])];
-    let body_m = [low[1], low[2], high[1], high[2]].map(f64::abs).into_iter().fold(0.0, f64::max);
-    let parts = [(ToolPart::Handle, handle, scene.tool.handle.radius_m), (ToolPart::Body, body, body_m)];
-    parts.into_iter().find_map(|(part, axis, radius_m)| {
-        let near = ground.nearest(axis, radius_m, time_s, 0.0)?;
-        Some((part, format!("pass through {}", near.obstacle)))
-    })
 }
 
 #[cfg(test)]
@@ -358,7 +338,7 @@ mod tests {
 
     #[test]
     fn the_tool_comes_straight_down_and_goes_straight_up_and_back() {
-        for name in ["bench", "bench-small", "vial"] {
+        for name in ["bench", "bench-small", "vial", "workcell"] {
             let case = Case::new(name, |_| ());
             let transit = case.transit(None).unwrap();
             let (start, end) = (case.path.poses[0], case.path.poses[case.path.last_tick()]);

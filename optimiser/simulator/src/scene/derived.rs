@@ -132,7 +132,7 @@ impl Container {
     }
 
     /// The point of the container's inner space that is nearest to another, metres, world frame.
-    pub(super) fn nearest_m(&self, p: &[f64; 3]) -> [f64; 3] {
+    pub(crate) fn nearest_m(&self, p: &[f64; 3]) -> [f64; 3] {
         let [x, y, z] = self.local_m(p);
         let [x, y] = match self.shape {
             ContainerShape::Box { inner_size_m: [lx, ly, _] } => {

@@ -4,11 +4,12 @@
 pub const DEFAULT_SCENE: &str = "bench";
 
 /// Names and TOML texts of the embedded scenes.
-pub const EMBEDDED_SCENES: [(&str, &str); 4] = [
+pub const EMBEDDED_SCENES: [(&str, &str); 5] = [
     ("bench", include_str!("../../scenes/bench.toml")),
     ("bench-small", include_str!("../../scenes/bench-small.toml")),
     ("bench-fine", include_str!("../../scenes/bench-fine.toml")),
     ("vial", include_str!("../../scenes/vial.toml")),
+    ("workcell", include_str!("../../scenes/workcell.toml")),
 ];
 
 /// TOML text of the embedded scene called `name`.

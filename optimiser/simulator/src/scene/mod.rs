@@ -13,6 +13,7 @@
 //! | `bench-small` | 2,772 of 8 mg | 4 mm | bowl, radius 10 mm | 1.6 g | a smaller one, for tests |
 //! | `bench-fine` | 90,112 of 1 mg | 2 mm | bowl, radius 16 mm | 9.6 g | `bench`, cells half as wide |
 //! | `vial` | 7,168 of 2.092 mg | 3 mm | box scoop, 18 x 15 x 10.5 mm | 1 g | light powder into a vial |
+//! | `workcell` | 7,168 of 1.35 mg | 3 mm | box scoop, 18 x 12 x 10.5 mm | 600 mg | into a narrow vial, arm and powder on one table |
 //!
 //! A scene may have gates ([`Gate`]): walls that are there until they open, at a time after the
 //! motion's start, for a column that is released, a slide below a hopper, a lock. Their motion is
@@ -441,6 +442,10 @@ pub struct Objective {
     pub norm: Norm,
     /// Which particles the loss sees.
     pub observation: Observation,
+    /// What powder beside the containers or on their rims costs the loss: so many times what missing powder costs, the distance
+    /// from `p_target_m` to the source. Nothing if the file does not say.
+    #[serde(default)]
+    pub lost_weight: f64,
 }
 
 /// What the loss asks for.

@@ -10,7 +10,7 @@ use super::{EMBEDDED_SCENES, Scene, SceneError, closest_match::did_you_mean, emb
 pub const MAX_SCENE_BYTES: u64 = 1 << 20;
 
 impl Scene {
-    /// Loads an embedded scene by name (`bench`, `bench-small`, `bench-fine`, `vial`) or a scene file by path.
+    /// Loads an embedded scene by name (`bench`, `bench-small`, `bench-fine`, `vial`, `workcell`) or a scene file by path.
     ///
     /// A name wins over a file of the same name in the working folder; write `./bench` for the file.
     ///

@@ -89,7 +89,7 @@ mod tests {
 
     #[test]
     fn a_target_point_outside_the_target_is_remarked() {
-        for name in ["bench", "bench-small", "bench-fine", "vial"] {
+        for name in ["bench", "bench-small", "bench-fine", "vial", "workcell"] {
             assert_eq!(Scene::load(name).unwrap().remark_target(), None, "{name}");
         }
         let mut scene = Scene::load("vial").unwrap();

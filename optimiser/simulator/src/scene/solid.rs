@@ -16,6 +16,9 @@ pub(super) type Vec3 = [f64; 3];
 /// Gap that still counts as touching rather than overlapping, metres.
 pub(super) const TOUCH_M: f64 = 1e-9;
 
+/// A table is larger than what an arm reaches, metres.
+const FAR_M: f64 = 20.0;
+
 const UP: Vec3 = [0.0, 0.0, 1.0];
 
 /// Segments that stand for a round wall.
@@ -85,7 +88,23 @@ impl Scene {
             extent: gate.outer().extent(),
             gate: Some(gate),
         });
-        self.containers.iter().map(container).chain(gates).collect()
+        self.containers.iter().map(container).chain(gates).chain(self.ground()).collect()
+    }
+
+    /// The table, and above it, if it is lower than the bench top, the stand.
+    fn ground(&self) -> impl Iterator<Item = Solid<'_>> {
+        let table_m = self.arm.as_ref().map_or(0.0, |arm| arm.table_height_m);
+        let [length_m, width_m, _] = self.domain.size_m;
+        let table = Hull::aligned_box([-FAR_M, -FAR_M, table_m - FAR_M], [FAR_M, FAR_M, table_m]);
+        let stand = (table_m < 0.0)
+            .then(|| Hull::aligned_box([0.0, 0.0, table_m], [length_m, width_m, 0.0]))
+            .map(|hull| (Obstacle::Stand, hull));
+        [(Obstacle::Table, table)].into_iter().chain(stand).map(|(obstacle, hull)| Solid {
+            obstacle,
+            extent: hull.extent(),
+            pieces: vec![hull],
+            gate: None,
+        })
     }
 }
 

@@ -1,7 +1,7 @@
-//! Whether the tool stays clear of the containers, and of the gates that are there, all along a motion.
+//! Whether the tool stays clear of the containers, of the gates that are there, and of what all stands on, all along a motion.
 //!
-//! The simulation does not check this: there tool, containers and gates are kinematic and pass through each other. A real arm
-//! would collide.
+//! The simulation does not check this: there tool, containers, gates and floor are kinematic and pass through each other. A real
+//! arm would collide.
 
 use super::{SkillMap, Theta};
 use crate::scene::{Gate, Obstacle, PlacedTool, Scene, ToolPart};
@@ -14,7 +14,7 @@ const SAMPLES: usize = 3;
 /// Looks in one control step, at most: velocity limits are far from that in any motion that is performed.
 const MOST_LOOKS: f64 = 1000.0;
 
-/// A place where the tool would be inside the material of a container or gate.
+/// A place where the tool would be inside the material of a container, gate, stand or table.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[error("the {part} would pass through {obstacle} at {at_s:.2} s")]
 #[non_exhaustive]
@@ -105,8 +105,7 @@ fn fraction(control: &Displacement, part: f64) -> Displacement {
     }
 }
 
-/// A skill within the scene's bounds whose tool would pass through a container or gate, if one is found among their ends
-/// and middles.
+/// A skill within the scene's bounds whose tool would pass through something, if one is found among their ends and middles.
 pub fn colliding_skill(scene: &Scene) -> Option<(Theta, Collision)> {
     let map = SkillMap::new(scene);
     samples().find_map(|theta| collision_of(scene, &map, &theta).map(|collision| (theta, collision)))
@@ -122,7 +121,7 @@ pub struct Impassable {
     collision: Collision,
 }
 
-/// Checks that some skill within the scene's bounds stays clear of all containers and gates.
+/// Checks that some skill within the scene's bounds stays clear of everything.
 ///
 /// # Errors
 /// None of their ends and middles does.
@@ -154,10 +153,28 @@ mod tests {
 
     #[test]
     fn every_skill_of_the_shipped_scenes_stays_clear() {
-        for name in ["bench", "bench-small", "bench-fine", "vial"] {
+        for name in ["bench", "bench-small", "bench-fine", "vial", "workcell"] {
             let scene = Scene::load(name).unwrap();
             assert_eq!(colliding_skill(&scene), None, "{name}");
         }
+    }
+
+    /// A handle that hangs down beyond the edge of the bench: on a table there is no room for it, beside a stand there is.
+    #[test]
+    fn a_handle_stays_above_what_the_bench_stands_on() {
+        let mut scene = Scene::load("bench").unwrap();
+        scene.tool.handle.rise_deg = -50.0;
+        let inside = |scene: &Scene, z_m: f64| {
+            let pose = Pose { position_m: [-0.010, 0.048, z_m].into(), ..Pose::identity() };
+            let solids = scene.solids();
+            let found = PlacedTool::at(&scene.tool, &pose).inside_of(&solids, 0.0);
+            found.map(|(part, obstacle)| (part, obstacle.clone()))
+        };
+        assert_eq!(inside(&scene, 0.030), None);
+        assert_eq!(inside(&scene, -0.060), Some((ToolPart::Body, Obstacle::Stand)));
+        scene.arm = None;
+        assert_eq!(inside(&scene, 0.030), Some((ToolPart::Handle, Obstacle::Table)));
+        assert_eq!(inside(&scene, 0.060), None);
     }
 
     #[test]

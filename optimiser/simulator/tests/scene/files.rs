@@ -13,12 +13,12 @@ fn refusal(path: &Path) -> String {
 fn a_mistyped_name_lists_the_embedded_scenes() {
     assert_eq!(
         Scene::load("bnch").unwrap_err().to_string(),
-        "there is no scene and no file called `bnch`; the embedded scenes are bench, bench-small, bench-fine, vial; did you mean \
+        "there is no scene and no file called `bnch`; the embedded scenes are bench, bench-small, bench-fine, vial, workcell; did you mean \
          `bench`?"
     );
     assert_eq!(
         Scene::load("kitchen").unwrap_err().to_string(),
-        "there is no scene and no file called `kitchen`; the embedded scenes are bench, bench-small, bench-fine, vial"
+        "there is no scene and no file called `kitchen`; the embedded scenes are bench, bench-small, bench-fine, vial, workcell"
     );
 }
 

@@ -623,6 +623,11 @@ const RULES_BETWEEN_FIELDS: &[Case] = &[
     ),
     (
         r#"observation = { kind = "all" }"#,
+        "observation = { kind = \"all\" }\nlost_weight = -1.0",
+        ": objective.lost_weight is -1, but it must be from 0 to 100",
+    ),
+    (
+        r#"observation = { kind = "all" }"#,
         r#"observation = { kind = "subsample", particles = 20000 }"#,
         ": objective.observation.particles is 20000, but it must be from 1 to 11264",
     ),

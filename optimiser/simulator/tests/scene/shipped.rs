@@ -73,6 +73,7 @@ fn figures_of_the_shipped_scenes() {
     assert_eq!(figures("bench-small"), (2_772, [44, 16, 32], [15, 8, 12], 200));
     assert_eq!(figures("bench-fine"), (90_112, [128, 48, 104], [36, 16, 30], 9_600));
     assert_eq!(figures("vial"), (7_168, [55, 22, 42], [18, 10, 15], 478));
+    assert_eq!(figures("workcell"), (7_168, [334, 334, 100], [88, 88, 29], 444));
 }
 
 #[test]

@@ -50,6 +50,7 @@ fn arbitrary_scene() -> impl Strategy<Value = Scene> {
                 Observation::Subsample { particles },
                 Observation::VisibleFromAbove { pixel_m: 0.004 },
             ][observation];
+            scene.objective.lost_weight = if by_mass { 0.0 } else { small };
             // A view from above goes with this one only.
             scene.objective.aim = [Aim::Amount, Aim::Amount, Aim::All][observation];
             scene

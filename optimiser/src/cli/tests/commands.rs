@@ -73,9 +73,9 @@ fn a_mistyped_command_is_not_taken_for_a_scene() {
         (&["raport", "runs/x"], "did you mean the command `report`?"),
         (
             &["bnch"],
-            "called `bnch`; the embedded scenes are bench, bench-small, bench-fine, vial; did you mean `bench`?",
+            "called `bnch`; the embedded scenes are bench, bench-small, bench-fine, vial, workcell; did you mean `bench`?",
         ),
-        (&["kitchen"], "the embedded scenes are bench, bench-small, bench-fine, vial"),
+        (&["kitchen"], "the embedded scenes are bench, bench-small, bench-fine, vial, workcell"),
     ] {
         assert_sentence(&optimise(arguments), 2, meant);
     }

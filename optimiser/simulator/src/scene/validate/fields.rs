@@ -212,6 +212,7 @@ fn objective(checker: &Checker<'_>, objective: &Objective) -> Checked {
         checker.number("objective.amount.mass_kg", mass_kg, Range::above(0.0, 1e6))?;
     }
     checker.number("objective.amount.tolerance", objective.amount.tolerance, Range::closed(0.0, 1.0))?;
+    checker.number("objective.lost_weight", objective.lost_weight, Range::closed(0.0, 100.0))?;
     if let Observation::VisibleFromAbove { pixel_m } = objective.observation {
         checker.number("objective.observation.pixel_m", pixel_m, Range::closed(1e-4, 0.1))?;
     }
