@@ -30,6 +30,7 @@ extern crate std;
 
 #[cfg(any(feature = "embedded-can", feature = "embedded-io"))]
 pub mod adapters;
+pub mod belief;
 pub mod endpoint;
 pub mod guard;
 pub mod player;

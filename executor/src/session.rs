@@ -8,8 +8,9 @@
 //! | leaving    | ready to switch on                          | done: completed                                   |
 //! | stopping   | the arm to report standstill                | done: stopped, with the first reason latched      |
 //!
-//! Stopping goes on for as long as the arm reports that it moves; only an arm that falls silent is given up, and the
-//! outcome then says that nobody knows whether it stands.
+//! Stopping goes on for as long as the arm reports that it moves, but not beyond [`Config::standstill_us`], half of which it
+//! has for a controlled stop; and when a person has asked for a hard stop, not beyond [`HARD_STOP_US`]. An arm that has not
+//! reported standstill by then, or that falls silent, is given up, and the outcome says that nobody knows whether it stands.
 //!
 //! Whatever is asked of the arm is asked again after [`Config::retry_us`] until it is done or the time for it is over. A
 //! setpoint that the arm does not report as there is sent again, at most one in each control period.
@@ -26,6 +27,7 @@ use powderline_shared::wire::message::{
 };
 use powderline_shared::wire::state::{Command, Phase, State};
 
+use crate::belief::{Belief, Doubt};
 use crate::guard::{Guard, fault_of};
 use crate::player::Player;
 use crate::schedule::{DEFAULT_LOOK_AHEAD, Schedule};
@@ -41,6 +43,10 @@ pub const WAY_UP: [(State, Command); 3] = [
 
 /// Room for messages that are not setpoints. Each is also retried, so a full queue costs time, not a message.
 const OUTBOX_CAPACITY: usize = 4;
+
+/// How long a person who has asked for a hard stop waits for the arm to stand, microseconds: no longer than a person waits
+/// before pulling the plug.
+pub const HARD_STOP_US: u64 = 800_000;
 
 /// Periods without a report after which the arm is silent, at the least.
 const SILENT_PERIODS: u64 = 4;
@@ -67,6 +73,9 @@ pub struct Config {
     pub retry_us: u64,
     /// When the handshake or leaving is given up, an arm that makes no progress, and stopping one that no longer reports.
     pub handshake_us: u64,
+    /// When stopping an arm is given up that goes on reporting that it moves. An arm stops within 1 s and settles within 0.5 s;
+    /// after half of this it is asked to stop as hard as it can.
+    pub standstill_us: u64,
     /// When an arm that moves and does not report counts as silent; at least four control periods.
     pub silence_us: u64,
 }
@@ -83,6 +92,7 @@ impl Default for Config {
             anchor_tolerance_rad: 5e-3,
             retry_us: 100_000,
             handshake_us: 2_000_000,
+            standstill_us: 6_000_000,
             silence_us: 300_000,
         }
     }
@@ -134,6 +144,8 @@ pub struct Executor<'a> {
     player: Player<'a>,
     schedule: Schedule,
     window: Window,
+    belief: Belief,
+    doubt: Option<Doubt>,
     guard: Option<Guard>,
     stage: Stage,
     outbox: Deque<ToArm, OUTBOX_CAPACITY>,
@@ -150,11 +162,15 @@ pub struct Executor<'a> {
     hard: bool,
     heard_us: u64,
     reported_us: u64,
+    /// The highest tick and the last phase that the arm has got to, and when.
+    furthest: (u32, Option<Phase>),
     progress_us: u64,
     /// When that was first asked whose answer is waited for.
     asked_us: Option<u64>,
     retry_at_us: u64,
     give_up_at_us: u64,
+    /// While stopping: when it is given up whatever the arm says.
+    stop_ends_at_us: u64,
     heartbeat_at_us: u64,
     resend_at_us: u64,
 }
@@ -167,6 +183,7 @@ impl<'a> Executor<'a> {
         let context = Context { session: config.session, plan_hash: plan.content_hash() };
         let config = Config { session: context.usable().session, ..config };
         let period_us = config.period_us.unwrap_or(header.control_period_us);
+        let schedule = Schedule::new(config.look_ahead, period_us);
         Self {
             config,
             header,
@@ -174,8 +191,10 @@ impl<'a> Executor<'a> {
             lsb: config.lsb.unwrap_or(header.lsb),
             period_us,
             player: Player::new(plan),
-            schedule: Schedule::new(config.look_ahead, period_us),
+            schedule,
             window: Window::default(),
+            belief: Belief::new(period_us, header.step_count, schedule.look_ahead()),
+            doubt: None,
             guard: None,
             stage: Stage::Opening,
             outbox: Deque::new(),
@@ -189,10 +208,12 @@ impl<'a> Executor<'a> {
             hard: false,
             heard_us: now_us,
             reported_us: now_us,
+            furthest: (0, None),
             progress_us: now_us,
             asked_us: None,
             retry_at_us: now_us,
             give_up_at_us: now_us.saturating_add(config.handshake_us),
+            stop_ends_at_us: u64::MAX,
             heartbeat_at_us: now_us.saturating_add(HEARTBEAT_US),
             resend_at_us: now_us,
         }
@@ -230,10 +251,12 @@ impl<'a> Executor<'a> {
 
     /// A person wants the arm to stop as fast as it can.
     pub fn handle_hard_stop(&mut self, now_us: u64) {
+        let first = !self.hard;
         self.hard = true;
         self.stop(now_us, FaultCode::OperatorStop);
         // A stop that has begun is asked to be a hard one.
-        if self.stage == Stage::Stopping {
+        if self.stage == Stage::Stopping && first {
+            self.stop_ends_at_us = self.stop_ends_at_us.min(now_us.saturating_add(HARD_STOP_US));
             self.ask(now_us);
         }
     }
@@ -291,9 +314,8 @@ impl<'a> Executor<'a> {
                 let due = [setpoint_us, resend_us].into_iter().flatten();
                 due.fold(self.silent_at_us().min(self.stalled_at_us()), u64::min)
             }
-            Stage::Opening | Stage::Enabling | Stage::Leaving | Stage::Stopping => {
-                self.retry_at_us.min(self.give_up_at_us)
-            }
+            Stage::Opening | Stage::Enabling | Stage::Leaving => self.retry_at_us.min(self.give_up_at_us),
+            Stage::Stopping => self.retry_at_us.min(self.give_up_at_us).min(self.stop_ends_at_us),
         };
         Some(soonest.min(self.heartbeat_at_us))
     }
@@ -344,6 +366,12 @@ impl<'a> Executor<'a> {
     #[must_use]
     pub fn violation(&self) -> Option<Violation> {
         self.violation
+    }
+
+    /// Why a tick that the arm reported was not believed.
+    #[must_use]
+    pub fn doubt(&self) -> Option<Doubt> {
+        self.doubt
     }
 
     /// Why the arm refused the session.
@@ -427,6 +455,11 @@ impl<'a> Executor<'a> {
 
     fn actual(&mut self, now_us: u64, reached: Setpoint) {
         self.heard_us = now_us;
+        if self.is_streamed()
+            && let Err(doubt) = self.belief.check(now_us, reached.tick)
+        {
+            return self.disbelieve(now_us, doubt);
+        }
         if self.reached.is_some_and(|known| known.tick > reached.tick) {
             return;
         }
@@ -454,7 +487,10 @@ impl<'a> Executor<'a> {
         let ours = self.is_ours(status.session);
         if ours {
             self.heard_us = now_us;
-            self.progress(now_us, status);
+            match self.believed(now_us, status) {
+                Ok(believed) => self.progress(now_us, &believed),
+                Err(doubt) => return self.disbelieve(now_us, doubt),
+            }
         }
         let news =
             self.arm.is_none_or(|known| (known.state, known.session) != (status.state, status.session));
@@ -474,14 +510,36 @@ impl<'a> Executor<'a> {
         }
     }
 
+    /// Whether what the arm says of ticks is of this session, and counts. Before, it may be of another one of this number;
+    /// afterwards only whether the arm stands is waited for.
+    fn is_streamed(&self) -> bool {
+        matches!(self.stage, Stage::Enabling | Stage::Streaming | Stage::Leaving)
+    }
+
+    /// The status with a tick that is believed. While it stops, an arm that lies of its tick may yet say that it stands.
+    fn believed(&mut self, now_us: u64, status: &Status) -> Result<Status, Doubt> {
+        match (self.stage, self.belief.hear(now_us, status)) {
+            (Stage::Opening, _) | (_, Ok(())) => Ok(*status),
+            (Stage::Stopping | Stage::Done(_), Err(_)) => {
+                Ok(Status { applied_tick: self.belief.tick(), have: 0, ..*status })
+            }
+            (_, Err(doubt)) => Err(doubt),
+        }
+    }
+
+    fn disbelieve(&mut self, now_us: u64, doubt: Doubt) {
+        self.doubt = Some(doubt);
+        self.latch(now_us, Fault { code: FaultCode::ArmTickImpossible, tick: self.belief.tick() });
+    }
+
     fn progress(&mut self, now_us: u64, status: &Status) {
         self.reported_us = now_us;
         self.ours = Some(*status);
-        if self
-            .arm
-            .is_none_or(|known| known.applied_tick != status.applied_tick || known.phase != status.phase)
-        {
+        // An arm that goes to and fro does not get on.
+        let (tick, phase) = self.furthest;
+        if status.applied_tick > tick || status.phase > phase {
             self.progress_us = now_us;
+            self.furthest = (tick.max(status.applied_tick), phase.max(status.phase));
         }
         let running = matches!(status.phase, Some(Phase::Streaming | Phase::Completing));
         self.schedule.handle_progress(now_us, status.applied_tick, status.credit_until(), running);
@@ -578,6 +636,7 @@ impl<'a> Executor<'a> {
 
     fn send_setpoint(&mut self, now_us: u64, setpoint: Setpoint) -> Action {
         self.window.sent(now_us, setpoint);
+        self.belief.sent(now_us, setpoint.tick);
         Action::Send(ToArm::Setpoint { session: self.config.session, setpoint })
     }
 
@@ -603,10 +662,15 @@ impl<'a> Executor<'a> {
                 }
             }
             Stage::Leaving => self.command(Command::Shutdown),
-            Stage::Stopping if self.hard => self.queue(ToArm::Stop),
+            Stage::Stopping if self.hard || self.stops_for_too_long(now_us) => self.queue(ToArm::Stop),
             Stage::Stopping => self.command(Command::QuickStop),
             Stage::Streaming | Stage::Done(_) => {}
         }
+    }
+
+    /// A controlled stop that takes longer than one may take.
+    fn stops_for_too_long(&self, now_us: u64) -> bool {
+        self.stop_ends_at_us.saturating_sub(now_us) < self.config.standstill_us / 2
     }
 
     /// An arm that is enabled and whose anchor has not arrived is asked again: it then repeats it.
@@ -661,8 +725,7 @@ impl<'a> Executor<'a> {
     }
 
     fn stop(&mut self, now_us: u64, code: FaultCode) {
-        let tick = self.arm.filter(|arm| self.is_ours(arm.session)).map_or(0, |arm| arm.applied_tick);
-        self.latch(now_us, Fault { code, tick });
+        self.latch(now_us, Fault { code, tick: self.belief.tick() });
     }
 
     /// The first reason stays; from here on there is only stopping.
@@ -675,6 +738,7 @@ impl<'a> Executor<'a> {
         if self.stage == Stage::Opening {
             return self.end_untouched(fault);
         }
+        self.stop_ends_at_us = now_us.saturating_add(self.config.standstill_us);
         self.enter(now_us, Stage::Stopping);
     }
 
@@ -704,7 +768,8 @@ impl<'a> Executor<'a> {
                 }
             }
             Stage::Opening | Stage::Enabling | Stage::Leaving | Stage::Stopping => {
-                if now_us >= self.give_up_at_us {
+                let stop_ends = self.stage == Stage::Stopping && now_us >= self.stop_ends_at_us;
+                if now_us >= self.give_up_at_us || stop_ends {
                     self.give_up(now_us);
                 } else if now_us >= self.retry_at_us {
                     self.telemetry.retries = self.telemetry.retries.saturating_add(1);
@@ -728,10 +793,13 @@ impl<'a> Executor<'a> {
         self.heard_us.saturating_add(self.config.silence_us.max(self.some_periods_us()))
     }
 
-    /// When an arm that has not moved on is given up; later than one that says nothing at all.
+    /// When an arm that has not moved on, or that moves on so slowly that it falls behind its clock by as much, is given up;
+    /// later than one that says nothing at all.
     fn stalled_at_us(&self) -> u64 {
         let silence_us = self.config.silence_us.max(self.some_periods_us());
-        self.progress_us.saturating_add(self.config.handshake_us.max(silence_us.saturating_mul(2)))
+        let allowance_us = self.config.handshake_us.max(silence_us.saturating_mul(2));
+        let stands_at_us = self.progress_us.saturating_add(allowance_us);
+        self.belief.overdue_us(allowance_us).map_or(stands_at_us, |late_us| late_us.min(stands_at_us))
     }
 
     fn some_periods_us(&self) -> u64 {

@@ -4,7 +4,7 @@
 //!
 //! 1. the setpoint of the next tick;
 //! 2. it is missing but the one after is there: the path of constant jerk to that one (loss of single setpoints heals);
-//! 3. nothing is there: the begin of a stop, for at most [`EXTRAPOLATION_TICKS`] ticks;
+//! 3. nothing is there: the begin of a stop, for at most [`BRIDGED_TICKS`] ticks;
 //! 4. still nothing, or any limit broken: the rest of the stop, latched.
 //!
 //! Nobody is trusted to be there: a session that is not heard of for [`ArmConfig::watchdog_us`] is over, with a latched fault if
@@ -24,7 +24,7 @@ use powderline_shared::limits::{Limits, Motion, PeakUse, Violation};
 use powderline_shared::pose::Pose;
 use powderline_shared::wire::Context;
 use powderline_shared::wire::message::{
-    FromArm, HEARTBEAT_US, Heartbeat, NO_SESSION, OpenRequest, Refusal, Status, ToArm,
+    BRIDGED_TICKS, FromArm, HEARTBEAT_US, Heartbeat, NO_SESSION, OpenRequest, Refusal, Status, ToArm,
 };
 use powderline_shared::wire::state::{Command, Phase, State};
 
@@ -35,9 +35,6 @@ use crate::interpolator::Interpolator;
 pub use crate::session::LONGEST_PERIOD_US;
 use crate::session::{self, Anchored, Session};
 use crate::stop::{GENTLE_STOP_US, StopProfile};
-
-/// Ticks for which a missing setpoint is bridged by decelerating before the stop is latched.
-pub const EXTRAPOLATION_TICKS: u32 = 2;
 
 /// Ticks that a controller may be late before it gives up and stops, or [`OVERRUN_US`] if that is more.
 pub const OVERRUN_TICKS: u64 = 2;
@@ -651,7 +648,7 @@ impl Controller {
         let Some((mut profile, ticks)) = bridge.or_else(fresh) else {
             return self.miss(tick_us, self.stop_profile());
         };
-        if ticks >= EXTRAPOLATION_TICKS {
+        if ticks >= BRIDGED_TICKS {
             return self.miss(tick_us, profile);
         }
         let pose = profile.next_pose().unwrap_or(self.motion.pose);

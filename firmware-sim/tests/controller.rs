@@ -3,9 +3,7 @@
 use nalgebra::Vector3;
 use powderline_firmware_sim::arm::Arm;
 use powderline_firmware_sim::arm::servo::Lag;
-use powderline_firmware_sim::controller::{
-    ArmConfig, Controller, DEFAULT_WATCHDOG_US, EXTRAPOLATION_TICKS, LONGEST_PERIOD_US,
-};
+use powderline_firmware_sim::controller::{ArmConfig, Controller, DEFAULT_WATCHDOG_US, LONGEST_PERIOD_US};
 use powderline_firmware_sim::stop::GENTLE_STOP_US;
 use powderline_shared::arm::ArmModel;
 use powderline_shared::displacement::{Displacement, Lsb, Setpoint, pose_at};
@@ -14,7 +12,7 @@ use powderline_shared::limits::{Limits, Motion};
 use powderline_shared::pose::Pose;
 use powderline_shared::wire::Context;
 use powderline_shared::wire::message::{
-    DEPTH, FromArm, NO_SESSION, OpenRequest, PROTOCOL_VERSION, Refusal, Status, ToArm,
+    BRIDGED_TICKS, DEPTH, FromArm, NO_SESSION, OpenRequest, PROTOCOL_VERSION, Refusal, Status, ToArm,
 };
 use powderline_shared::wire::state::{Command, Event, Phase, State, transition};
 
@@ -390,7 +388,7 @@ fn silence_is_a_latched_stop_within_limits() {
         bench.rest();
         assert_eq!(bench.arm.state(), State::Fault, "silent from {silent_from}");
         let fault = bench.arm.fault().unwrap();
-        let latched_at = END.min(silent_from - 1 + EXTRAPOLATION_TICKS);
+        let latched_at = END.min(silent_from - 1 + BRIDGED_TICKS);
         assert_eq!((fault.code, fault.tick), (FaultCode::SetpointMissing, latched_at));
         bench.assert_limits_kept();
     }

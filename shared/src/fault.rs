@@ -74,6 +74,7 @@ fault_codes! {
     ArmSilent = 111, "The arm's controller stopped reporting.";
     LinkLost = 112, "The wire to the arm is gone.";
     ArmStalled = 113, "The arm reports, but no longer moves on to the next setpoint.";
+    ArmTickImpossible = 114, "The arm reported a tick that it cannot be at.";
     PlanUnreadable = 121, "The plan in memory could not be read to its end.";
     ExecutorSilent = 131, "The executor stopped sending signs of life.";
     ArmOverrun = 132, "The arm's controller was held up for too long while it moved.";
@@ -181,8 +182,8 @@ mod tests {
     #[test]
     fn numbers_are_pinned_and_sentences_are_sentences() {
         let numbers = [
-            101, 102, 103, 104, 105, 111, 112, 113, 121, 131, 132, 201, 202, 203, 204, 205, 206, 207, 301,
-            302, 303, 304, 305, 306, 307, 311, 312, 313, 314, 401, 402, 403, 404, 405, 406, 501, 502,
+            101, 102, 103, 104, 105, 111, 112, 113, 114, 121, 131, 132, 201, 202, 203, 204, 205, 206, 207,
+            301, 302, 303, 304, 305, 306, 307, 311, 312, 313, 314, 401, 402, 403, 404, 405, 406, 501, 502,
         ];
         assert!(FaultCode::ALL.iter().map(|code| code.number()).eq(numbers));
         for code in FaultCode::ALL {

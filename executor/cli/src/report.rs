@@ -294,11 +294,12 @@ impl Stop {
     fn new(fault: Fault, run: &RunResult) -> Self {
         let numbers = run.violation.map(|violation| violation.to_string());
         let refusal = run.refusal.map(|refusal| refusal.to_string());
+        let doubt = run.doubt.map(|doubt| doubt.to_string());
         Self {
             code: fault.code.number(),
             tick: fault.tick,
             reason: fault.code.sentence(),
-            detail: refusal.or(numbers),
+            detail: refusal.or(doubt).or(numbers),
         }
     }
 }

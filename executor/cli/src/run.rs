@@ -3,6 +3,7 @@
 //! Both see the scheduled moments, never the lateness of the process that they share: under the wall clock the motion is
 //! the same, bit for bit, as under virtual time.
 
+use powderline_executor::belief::Doubt;
 use powderline_executor::{Action, Config, Executor, Outcome, Telemetry};
 use powderline_firmware_sim::clock::VirtualClock;
 use powderline_firmware_sim::controller::{ArmConfig, Controller};
@@ -39,6 +40,8 @@ pub struct RunResult {
     pub violation: Option<Violation>,
     /// Why the arm refused the session.
     pub refusal: Option<Refusal>,
+    /// Why the arm was not believed.
+    pub doubt: Option<Doubt>,
     /// From begin to end, microseconds; in virtual time, of that.
     pub duration_us: u64,
     /// Under the wall clock: how late the process woke up.
@@ -110,6 +113,7 @@ pub fn play(
                 peak_use: executor.peak_use(),
                 violation: executor.violation().or(arm.violation()),
                 refusal: executor.refusal(),
+                doubt: executor.doubt(),
                 duration_us: now_us,
                 jitter: pace.jitter(),
                 frames: None,

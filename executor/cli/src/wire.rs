@@ -235,6 +235,7 @@ impl Player<'_, '_> {
             peak_use: executor.peak_use(),
             violation: executor.violation(),
             refusal: executor.refusal(),
+            doubt: executor.doubt(),
             duration_us: self.now_us(),
             jitter: self.jitter.summary(),
             frames: Some(FrameCounts {

@@ -36,6 +36,9 @@ pub const NO_SESSION: u16 = 0;
 /// Setpoints after the one taken last that an arm has room for: one for each bit of [`Status::have`].
 pub const DEPTH: u32 = 16;
 
+/// Setpoints in a row that may be missing before an arm gives up: so far it goes on by itself, beginning to stop.
+pub const BRIDGED_TICKS: u32 = 2;
+
 /// Time between two heartbeats of either end, microseconds.
 pub const HEARTBEAT_US: u64 = 100_000;
 

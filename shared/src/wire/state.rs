@@ -57,8 +57,8 @@ impl State {
     }
 }
 
-/// What a controller does inside [`State::OperationEnabled`].
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+/// What a controller does inside [`State::OperationEnabled`], in the order in which it comes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub enum Phase {
     /// Anchored, at rest, waiting for the first setpoints.
     Armed,

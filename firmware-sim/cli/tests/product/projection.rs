@@ -9,7 +9,7 @@ use std::fmt::{Debug, Write};
 use std::hash::{DefaultHasher, Hasher};
 
 /// Fields that are left out.
-const LEFT_OUT: [&str; 30] = [
+const LEFT_OUT: [&str; 31] = [
     // Constant, or said by other fields already.
     "own_limits",
     "limits",
@@ -18,6 +18,7 @@ const LEFT_OUT: [&str; 30] = [
     "setpoints",
     "guard",
     "checker",
+    "doubt",
     // Real numbers: where the arm is and how fast it moves. Kept is its phase of motion: which setpoint it has taken, how
     // many it has bridged, how many ticks it has braked, and of how many.
     "arm",
@@ -39,7 +40,7 @@ const LEFT_OUT: [&str; 30] = [
     "resent",
     "retries",
     "echo_until",
-    // Round trips, and the executor's estimate of the arm's clock: they decide when setpoints beyond the look-ahead leave,
+    // Round trips, and when the executor thinks that the arm's clock has started: they decide when setpoints beyond the look-ahead leave,
     // and the plans here are hardly longer than that.
     "round_trip",
     "round_trip_us",
@@ -50,8 +51,8 @@ const LEFT_OUT: [&str; 30] = [
 ];
 
 /// Fields that are moments to come, microseconds; how long ago one is does not matter.
-const DEADLINES: [&str; 5] =
-    ["give_up_at_us", "heartbeat_at_us", "next_tick_us", "resend_at_us", "retry_at_us"];
+const DEADLINES: [&str; 6] =
+    ["give_up_at_us", "heartbeat_at_us", "next_tick_us", "resend_at_us", "retry_at_us", "stop_ends_at_us"];
 
 /// Fields that are moments past, microseconds.
 const EVENTS: [&str; 5] = ["at_us", "heard_us", "progress_us", "reported_us", "resting_since_us"];

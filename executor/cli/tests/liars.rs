@@ -1,0 +1,311 @@
+//! Arms that lie, or that say the same for ever: the executor believes nothing that cannot be, and waits for nothing without
+//! end. First under virtual time, message by message, then the program on a pseudo-terminal.
+
+mod common;
+
+use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+use common::{Move, header, one_move, plan_bytes};
+use powderline_executor::session::HARD_STOP_US;
+use powderline_executor::{Action, Config, Executor, Outcome};
+use powderline_firmware_sim::controller::{ArmConfig, Controller};
+use powderline_host::clock;
+use powderline_host::transport::{Incoming, Pty, Transport};
+use powderline_shared::fault::FaultCode;
+use powderline_shared::plan::{PlanHeader, PlanReader};
+use powderline_shared::wire::Context;
+use powderline_shared::wire::codec::{Encoder, ToArmDecoder};
+use powderline_shared::wire::frame::Dialect;
+use powderline_shared::wire::message::{FromArm, NO_SESSION, Status};
+use powderline_shared::wire::state::{Phase, State};
+use serde_json::Value;
+use tempfile::TempDir;
+
+/// What an arm makes of a status before it says it.
+type Lie = fn(Status) -> Status;
+
+/// What it says instead; of its faults, nothing.
+fn lied(message: FromArm, lie: Lie) -> Option<FromArm> {
+    match message {
+        FromArm::Status(status) if status.session != NO_SESSION => Some(FromArm::Status(lie(status))),
+        FromArm::Fault { .. } => None,
+        other => Some(other),
+    }
+}
+
+/// A tick far beyond what has been sent, from tick 50 on.
+fn boasts(status: Status) -> Status {
+    let applied_tick = if status.applied_tick >= 50 { 110 } else { status.applied_tick };
+    Status { applied_tick, ..status }
+}
+
+/// Setpoints that nobody has sent.
+fn has_what_was_not_sent(status: Status) -> Status {
+    let have = if status.applied_tick >= 50 { 0xFFFF } else { status.have };
+    Status { have, applied_tick: status.applied_tick + u32::from(status.applied_tick >= 50), ..status }
+}
+
+/// Ten ticks at once, that have been sent.
+fn leaps(status: Status) -> Status {
+    let leap = if status.applied_tick >= 50 { 10 } else { 0 };
+    Status { applied_tick: status.applied_tick + leap, have: status.have >> leap, ..status }
+}
+
+/// Back by ten ticks.
+fn goes_back(status: Status) -> Status {
+    let back = if status.applied_tick >= 50 { 10 } else { 0 };
+    Status { applied_tick: status.applied_tick - back, have: 0, ..status }
+}
+
+/// For ever on its way to a fault.
+fn reacts_for_ever(status: Status) -> Status {
+    if status.applied_tick < 20 {
+        return status;
+    }
+    Status { state: State::FaultReactionActive, phase: None, standstill: false, ..status }
+}
+
+/// To and fro between two ticks or two phases, without end.
+fn wavers(status: Status) -> Status {
+    if status.applied_tick < 20 {
+        return status;
+    }
+    let phase = if status.counter.is_multiple_of(2) { Phase::Streaming } else { Phase::Armed };
+    Status {
+        phase: Some(phase),
+        state: State::OperationEnabled,
+        standstill: false,
+        applied_tick: 20,
+        have: 0,
+        ..status
+    }
+}
+
+/// Obeys a stop, and never says that it stands.
+fn never_stands(status: Status) -> Status {
+    let standstill = status.standstill && status.state != State::QuickStopActive;
+    Status { standstill, ..status }
+}
+
+// --- under virtual time ---
+
+/// Plays to an arm that lies, with a stop and a hard stop asked for at these moments; how it ended, and when.
+fn play(lie: Lie, stop_us: Option<u64>, hard_us: Option<u64>) -> (Outcome, Option<String>, u64) {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    let mut arm = Controller::new(ArmConfig::ideal(plan.header().start_pose()));
+    let mut executor = Executor::new(0, &plan, Config::default());
+    let mut now_us = 0;
+    loop {
+        while let Some(message) = arm.poll(now_us) {
+            lied(message, lie).iter().for_each(|said| executor.handle_message(now_us, said));
+        }
+        if stop_us == Some(now_us) {
+            executor.handle_stop(now_us);
+        }
+        if hard_us == Some(now_us) {
+            executor.handle_hard_stop(now_us);
+        }
+        match executor.poll(now_us) {
+            Action::Send(message) => arm.handle_message(now_us, &message),
+            Action::Wait => now_us += 1_000,
+            Action::Finished(outcome) => {
+                return (outcome, executor.doubt().map(|doubt| doubt.to_string()), now_us);
+            }
+        }
+        assert!(now_us < 30_000_000, "the session never ends");
+    }
+}
+
+#[track_caller]
+fn assert_stopped(outcome: Outcome, code: FaultCode, stands: bool) {
+    let Outcome::Stopped { fault, standstill } = outcome else { panic!("{outcome:?}") };
+    assert_eq!((fault.code, standstill), (code, stands));
+}
+
+#[test]
+fn a_tick_that_cannot_be_stops_the_arm() {
+    for (lie, words) in [
+        (boasts as Lie, "it reported tick 110, but the last setpoint sent was that of tick 6"),
+        (has_what_was_not_sent, "but the last setpoint sent was that of tick 6"),
+        (leaps, "it reported tick 60, but cannot be beyond tick 5"),
+        (goes_back, "it reported tick 40 after it had reported tick 49"),
+    ] {
+        let (outcome, doubt, _) = play(lie, None, None);
+        assert_stopped(outcome, FaultCode::ArmTickImpossible, true);
+        let doubt = doubt.unwrap();
+        assert!(doubt.contains(words), "`{words}` in: {doubt}");
+    }
+    let (outcome, doubt, _) = play(|status| status, None, None);
+    assert_eq!((outcome, doubt), (Outcome::Completed, None));
+}
+
+#[test]
+fn an_arm_that_never_reports_standstill_is_given_up() {
+    let standstill_us = Config::default().standstill_us;
+    let (outcome, _, ended_us) = play(reacts_for_ever, None, None);
+    assert_stopped(outcome, FaultCode::StateUnexpected, false);
+    assert!((standstill_us..standstill_us + 1_000_000).contains(&ended_us), "{ended_us}");
+    let (outcome, _, ended_us) = play(never_stands, Some(500_000), None);
+    assert_stopped(outcome, FaultCode::OperatorStop, false);
+    assert_eq!(ended_us, 500_000 + standstill_us);
+}
+
+#[test]
+fn whoever_asks_twice_waits_no_longer_than_a_second() {
+    const _: () = assert!(HARD_STOP_US < 1_000_000);
+    for lie in [reacts_for_ever as Lie, never_stands, wavers] {
+        for hard_us in [10_000, 900_000, 3_000_000] {
+            let (_, _, ended_us) = play(lie, Some(hard_us - 10_000), Some(hard_us));
+            assert!(ended_us <= hard_us + HARD_STOP_US, "{ended_us} for {hard_us}");
+        }
+    }
+}
+
+#[test]
+fn to_and_fro_is_no_progress() {
+    let (outcome, _, ended_us) = play(wavers, None, None);
+    assert_stopped(outcome, FaultCode::ArmStalled, false);
+    let Config { handshake_us, standstill_us, .. } = Config::default();
+    assert!(ended_us <= 1_200_000 + handshake_us + standstill_us, "{ended_us}");
+}
+
+// --- the program ---
+
+/// An arm that lies, at the end of a pseudo-terminal.
+struct Liar {
+    wire: String,
+    over: Arc<AtomicBool>,
+    arm: Option<JoinHandle<()>>,
+}
+
+impl Liar {
+    fn start(bytes: &[u8], lie: Lie) -> Self {
+        let mut pty = Pty::create().unwrap();
+        let wire = format!("serial:{}", pty.path().display());
+        let arm = ArmConfig::ideal(PlanReader::new(bytes).unwrap().header().start_pose());
+        let over = Arc::new(AtomicBool::new(false));
+        let stop = Arc::clone(&over);
+        let arm = thread::spawn(move || {
+            let mut controller = Controller::new(ArmConfig { watchdog_us: 5_000_000, ..arm });
+            let (encoder, mut decoder) = (Encoder::new(Dialect::Fd), ToArmDecoder::new(Dialect::Fd));
+            let (start_us, mut contexts) = (clock::now_us(), [Context::NONE; 2]);
+            while !stop.load(Ordering::Relaxed) {
+                let now_us = clock::now_us() - start_us;
+                while let Some(received) = pty.receive().unwrap() {
+                    let Incoming::Frame(frame) = received.what else { continue };
+                    let messages = decoder.handle_frame(&frame).unwrap_or_default();
+                    messages.iter().for_each(|message| controller.handle_message(now_us, message));
+                }
+                while let Some(message) = controller.poll(now_us) {
+                    if controller.context() != contexts[0] {
+                        contexts = [controller.context(), contexts[0]];
+                        decoder.set_context(contexts[0]);
+                    }
+                    let Some(said) = lied(message, lie) else { continue };
+                    for frame in encoder.from_arm(&of(&contexts, &said), &said) {
+                        pty.send(&frame).unwrap();
+                    }
+                }
+                thread::sleep(Duration::from_millis(1));
+            }
+        });
+        Self { wire, over, arm: Some(arm) }
+    }
+}
+
+impl Drop for Liar {
+    fn drop(&mut self) {
+        self.over.store(true, Ordering::Relaxed);
+        self.arm.take().into_iter().for_each(|arm| arm.join().unwrap());
+    }
+}
+
+/// The context that a message is of.
+fn of(contexts: &[Context; 2], message: &FromArm) -> Context {
+    let session = match message {
+        FromArm::Status(status) => status.session,
+        FromArm::Heartbeat(heartbeat) => heartbeat.session,
+        FromArm::Actual { session, .. } | FromArm::Fault { session, .. } => *session,
+        FromArm::Opened { .. } | FromArm::Refused { .. } | FromArm::Anchored { .. } => NO_SESSION,
+    };
+    let known = contexts.iter().find(|context| context.session == session && session != NO_SESSION);
+    known.copied().unwrap_or(Context::NONE)
+}
+
+/// Slow enough for a machine that is busy with other things.
+fn slow_plan() -> Vec<u8> {
+    let slow = Move { steps: 60, ..one_move().remove(0) };
+    plan_bytes(&PlanHeader { control_period_us: 40_000, ..header() }, &[slow])
+}
+
+fn execute(dir: &TempDir, bytes: &[u8], wire: &str) -> Child {
+    let plan = dir.path().join("skill.plan");
+    std::fs::write(&plan, bytes).unwrap();
+    let arguments = ["--to", wire, "--json", "--arm-timeout", "2000", "--priority", "0"];
+    Command::new(env!("CARGO_BIN_EXE_execute"))
+        .arg(&plan)
+        .args(arguments)
+        .stdout(Stdio::piped())
+        .spawn()
+        .unwrap()
+}
+
+fn interrupt(child: &Child) {
+    // `kill` as a shell has it built in; a program of that name is not everywhere.
+    let process = child.id().to_string();
+    assert!(Command::new("sh").args(["-c", "kill -INT \"$0\"", &process]).status().unwrap().success());
+}
+
+/// The exit code and the report.
+fn ended(child: Child) -> (Option<i32>, Value) {
+    let output = child.wait_with_output().unwrap();
+    (output.status.code(), serde_json::from_slice(&output.stdout).unwrap())
+}
+
+#[test]
+fn the_program_stops_an_arm_whose_tick_cannot_be() {
+    for (lie, words) in [
+        (
+            (|status| Status {
+                applied_tick: if status.applied_tick > 20 { 55 } else { status.applied_tick },
+                ..status
+            }) as Lie,
+            "tick 55",
+        ),
+        (
+            |status| Status {
+                applied_tick: if status.applied_tick > 20 { 10 } else { status.applied_tick },
+                ..status
+            },
+            "after it had reported tick 20",
+        ),
+    ] {
+        let (dir, bytes) = (TempDir::new().unwrap(), slow_plan());
+        let liar = Liar::start(&bytes, lie);
+        let (code, report) = ended(execute(&dir, &bytes, &liar.wire));
+        assert_eq!((code, &report["stop"]["code"]), (Some(1), &Value::from(114)), "{report}");
+        assert!(report["stop"]["detail"].as_str().unwrap().contains(words), "{report}");
+    }
+}
+
+#[test]
+fn a_person_who_asks_twice_gets_the_program_to_end() {
+    let (dir, bytes) = (TempDir::new().unwrap(), slow_plan());
+    let liar = Liar::start(&bytes, reacts_for_ever);
+    let child = execute(&dir, &bytes, &liar.wire);
+    // By then it waits for a standstill that never comes.
+    thread::sleep(Duration::from_millis(2_500));
+    interrupt(&child);
+    thread::sleep(Duration::from_millis(100));
+    let asked = Instant::now();
+    interrupt(&child);
+    let (code, report) = ended(child);
+    assert_eq!((code, &report["standstill"]), (Some(1), &Value::from(false)), "{report}");
+    // Without the second it would have waited for this long; a machine that is busy may take some of it.
+    assert!(asked.elapsed() < Duration::from_micros(Config::default().standstill_us), "{report}");
+}
