@@ -1,4 +1,4 @@
-//! Which ticks of the arm are believed: what an arm says of itself is checked as what is said to it is.
+//! What of the arm's reports is believed: what an arm says of itself is checked as what is said to it is.
 //!
 //! An arm takes setpoints one by one, at most one in a control period, and bridges at most [`BRIDGED_TICKS`] that are
 //! missing. So a tick that it reports
@@ -19,7 +19,7 @@ use powderline_shared::wire::message::{BRIDGED_TICKS, Status};
 /// By which part of the time the arm's clock may be ahead of ours: 0.2 %, many times what a poor crystal is off.
 const DRIFT_SHARE: u64 = 512;
 
-/// Why a tick that the arm reports is not believed.
+/// What the arm reports and cannot be believed, or understood.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Doubt {
     /// No setpoint has been sent for it, nor for one that it could be bridged from.
@@ -43,6 +43,11 @@ pub enum Doubt {
         /// The latest that it can be at by now.
         latest: u32,
     },
+    /// A fault of a number that this version has none for.
+    UnknownFault {
+        /// What the arm reports.
+        number: u16,
+    },
 }
 
 impl fmt::Display for Doubt {
@@ -57,6 +62,7 @@ impl fmt::Display for Doubt {
             Self::Early { tick, latest } => {
                 write!(f, "it reported tick {tick}, but cannot be beyond tick {latest} by now")
             }
+            Self::UnknownFault { number } => write!(f, "it reported fault {number}"),
         }
     }
 }

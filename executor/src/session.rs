@@ -17,7 +17,7 @@
 
 use heapless::Deque;
 use powderline_shared::displacement::{Lsb, Setpoint};
-use powderline_shared::fault::{Fault, FaultCode};
+use powderline_shared::fault::{Fault, FaultCode, Reported};
 use powderline_shared::limits::{PeakUse, Violation};
 use powderline_shared::plan::{PlanHeader, PlanReader};
 use powderline_shared::pose::{Pose, norm};
@@ -368,7 +368,7 @@ impl<'a> Executor<'a> {
         self.violation
     }
 
-    /// Why a tick that the arm reported was not believed.
+    /// What the arm reported and was not believed, or understood.
     #[must_use]
     pub fn doubt(&self) -> Option<Doubt> {
         self.doubt
@@ -440,6 +440,9 @@ impl<'a> Executor<'a> {
             return;
         }
         self.answered(now_us);
+        if !anchor.is_proper() {
+            return self.stop(now_us, FaultCode::AnchorMeaningless);
+        }
         let off = self.header.start_pose().displacement_to(anchor);
         let near = norm(&off.translation()) <= self.config.anchor_tolerance_m
             && norm(&off.rotation()) <= self.config.anchor_tolerance_rad;
@@ -473,8 +476,12 @@ impl<'a> Executor<'a> {
     }
 
     /// The arm tells why it stopped. If all that was known is that it left its state, this is the reason.
-    fn arm_fault(&mut self, now_us: u64, fault: Fault) {
+    fn arm_fault(&mut self, now_us: u64, reported: Reported) {
         self.heard_us = now_us;
+        let fault = reported.known().unwrap_or_else(|_| {
+            self.doubt.get_or_insert(Doubt::UnknownFault { number: reported.number });
+            Fault { code: FaultCode::ArmFaultUnknown, tick: reported.tick }
+        });
         self.latch(now_us, fault);
         if let Some(known) = &mut self.fault
             && known.code == FaultCode::StateUnexpected

@@ -352,7 +352,7 @@ impl Controller {
     fn admit(&self, request: &OpenRequest) -> Result<(), Refusal> {
         let other = self.session.as_ref().is_some_and(|open| open.request.session != request.session);
         match (self.fault, self.state) {
-            (Some(fault), _) => Err(Refusal::Latched { fault }),
+            (Some(fault), _) => Err(Refusal::Latched { fault: fault.into() }),
             (None, _) if self.closed.has(&context_of(request)) => Err(Refusal::Closed),
             (None, State::SwitchOnDisabled | State::ReadyToSwitchOn | State::SwitchedOn) if !other => {
                 session::admit(request, &self.own_limits)
@@ -866,7 +866,7 @@ impl Controller {
 
     fn report_fault(&mut self) {
         if let Some(fault) = self.fault {
-            self.send(FromArm::Fault { session: self.session_number(), fault });
+            self.send(FromArm::Fault { session: self.session_number(), fault: fault.into() });
         }
     }
 

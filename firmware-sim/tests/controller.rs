@@ -764,7 +764,8 @@ fn a_latched_stop_is_left_by_an_explicit_reset_at_standstill_only_and_by_any_ses
         assert_eq!(bench.arm.state(), latched);
         bench.tell(ToArm::Open(OpenRequest { session: SESSION + 1, ..request() }));
         let fault = bench.arm.fault().unwrap();
-        let refused = FromArm::Refused { session: SESSION + 1, reason: Refusal::Latched { fault } };
+        let refused =
+            FromArm::Refused { session: SESSION + 1, reason: Refusal::Latched { fault: fault.into() } };
         assert!(bench.messages.contains(&refused));
         for command in Command::ALL.into_iter().filter(|command| *command != reset) {
             bench.tell(without_session(command));
@@ -863,7 +864,7 @@ fn at_rest_the_arm_repeats_all_that_may_have_been_missed() {
     bench.messages.clear();
     (0..10).for_each(|_| bench.period());
     let fault = bench.arm.fault().unwrap();
-    assert!(bench.messages.contains(&FromArm::Fault { session: SESSION, fault }));
+    assert!(bench.messages.contains(&FromArm::Fault { session: SESSION, fault: fault.into() }));
 }
 
 /// Over the default bench, as the arm's model is mounted.

@@ -105,6 +105,8 @@ fault_codes! {
     HandshakeTimeout = 404, "The arm did not take the next step of the handshake in time.";
     StopCommanded = 405, "The executor asked the arm for a quick stop.";
     EndElsewhere = 406, "The arm came to rest elsewhere than at the end of the plan.";
+    ArmFaultUnknown = 407, "The arm reported a fault that this version does not know.";
+    AnchorMeaningless = 408, "The arm reported an anchor that is no pose.";
 
     OperatorStop = 501, "A person stopped the motion.";
     SoftwareStop = 502, "A stop frame was sent to the arm.";
@@ -174,6 +176,42 @@ impl fmt::Display for Fault {
 
 impl core::error::Error for Fault {}
 
+/// A fault as an arm reports it: by a number, which may be of a later version.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Reported {
+    /// What stopped the motion.
+    pub number: u16,
+    /// The tick concerned.
+    pub tick: u32,
+}
+
+impl Reported {
+    /// The fault of this number.
+    ///
+    /// # Errors
+    /// This version has none.
+    pub fn known(&self) -> Result<Fault, UnknownFaultCode> {
+        FaultCode::try_from(self.number).map(|code| Fault { code, tick: self.tick })
+    }
+}
+
+impl From<Fault> for Reported {
+    fn from(fault: Fault) -> Self {
+        Self { number: fault.code.number(), tick: fault.tick }
+    }
+}
+
+impl fmt::Display for Reported {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.known() {
+            Ok(fault) => fault.fmt(f),
+            Err(_) => {
+                write!(f, "fault {} at tick {}, which this version does not know", self.number, self.tick)
+            }
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -183,7 +221,8 @@ mod tests {
     fn numbers_are_pinned_and_sentences_are_sentences() {
         let numbers = [
             101, 102, 103, 104, 105, 111, 112, 113, 114, 121, 131, 132, 201, 202, 203, 204, 205, 206, 207,
-            301, 302, 303, 304, 305, 306, 307, 311, 312, 313, 314, 401, 402, 403, 404, 405, 406, 501, 502,
+            301, 302, 303, 304, 305, 306, 307, 311, 312, 313, 314, 401, 402, 403, 404, 405, 406, 407, 408,
+            501, 502,
         ];
         assert!(FaultCode::ALL.iter().map(|code| code.number()).eq(numbers));
         for code in FaultCode::ALL {

@@ -32,6 +32,15 @@ impl Pose {
         Self { position_m: Vector3::zeros(), orientation: UnitQuaternion::identity() }
     }
 
+    /// Whether the numbers are those of a pose: finite, and a unit quaternion to within 1e-9.
+    #[must_use]
+    pub fn is_proper(&self) -> bool {
+        let q = self.orientation;
+        let off = libm::sqrt(q.w * q.w + q.i * q.i + q.j * q.j + q.k * q.k) - 1.0;
+        // Not a number is not within the tolerance either.
+        self.position_m.iter().all(|value| value.is_finite()) && libm::fabs(off) <= 1e-9
+    }
+
     /// a_from_c of `self` = a_from_b and b_from_c.
     #[must_use]
     pub fn then(&self, b_from_c: &Self) -> Self {
@@ -166,6 +175,19 @@ mod tests {
 
     fn vector(limit: f64) -> impl Strategy<Value = Vector3<f64>> {
         [-limit..limit, -limit..limit, -limit..limit].prop_map(Vector3::from)
+    }
+
+    #[test]
+    fn numbers_that_are_no_pose_are_known_as_such() {
+        let with = |position_m: [f64; 3], [w, x, y, z]: [f64; 4]| Pose {
+            position_m: position_m.into(),
+            orientation: UnitQuaternion::new_unchecked(Quaternion::new(w, x, y, z)),
+        };
+        assert!(with([0.0; 3], [0.5; 4]).is_proper());
+        assert!(!with([0.0, f64::NAN, 0.0], [0.5; 4]).is_proper());
+        assert!(!with([0.0, f64::INFINITY, 0.0], [0.5; 4]).is_proper());
+        assert!(!with([0.0; 3], [f64::NAN, 0.0, 0.0, 1.0]).is_proper());
+        assert!(!with([0.0; 3], [0.5, 0.5, 0.5, 0.6]).is_proper());
     }
 
     #[test]

@@ -15,18 +15,21 @@ use powderline_executor::{Action, Config, Executor, Outcome};
 use powderline_firmware_sim::controller::{ArmConfig, Controller};
 use powderline_host::clock;
 use powderline_host::transport::{Incoming, Pty, Transport};
-use powderline_shared::fault::FaultCode;
+use powderline_shared::fault::{FaultCode, Reported};
 use powderline_shared::plan::{PlanHeader, PlanReader};
 use powderline_shared::wire::Context;
-use powderline_shared::wire::codec::{Encoder, ToArmDecoder};
+use powderline_shared::wire::codec::{Encoder, FromArmDecoder, ToArmDecoder};
 use powderline_shared::wire::frame::Dialect;
-use powderline_shared::wire::message::{FromArm, NO_SESSION, Status};
+use powderline_shared::wire::message::{FromArm, NO_SESSION, Refusal, Status};
 use powderline_shared::wire::state::{Phase, State};
 use serde_json::Value;
 use tempfile::TempDir;
 
 /// What an arm makes of a status before it says it.
 type Lie = fn(Status) -> Status;
+
+/// What an arm makes of anything before it says it.
+type Word = fn(FromArm) -> FromArm;
 
 /// What it says instead; of its faults, nothing.
 fn lied(message: FromArm, lie: Lie) -> Option<FromArm> {
@@ -172,6 +175,72 @@ fn to_and_fro_is_no_progress() {
     assert_stopped(outcome, FaultCode::ArmStalled, false);
     let Config { handshake_us, standstill_us, .. } = Config::default();
     assert!(ended_us <= 1_200_000 + handshake_us + standstill_us, "{ended_us}");
+}
+
+/// Plays to an arm that says something else; how it ended.
+fn hear(word: Word) -> (Outcome, Option<String>, u64) {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    let mut arm = Controller::new(ArmConfig::ideal(plan.header().start_pose()));
+    let mut executor = Executor::new(0, &plan, Config::default());
+    let mut now_us = 0;
+    loop {
+        while let Some(message) = arm.poll(now_us) {
+            let said = said_in_frames(word(message));
+            executor.handle_message(now_us, &said);
+        }
+        match executor.poll(now_us) {
+            Action::Send(message) => arm.handle_message(now_us, &message),
+            Action::Wait => now_us += 1_000,
+            Action::Finished(outcome) => {
+                return (outcome, executor.doubt().map(|doubt| doubt.to_string()), now_us);
+            }
+        }
+        assert!(now_us < 30_000_000, "the session never ends");
+    }
+}
+
+/// A message, through frames.
+fn said_in_frames(message: FromArm) -> FromArm {
+    let context = Context { session: 1, plan_hash: 0 };
+    let mut decoder = FromArmDecoder::new(Dialect::Fd);
+    decoder.set_context(context);
+    let frames = Encoder::new(Dialect::Fd).from_arm(&context, &message);
+    let heard = frames.flat_map(|frame| decoder.handle_frame(&frame).unwrap());
+    heard.last().unwrap()
+}
+
+#[test]
+fn an_anchor_that_is_no_pose_and_a_fault_of_a_later_version_are_said_at_once() {
+    let (outcome, _, ended_us) = hear(|message| match message {
+        FromArm::Anchored { session, mut pose } => {
+            pose.position_m.y = f64::NAN;
+            FromArm::Anchored { session, pose }
+        }
+        other => other,
+    });
+    assert_stopped(outcome, FaultCode::AnchorMeaningless, true);
+    assert_eq!(ended_us, 0);
+    let (outcome, doubt, ended_us) = hear(|message| match message {
+        FromArm::Status(status) if status.applied_tick == 9 && status.phase.is_some() => {
+            FromArm::Fault { session: status.session, fault: Reported { number: 777, tick: 9 } }
+        }
+        other => other,
+    });
+    assert_stopped(outcome, FaultCode::ArmFaultUnknown, true);
+    assert_eq!(doubt.as_deref(), Some("it reported fault 777"));
+    assert!(ended_us < 1_000_000, "{ended_us}");
+    let (outcome, _, ended_us) = hear(|message| match message {
+        FromArm::Opened { session } => {
+            let fault = Reported { number: 777, tick: 9 };
+            FromArm::Refused { session, reason: Refusal::Latched { fault } }
+        }
+        other => other,
+    });
+    assert_stopped(outcome, FaultCode::SessionRefused, false);
+    assert_eq!(ended_us, 0);
+    let said = Refusal::Latched { fault: Reported { number: 777, tick: 9 } }.to_string();
+    assert!(said.contains("fault 777 at tick 9, which this version does not know"), "{said}");
 }
 
 // --- the program ---

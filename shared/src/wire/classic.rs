@@ -9,7 +9,7 @@ use super::message::{FromArm, Heartbeat, NO_SESSION, Status, ToArm};
 use super::rejected::Rejected;
 use super::words::{self, StatusBits};
 use crate::displacement::Setpoint;
-use crate::fault::{Fault, FaultCode};
+use crate::fault::Reported;
 
 /// NMT state "operational" in a heartbeat (CiA 301).
 const OPERATIONAL: u8 = 0x05;
@@ -110,10 +110,10 @@ pub(super) fn status(context: &Context, word: u16, status: &Status) -> Frame {
     sealed(ids::STATUS, context, tick, payload)
 }
 
-pub(super) fn fault(context: &Context, fault: Fault) -> Frame {
+pub(super) fn fault(context: &Context, fault: Reported) -> Frame {
     let tick = sent_tick(context, fault.tick);
     let error = if context.session == NO_SESSION { OF_NO_SESSION } else { OF_SESSION };
-    let payload = Put::new().u16(error).u8(ERROR_REGISTER).u16(fault.code.number()).u16(low16(tick));
+    let payload = Put::new().u16(error).u8(ERROR_REGISTER).u16(fault.number).u16(low16(tick));
     sealed(ids::FAULT, context, tick, payload)
 }
 
@@ -166,8 +166,7 @@ pub(super) fn read_fault(frame: &Frame, own: &Context, reference: u32) -> Result
     };
     let context = context_of(frame, own, in_session)?;
     let (session, tick) = found(frame, (payload, crc), low, &context, reference)?;
-    let code = FaultCode::try_from(number).map_err(|_| Rejected::FaultCode { number })?;
-    Ok(FromArm::Fault { session, fault: Fault { code, tick } })
+    Ok(FromArm::Fault { session, fault: Reported { number, tick } })
 }
 
 /// Whether the checksum of a frame without tick holds; its session has been sent.

@@ -390,7 +390,7 @@ impl FromArmDecoder {
         let Some(record) = self.reassembly.handle::<FromArmRecord>(dialect, frame)? else {
             return Ok(Vec::new());
         };
-        record.into_message().map(one).ok_or(Rejected::Record { id: frame.id })
+        Ok(one(record.into_message()))
     }
 
     fn tick_reference(&self) -> u32 {

@@ -8,7 +8,7 @@ use super::message::{FromArm, Heartbeat, NO_SESSION, Status, ToArm};
 use super::rejected::Rejected;
 use super::words::{self, StatusBits};
 use crate::displacement::Setpoint;
-use crate::fault::{Fault, FaultCode};
+use crate::fault::Reported;
 
 /// Flag of a setpoint: its displacement is valid.
 const DISPLACEMENT_VALID: u8 = 1;
@@ -171,8 +171,8 @@ pub(super) fn read_status(
     Ok(FromArm::Status(Status { session, state, phase, standstill, applied_tick, have, counter }))
 }
 
-pub(super) fn fault(context: &Context, fault: Fault) -> Frame {
-    sealed(FAULT, context, fault.tick, 0, &Put::new().u16(fault.code.number()).u16(0))
+pub(super) fn fault(context: &Context, fault: Reported) -> Frame {
+    sealed(FAULT, context, fault.tick, 0, &Put::new().u16(fault.number).u16(0))
 }
 
 pub(super) fn read_fault(
@@ -183,8 +183,7 @@ pub(super) fn read_fault(
     opened.check_flags(0)?;
     let (number, reserved) = complete((|| Some((opened.body.u16()?, opened.body.u16()?)))(), frame)?;
     opened.zero(reserved)?;
-    let code = FaultCode::try_from(number).map_err(|_| Rejected::FaultCode { number })?;
-    Ok(FromArm::Fault { session: opened.session, fault: Fault { code, tick: opened.tick } })
+    Ok(FromArm::Fault { session: opened.session, fault: Reported { number, tick: opened.tick } })
 }
 
 pub(super) fn heartbeat_to_arm(context: &Context) -> Frame {

@@ -30,9 +30,6 @@ const LAST: u8 = 0x80;
 /// CAN FD lengths are at most 16 bytes apart.
 const PADDING_LESS_THAN: usize = 16;
 
-/// How far the norm of an anchor's orientation may be from 1.
-const UNIT_TOLERANCE: f64 = 1e-9;
-
 /// What the executor says in the handshake.
 #[derive(Serialize, Deserialize)]
 pub(super) enum ToArmRecord {
@@ -56,14 +53,11 @@ impl FromArmRecord {
         Self::Anchored { session, pose: StartPose::from(pose) }
     }
 
-    /// `None` for an anchor that is no pose.
-    pub(super) fn into_message(self) -> Option<FromArm> {
+    pub(super) fn into_message(self) -> FromArm {
         match self {
-            Self::Opened { session } => Some(FromArm::Opened { session }),
-            Self::Refused { session, reason } => Some(FromArm::Refused { session, reason }),
-            Self::Anchored { session, pose } => {
-                is_pose(&pose).then(|| FromArm::Anchored { session, pose: pose.pose() })
-            }
+            Self::Opened { session } => FromArm::Opened { session },
+            Self::Refused { session, reason } => FromArm::Refused { session, reason },
+            Self::Anchored { session, pose } => FromArm::Anchored { session, pose: pose.pose() },
         }
     }
 }
@@ -73,13 +67,6 @@ impl ToArmRecord {
         let Self::Open(request) = self;
         ToArm::Open(request)
     }
-}
-
-fn is_pose(pose: &StartPose) -> bool {
-    let [w, x, y, z] = pose.orientation_wxyz;
-    let norm = libm::sqrt(w * w + x * x + y * y + z * z);
-    // Not a number is not within the tolerance either.
-    pose.position_m.iter().all(|value| value.is_finite()) && libm::fabs(norm - 1.0) <= UNIT_TOLERANCE
 }
 
 /// The frames of one record, cut as they are asked for.
@@ -291,20 +278,12 @@ mod tests {
         assert_eq!(open.record.len(), 6 + 136);
         assert_eq!(open.count(), 21);
         let fault = Fault { code: FaultCode::OperatorStop, tick: u32::MAX };
-        let refused = FromArmRecord::Refused { session: u16::MAX, reason: Refusal::Latched { fault } };
+        let refused =
+            FromArmRecord::Refused { session: u16::MAX, reason: Refusal::Latched { fault: fault.into() } };
         let anchored = FromArmRecord::anchored(u16::MAX, &Pose::identity());
         for (record, length) in [(refused, 12), (anchored, 60)] {
             let segments = Segments::new(ids::HANDSHAKE_FROM_ARM, Dialect::Fd, &record);
             assert_eq!(segments.record.len(), 6 + length);
         }
-    }
-
-    #[test]
-    fn an_anchor_that_is_no_pose_is_refused() {
-        let fine = StartPose { position_m: [0.0; 3], orientation_wxyz: [0.5; 4] };
-        assert!(is_pose(&fine));
-        assert!(!is_pose(&StartPose { position_m: [0.0, f64::NAN, 0.0], ..fine }));
-        assert!(!is_pose(&StartPose { orientation_wxyz: [f64::NAN, 0.0, 0.0, 1.0], ..fine }));
-        assert!(!is_pose(&StartPose { orientation_wxyz: [0.5, 0.5, 0.5, 0.6], ..fine }));
     }
 }

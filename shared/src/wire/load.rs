@@ -187,7 +187,8 @@ mod tests {
             counter: 1,
         });
         let actual = FromArm::Actual { session: 1, reached: Setpoint::ANCHOR };
-        let fault = FromArm::Fault { session: 1, fault: Fault { code: FaultCode::OperatorStop, tick: 1 } };
+        let fault =
+            FromArm::Fault { session: 1, fault: Fault { code: FaultCode::OperatorStop, tick: 1 }.into() };
         let heartbeat = FromArm::Heartbeat(Heartbeat { session: 1, lost: 0, dropped: 0 });
         let context = Context { session: 1, plan_hash: 1 };
         for (dialect, to_arm, from_arm) in

@@ -23,7 +23,7 @@ use serde::{Deserialize, Serialize};
 
 use super::state::{Command, Phase, State};
 use crate::displacement::{Lsb, Setpoint};
-use crate::fault::Fault;
+use crate::fault::Reported;
 use crate::limits::Limits;
 use crate::pose::Pose;
 
@@ -110,7 +110,7 @@ pub enum FromArm {
     Anchored {
         /// Session.
         session: u16,
-        /// X0.
+        /// X0; numbers as they were sent, which may be no pose ([`Pose::is_proper`]).
         pose: Pose,
     },
     /// Progress and state.
@@ -127,7 +127,7 @@ pub enum FromArm {
         /// Session in which it was found, or [`NO_SESSION`].
         session: u16,
         /// Which.
-        fault: Fault,
+        fault: Reported,
     },
     /// The arm is alive.
     Heartbeat(Heartbeat),
@@ -148,7 +148,7 @@ pub enum Refusal {
     /// A stop or a fault is latched.
     Latched {
         /// Which.
-        fault: Fault,
+        fault: Reported,
     },
     /// The control period is outside the arm's range.
     Period,

@@ -43,11 +43,6 @@ pub enum Rejected {
         /// Controlword, statusword, EMCY error code or NMT state.
         word: u16,
     },
-    /// The fault code is not one of this version.
-    FaultCode {
-        /// Its number.
-        number: u16,
-    },
     /// Two halves of one kind and tick differ.
     Contradiction {
         /// Identifier.
@@ -91,7 +86,6 @@ impl fmt::Display for Rejected {
             Self::Word { id, word } => {
                 write!(f, "frame {id:#05x} has the word {word:#06x}, which stands for nothing")
             }
-            Self::FaultCode { number } => write!(f, "{number} is not a fault code of this version"),
             Self::Contradiction { id, tick } => {
                 write!(f, "frame {id:#05x} contradicts an earlier one of the same tick {tick}")
             }

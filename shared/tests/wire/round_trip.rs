@@ -2,7 +2,7 @@
 
 use nalgebra::{UnitQuaternion, Vector3};
 use powderline_shared::displacement::{Lsb, Setpoint};
-use powderline_shared::fault::{Fault, FaultCode};
+use powderline_shared::fault::Reported;
 use powderline_shared::limits::Limits;
 use powderline_shared::pose::Pose;
 use powderline_shared::wire::Context;
@@ -43,8 +43,8 @@ fn contexts() -> impl Strategy<Value = Context> {
     })
 }
 
-fn faults() -> impl Strategy<Value = Fault> {
-    (select(FaultCode::ALL.to_vec()), any::<u32>()).prop_map(|(code, tick)| Fault { code, tick })
+fn faults() -> impl Strategy<Value = Reported> {
+    (any::<u16>(), any::<u32>()).prop_map(|(number, tick)| Reported { number, tick })
 }
 
 fn refusals() -> impl Strategy<Value = Refusal> {
@@ -160,7 +160,7 @@ proptest! {
     #[test]
     fn status_and_fault_survive_near_an_expected_tick(dialect in dialects(), context in contexts(),
         (state, phase) in states(), standstill: bool, expected: u32, by in -30_000..30_000_i32, have: u16, counter: u8,
-        code in select(FaultCode::ALL.to_vec()),
+        number: u16,
     ) {
         let Context { session, .. } = context;
         let tick = expected.saturating_add_signed(by);
@@ -169,7 +169,7 @@ proptest! {
         let tick = if session == NO_SESSION { tick & 0xFFFF } else { tick };
         let message = FromArm::Status(Status { session, state, phase, standstill, applied_tick: tick, have, counter });
         prop_assert_eq!(from_arm_and_back(dialect, context, near, message), [message]);
-        let message = FromArm::Fault { session, fault: Fault { code, tick } };
+        let message = FromArm::Fault { session, fault: Reported { number, tick } };
         prop_assert_eq!(from_arm_and_back(dialect, context, near, message), [message]);
     }
 
@@ -192,9 +192,9 @@ proptest! {
 
 #[test]
 fn a_tick_without_session_ends_at_sixteen_bits() {
-    let fault = Fault { code: FaultCode::OperatorStop, tick: 70_000 };
+    let fault = Reported { number: 501, tick: 70_000 };
     let message = FromArm::Fault { session: NO_SESSION, fault };
-    let cut = FromArm::Fault { session: NO_SESSION, fault: Fault { tick: 65_535, ..fault } };
+    let cut = FromArm::Fault { session: NO_SESSION, fault: Reported { tick: 65_535, ..fault } };
     let anchor = Setpoint::ANCHOR;
     assert_eq!(from_arm_and_back(Dialect::Classic, Context::NONE, anchor, message), [cut]);
     assert_eq!(from_arm_and_back(Dialect::Fd, Context::NONE, anchor, message), [message]);

@@ -43,7 +43,7 @@ pub(crate) fn from_arm() -> Vec<(String, FromArm)> {
         Refusal::Version { arm: 3 },
         Refusal::Busy,
         Refusal::Closed,
-        Refusal::Latched { fault },
+        Refusal::Latched { fault: fault.into() },
         Refusal::Period,
         Refusal::Meaningless,
         Refusal::Coarse,
@@ -56,9 +56,9 @@ pub(crate) fn from_arm() -> Vec<(String, FromArm)> {
     }
     all.extend(statuses().into_iter().map(|(name, status)| (name, FromArm::Status(status))));
     let early = Fault { tick: 41, ..fault };
-    all.push(("fault".into(), FromArm::Fault { session: SESSION, fault: early }));
+    all.push(("fault".into(), FromArm::Fault { session: SESSION, fault: early.into() }));
     let unbound = Fault { code: FaultCode::OperatorStop, tick: 40_000 };
-    all.push(("fault without session".into(), FromArm::Fault { session: NO_SESSION, fault: unbound }));
+    all.push(("fault without session".into(), FromArm::Fault { session: NO_SESSION, fault: unbound.into() }));
     let heartbeat = Heartbeat { session: SESSION, lost: 2, dropped: 513 };
     all.push(("heartbeat".into(), FromArm::Heartbeat(heartbeat)));
     let idle = Heartbeat { session: NO_SESSION, lost: 0, dropped: 7 };
