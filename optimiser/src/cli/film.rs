@@ -58,7 +58,16 @@ impl<'a> Film<'a> {
     pub(super) fn bench(&self) -> Bench {
         let scene = &self.task.scene;
         let period_s = self.every as f64 * scene.time.control_period_s();
-        view::bench(scene, scene.particle_count(), self.controls.len() / self.every + 1, period_s)
+        view::bench(scene, &self.poses(), self.controls.len() / self.every + 1, period_s)
+    }
+
+    /// Where the tool is at the beginning and after each control step.
+    fn poses(&self) -> Vec<Pose> {
+        let next = |pose: &mut Pose, control: &Displacement| {
+            *pose = pose.displaced(control);
+            Some(*pose)
+        };
+        std::iter::once(self.anchor).chain(self.controls.iter().scan(self.anchor, next)).collect()
     }
 
     /// Simulates, and shows every frame to the sink.

@@ -160,7 +160,7 @@ impl RenderArgs {
         let colouring = match self.colour {
             Colour::Plain => usual.colouring,
             Colour::Speed => Colouring::Speed { max_m_s: FAST_M_S },
-            Colour::Height => Colouring::Height { max_m: bench.size_m[2] },
+            Colour::Height => Colouring::Height { max_m: bench.extent.high_m[2] },
             Colour::Destination => Colouring::Destination,
         };
         let containers = if self.cut { Containers::CutOpen } else { usual.containers };

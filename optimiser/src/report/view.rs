@@ -1,23 +1,26 @@
 //! A scene as pictures, pages and exports show it.
 
 use nalgebra::{Isometry3, Vector3};
+use powderline_shared::pose::Pose;
 use powderline_simulator::scene::{Container, ContainerShape, Gate, GateShape, Scene, Tool, ToolShape};
-use powderline_view::{Bench, Role, mesh::Mesh};
+use powderline_view::{Bench, Role, extent::Extent, mesh::Mesh};
 
-/// What stands and moves in a scene, for so many particles and frames.
-pub fn bench(scene: &Scene, particles: usize, frames: usize, period_s: f64) -> Bench {
-    Bench {
+/// What stands and moves in a scene, with the tool at these poses, for so many frames.
+pub fn bench(scene: &Scene, poses: &[Pose], frames: usize, period_s: f64) -> Bench {
+    let bench = Bench {
         name: scene.name.clone(),
         size_m: scene.domain.size_m,
+        extent: Extent::of_volume(scene.domain.size_m),
         cell_m: scene.domain.cell_m,
         containers: scene.containers.iter().map(|container| drawn(scene, container)).collect(),
         gates: scene.gates.iter().map(gate).collect(),
         tool: tool(&scene.tool),
         target_m: scene.objective.p_target_m,
-        particles,
+        particles: scene.particle_count(),
         period_s,
         frames,
-    }
+    };
+    bench.framed(poses)
 }
 
 fn drawn(scene: &Scene, container: &Container) -> powderline_view::Container {
@@ -66,18 +69,21 @@ fn tool(tool: &Tool) -> Mesh {
 mod tests {
     use super::*;
     use powderline_simulator::scene::{Cuboid, EMBEDDED_SCENES, GateOpening};
+    use powderline_simulator::skill::SkillMap;
+    use powderline_view::Frame;
+    use powderline_view::picture::{Camera, Image, Look, Painter};
 
     #[test]
     fn cuboids_are_drawn_where_they_stand() {
         let mut scene = Scene::load("bench").unwrap();
-        let handle = bench(&scene, 1, 1, 0.01).tool;
+        let handle = bench(&scene, &[], 1, 0.01).tool;
         let one = Cuboid {
             centre_m: [0.0, 0.0, -0.01],
             size_m: [0.02, 0.03, 0.004],
             rotation_deg: [30.0, -20.0, 70.0],
         };
         scene.tool.shape = ToolShape::Cuboids { cuboid: vec![one] };
-        let drawn = bench(&scene, 1, 1, 0.01).tool;
+        let drawn = bench(&scene, &[], 1, 0.01).tool;
         assert_ne!(drawn.points_m, handle.points_m);
         let rod = Mesh::capsule([0.0; 3], [1.0; 3], 0.1).points_m.len();
         assert_eq!(drawn.points_m[rod..], one.corners_m());
@@ -100,7 +106,7 @@ mod tests {
         };
         let tube = GateShape::Tube { inner_radius_m: 0.01, height_m: 0.03, wall_thickness_m: 0.002 };
         scene.gates = vec![plate.clone(), Gate { shape: tube, ..plate }];
-        let drawn = bench(&scene, 1, 1, 0.01).gates;
+        let drawn = bench(&scene, &[], 1, 0.01).gates;
         let extent = |mesh: &Mesh, axis: usize| {
             let along = || mesh.points_m.iter().map(|point| point[axis]);
             [along().fold(f64::MAX, f64::min), along().fold(f64::MIN, f64::max)]
@@ -116,11 +122,64 @@ mod tests {
         }
     }
 
+    /// A bench with its skill in the middle of all ranges, somewhere in a volume.
+    fn placed(size_m: Option<[f64; 3]>, by_m: [f64; 3]) -> Bench {
+        let mut scene = Scene::load("bench").unwrap();
+        scene.domain.size_m = size_m.unwrap_or(scene.domain.size_m);
+        let moved = |at: &mut [f64; 3]| (0..3).for_each(|axis| at[axis] += by_m[axis]);
+        scene.containers.iter_mut().for_each(|container| moved(&mut container.position_m));
+        moved(&mut scene.tool.start_position_m);
+        let map = SkillMap::new(&scene);
+        let controls = map.controls(&[0.0; 5]).unwrap();
+        let next = |pose: &mut Pose, control: &_| {
+            *pose = pose.displaced(control);
+            Some(*pose)
+        };
+        let poses: Vec<Pose> = controls.iter().scan(*map.start_pose(), next).collect();
+        bench(&scene, &poses, 1, 0.01)
+    }
+
+    #[test]
+    fn a_bench_in_a_large_volume_is_framed_as_in_its_own() {
+        let look = Look { width_px: 320, height_px: 240, labels: false, ..Look::default() };
+        let drawn = |bench: &Bench, at: [f64; 3]| {
+            let tool = Pose { position_m: at.into(), ..Pose::identity() };
+            let nothing: &[[f32; 3]] = &[];
+            let frame = Frame {
+                index: 0,
+                time_s: 0.0,
+                tool,
+                planned: None,
+                positions_m: nothing,
+                velocities_m_s: nothing,
+            };
+            Painter::new(bench, &Camera::default(), &look).unwrap().draw(&frame, &[])
+        };
+        // Columns and rows at which something else than the empty floor begins and ends.
+        let ends = |image: &Image| {
+            let is_drawn = |pixel: usize| image.rgb[3 * pixel..][..3].iter().any(|part| *part < 215);
+            let drawn = || (0..image.width_px * image.height_px).filter(|pixel| is_drawn(*pixel));
+            let [columns, rows] = [|at: usize| at % 320, |at: usize| at / 320]
+                .map(|place| [drawn().map(place).min().unwrap(), drawn().map(place).max().unwrap()]);
+            [columns, rows]
+        };
+        let by_m = [0.4, 0.5, 0.0];
+        let start = Scene::load("bench").unwrap().tool.start_position_m;
+        let own = ends(&drawn(&placed(None, [0.0; 3]), start));
+        let large =
+            ends(&drawn(&placed(Some([1.0; 3]), by_m), std::array::from_fn(|axis| start[axis] + by_m[axis])));
+        for (own, large) in own.iter().flatten().zip(large.iter().flatten()) {
+            assert!(own.abs_diff(*large) <= 2, "{own} {large}");
+        }
+        let [columns, _] = own;
+        assert!(columns[1] - columns[0] > 200, "{columns:?} of 320");
+    }
+
     #[test]
     fn every_shipped_scene_is_drawn_within_its_volume() {
         for (name, _) in EMBEDDED_SCENES {
             let scene = Scene::load(name).unwrap();
-            let bench = bench(&scene, 1, 1, 0.01);
+            let bench = bench(&scene, &[], 1, 0.01);
             assert_eq!(bench.containers.iter().filter(|c| c.role == Role::Source).count(), 1);
             assert_eq!(bench.containers.iter().filter(|c| c.role == Role::Target).count(), 1);
             for container in &bench.containers {

@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use powderline_shared::pose::Pose;
 use powderline_simulator::scene::{GateOpening, GateShape};
+use powderline_view::extent::Extent;
 use powderline_view::mesh::Mesh;
 use powderline_view::page::{Chart, Figure, Mark, Page, Recorder, Row, Scale, Series, Table, Tone};
 use powderline_view::{Bench, Container, Destination, Frame, Gate, Role, Sink, ViewError};
@@ -16,6 +17,7 @@ use powderline_view::{Bench, Container, Destination, Frame, Gate, Role, Sink, Vi
 const PARTICLES: usize = 12_500;
 const FRAMES: usize = 500;
 const PERIOD_S: f64 = 0.01;
+const SIZE_M: [f64; 3] = [0.48, 0.24, 0.3];
 const SOURCE_M: [f64; 3] = [0.13, 0.12, 0.004];
 const TARGET_M: [f64; 3] = [0.36, 0.12, 0.004];
 const PLATE_M: [f64; 3] = [0.25, 0.12, 0.0];
@@ -28,7 +30,8 @@ fn main() -> Result<(), ViewError> {
 
 /// A page with everything.
 fn replay(path: &Path) -> Result<(), ViewError> {
-    let bench = bench();
+    let way: Vec<Pose> = (0..FRAMES).map(|index| tool(index as f64 * PERIOD_S, 1.0)).collect();
+    let bench = bench().framed(&way);
     let mut recorder = Recorder::new(&bench);
     for index in 0..FRAMES {
         let time_s = index as f64 * PERIOD_S;
@@ -90,7 +93,8 @@ fn bench() -> Bench {
     let target = Mesh::open_cylinder(0.055, 0.06, 0.004).moved(&at(TARGET_M));
     Bench {
         name: "a made-up bench".into(),
-        size_m: [0.48, 0.24, 0.3],
+        size_m: SIZE_M,
+        extent: Extent::of_volume(SIZE_M),
         cell_m: 0.005,
         containers: vec![
             Container { name: "box".into(), role: Role::Source, mesh: source },

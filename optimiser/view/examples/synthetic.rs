@@ -15,6 +15,7 @@ use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use powderline_shared::pose::Pose;
 use powderline_simulator::scene::{GateOpening, GateShape};
 use powderline_view::export::{Format, Series};
+use powderline_view::extent::Extent;
 use powderline_view::mesh::Mesh;
 use powderline_view::picture::{Animation, Camera, Colouring, Containers, Look, Stills};
 use powderline_view::{Bench, Container, Destination, Frame, Gate, Role, Sink, ViewError};
@@ -31,6 +32,9 @@ const BOWL_M: f64 = 0.016;
 
 /// Corners of the powder at first, metres.
 const BED_M: [[f64; 3]; 2] = [[0.024, 0.016, 0.004], [0.088, 0.080, 0.027]];
+
+/// The volume, metres.
+const SIZE_M: [f64; 3] = [0.256, 0.096, 0.208];
 
 /// Middles of the boxes' floors, metres.
 const SOURCE_M: [f64; 3] = [0.056, 0.048, 0.004];
@@ -58,7 +62,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         Some("pictures") => true,
         Some(_) => return Err("the second word can only be: pictures".into()),
     };
-    let (bench, motion) = (bench(), Motion::new());
+    let way: Vec<Pose> = (0..FRAMES).map(|index| tool(index as f64 * PERIOD_S)).collect();
+    let (bench, motion) = (bench().framed(&way), Motion::new());
     println!("{} particles, {FRAMES} frames", bench.particles);
     exports(&bench, &motion, &folder)?;
     if with_pictures {
@@ -233,7 +238,8 @@ fn bench() -> Bench {
     let handle = [-0.05 * rise.cos() - BOWL_M - 0.002, 0.0, 0.05 * rise.sin()];
     Bench {
         name: "synthetic".to_owned(),
-        size_m: [0.256, 0.096, 0.208],
+        size_m: SIZE_M,
+        extent: Extent::of_volume(SIZE_M),
         cell_m: 2.0 * SPACING_M,
         containers: vec![
             container("source", Role::Source, SOURCE_M, 0.030),

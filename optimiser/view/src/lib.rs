@@ -6,6 +6,7 @@
 //! World frame: z up, floor at z = 0, the simulated volume is `[0, size_m]`. Lengths in metres, times in seconds.
 
 pub mod export;
+pub mod extent;
 pub mod mesh;
 pub mod motion;
 pub mod page;
@@ -16,6 +17,7 @@ use nalgebra::Isometry3;
 use powderline_shared::pose::Pose;
 pub use powderline_simulator::rollout::Destination;
 
+use extent::Extent;
 use mesh::Mesh;
 
 /// What stands still, what the tool looks like, and how many frames are to come.
@@ -25,6 +27,8 @@ pub struct Bench {
     pub name: String,
     /// The simulated volume.
     pub size_m: [f64; 3],
+    /// What a picture has to show: the volume may be much larger than what happens in it.
+    pub extent: Extent,
     /// Edge of a grid cell; particles lie a half or a third of it apart.
     pub cell_m: f64,
     /// Containers, world frame.
@@ -41,6 +45,18 @@ pub struct Bench {
     pub period_s: f64,
     /// How many frames there will be.
     pub frames: usize,
+}
+
+impl Bench {
+    /// The same, of which pictures show containers, gates where they are shut, and the tool at these poses.
+    #[must_use]
+    pub fn framed(mut self, tool: &[Pose]) -> Self {
+        let standing = self.containers.iter().map(|it| &it.mesh).chain(self.gates.iter().map(|it| &it.mesh));
+        let about = standing.filter_map(|mesh| Extent::about(mesh.points_m.iter().copied()));
+        let all = about.chain(Extent::swept(&self.tool, tool)).reduce(|all, one| all.and(&one));
+        self.extent = all.unwrap_or(self.extent);
+        self
+    }
 }
 
 /// A container.

@@ -142,12 +142,14 @@ function path(THREE, poses, radius, colour) {
   return group;
 }
 
-/** Lines on the floor, and how far apart they are. */
-function floorGrid(THREE, [x, y]) {
-  const step = roundedUp(Math.max(x, y) / 14);
-  const points = [];
-  for (let at = 0; at <= x + 1e-9; at += step) points.push(at, 0, 0, at, y, 0);
-  for (let at = 0; at <= y + 1e-9; at += step) points.push(0, at, 0, x, at, 0);
+/** Lines on the floor beneath what is to be seen, and how far apart they are. */
+function floorGrid(THREE, [low, high]) {
+  const step = roundedUp(Math.max(high[0] - low[0], high[1] - low[1]) / 14);
+  const [x, y] = [0, 1].map((axis) => {
+    const [from, to] = [Math.floor(low[axis] / step + 1e-9), Math.ceil(high[axis] / step - 1e-9)];
+    return Array.from({ length: to - from + 1 }, (_, line) => (from + line) * step);
+  });
+  const points = [...x.flatMap((at) => [at, y[0], 0, at, y.at(-1), 0]), ...y.flatMap((at) => [x[0], at, 0, x.at(-1), at, 0])];
   const geometry = new THREE.BufferGeometry();
   geometry.setAttribute('position', new THREE.Float32BufferAttribute(points, 3));
   const lines = new THREE.LineSegments(geometry, new THREE.LineBasicMaterial());
@@ -283,7 +285,7 @@ function makeStage({ THREE, OrbitControls }, replay, host) {
   const scene = new THREE.Scene();
   const camera = new THREE.PerspectiveCamera(32, 1, 0.01, 100);
   camera.up.set(0, 0, 1);
-  const grid = floorGrid(THREE, about.size_m);
+  const grid = floorGrid(THREE, about.extent_m);
   const layers = {
     source: new THREE.Group(),
     target: new THREE.Group(),
@@ -320,7 +322,7 @@ function makeStage({ THREE, OrbitControls }, replay, host) {
   canvas.dataset.drawn = '0';
   const controls = new OrbitControls(camera, canvas);
   controls.zoomToCursor = true;
-  const extent = extentOf(THREE, about);
+  const extent = new THREE.Box3(...about.extent_m.map((corner) => new THREE.Vector3(...corner)));
   // Until the reader turns it, the picture fits, however the window changes.
   let looksFrom = null;
   controls.addEventListener('start', () => { looksFrom = null; });
@@ -385,21 +387,6 @@ function makeStage({ THREE, OrbitControls }, replay, host) {
       canvas.dataset.drawn = String(Number(canvas.dataset.drawn) + 1);
     },
   };
-}
-
-/** What should be in the picture: containers, shut gates, and the tool wherever it goes. */
-function extentOf(THREE, about) {
-  const box = new THREE.Box3();
-  const reach = new THREE.Box3().setFromArray(about.tool.points_m).getBoundingSphere(new THREE.Sphere());
-  [...about.containers, ...about.gates].forEach(({ mesh }) => box.union(new THREE.Box3().setFromArray(mesh.points_m)));
-  [...about.poses, ...about.planned].filter((pose) => pose).forEach((pose) => {
-    const centre = reach.center.clone().applyQuaternion(new THREE.Quaternion(...pose.slice(3)));
-    centre.add(new THREE.Vector3(...pose));
-    box.expandByPoint(centre.clone().addScalar(0.6 * reach.radius));
-    box.expandByPoint(centre.addScalar(-0.6 * reach.radius));
-  });
-  const volume = new THREE.Box3(new THREE.Vector3(), new THREE.Vector3(...about.size_m));
-  return box.isEmpty() ? volume : box.intersect(volume);
 }
 
 /** Moves the camera so far back in a direction that the box just fits. */

@@ -245,6 +245,8 @@ impl Replay {
 pub(super) struct About {
     name: String,
     size_m: [f64; 3],
+    /// Lowest and highest corner of what the first picture shows.
+    extent_m: [[f64; 3]; 2],
     cell_m: f64,
     target_m: [f64; 3],
     particles: usize,
@@ -303,6 +305,7 @@ impl About {
         Self {
             name: bench.name.clone(),
             size_m: bench.size_m,
+            extent_m: [bench.extent.low_m, bench.extent.high_m].map(|corner| corner.map(rounded)),
             cell_m: bench.cell_m,
             target_m: bench.target_m,
             particles: bench.particles,
@@ -359,6 +362,7 @@ fn rounded(number: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::extent::Extent;
     use powderline_simulator::scene::GateOpening;
     use std::io::Read as _;
 
@@ -366,6 +370,7 @@ mod tests {
         Bench {
             name: "bench".into(),
             size_m: [0.4, 0.2, 0.3],
+            extent: Extent { low_m: [0.0; 3], high_m: [0.4, 0.2, 0.3] },
             cell_m: 0.01,
             containers: Vec::new(),
             gates: Vec::new(),

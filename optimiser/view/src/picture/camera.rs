@@ -9,14 +9,14 @@ const NEAR_M: f32 = 1e-3;
 /// Share of the picture that stays empty at each edge.
 const MARGIN: f32 = 0.06;
 
-/// A perspective camera that turns about the bench and always has the whole of it in view at zoom 1.
+/// A perspective camera that turns about a bench and always has the whole of [`Bench::extent`] in view at zoom 1.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Camera {
     /// 0 looks along +y, from the front; a positive angle moves the camera counter-clockwise seen from above, degrees.
     pub azimuth_deg: f64,
     /// 0 looks horizontally, 90 straight down, degrees.
     pub elevation_deg: f64,
-    /// 1 has the whole bench in view, 2 shows its middle twice as large.
+    /// 1 has the whole bench in view, 2 shows the middle twice as large.
     pub zoom: f64,
     /// Angle between the left and the right edge of the picture at zoom 1, degrees; 5 to 120.
     pub field_of_view_deg: f64,
@@ -115,11 +115,9 @@ impl View {
     }
 }
 
-/// What has to be in view at zoom 1: the corners of the volume.
+/// What has to be in view at zoom 1.
 pub(super) fn corners(bench: &Bench) -> Vec<V> {
-    let size = bench.size_m.map(|size| size as f32);
-    let corner = |index: usize| [0, 1, 2].map(|axis| if index >> axis & 1 == 0 { 0.0 } else { size[axis] });
-    (0..8).map(|index| V::from(corner(index))).collect()
+    bench.extent.corners().map(|corner| V::from(corner.map(|x| x as f32))).into()
 }
 
 #[cfg(test)]
@@ -128,7 +126,7 @@ mod tests {
     use crate::picture::sample::bench;
 
     #[test]
-    fn the_whole_volume_is_in_view_from_everywhere() {
+    fn the_whole_bench_is_in_view_from_everywhere() {
         let size_px = [320, 240];
         for azimuth_deg in [-170.0, -45.0, 0.0, 22.0, 90.0] {
             for elevation_deg in [-90.0, 0.0, 24.0, 90.0] {

@@ -197,10 +197,11 @@ impl Painter {
         let view = View::framing(camera, size_px, &points);
         let containers: Vec<_> = bench.containers.iter().map(|it| Body::new(&it.mesh, tint(it))).collect();
         let walls = all_facets(&containers);
-        let size = V::from(bench.size_m.map(|size| size as f32));
+        let [middle, size] =
+            [bench.extent.middle_m(), bench.extent.size_m()].map(|of| V::from(of.map(|x| x as f32)));
         let texel_m = bench.cell_m as f32 / 6.0;
         let azimuth_rad = camera.azimuth_deg.to_radians() as f32;
-        let lights = Lights::new(0.5 * size, 0.62 * facet::length(&size), texel_m, azimuth_rad, &walls);
+        let lights = Lights::new(middle, 0.62 * facet::length(&size), texel_m, azimuth_rad, &walls);
         let is_glass = look.containers == Containers::Translucent;
         let glass = Glass::new(&view, containers.iter().filter(|_| is_glass));
         let gates = bench.gates.iter().map(|gate| (Body::new(&gate.mesh, GATE), gate.clone())).collect();
@@ -488,13 +489,13 @@ struct Ruler {
 impl Ruler {
     fn new(bench: &Bench, camera: &Camera) -> Self {
         let facing = camera.facing();
-        let size = V::from(bench.size_m.map(|size| size as f32));
         let along = V::z().cross(&facing);
-        let extent = along.dot(&size).abs();
+        let extent = along.dot(&V::from(bench.extent.size_m().map(|size| size as f32))).abs();
         let length_m = round_length(0.22 * f64::from(extent)) as f32;
         // From the lower left corner of the bench as it is seen, to the right.
         let outwards = facing - along;
-        let corner = [0, 1].map(|axis| if outwards[axis] > 0.0 { size[axis] } else { 0.0 });
+        let ends = [bench.extent.low_m, bench.extent.high_m];
+        let corner = [0, 1].map(|axis| ends[usize::from(outwards[axis] > 0.0)][axis] as f32);
         let start = V::new(corner[0], corner[1], 0.0) + facing * (0.06 * extent);
         let ends_m = [0, 1, 2, 3, 4, 5].map(|part| start + along * (length_m * part as f32 / 5.0));
         Self {
@@ -591,10 +592,11 @@ impl Shades {
 
 fn check(bench: &Bench, camera: &Camera, look: &Look) -> Result<(), ViewError> {
     let setting = |what: String, wanted: &'static str| Err(ViewError::Setting { what, wanted });
-    if !bench.size_m.iter().chain([&bench.cell_m]).all(|size| (1e-6..=1e6).contains(size)) {
+    let extent_m = bench.extent.size_m();
+    if !extent_m.iter().chain([&bench.cell_m]).all(|size| (1e-6..=1e6).contains(size)) {
         return setting(
-            format!("volume of {:?} m", bench.size_m),
-            "volume and cells must be larger than zero",
+            format!("a picture of {extent_m:?} m"),
+            "what is to be seen and the cells must be larger than zero",
         );
     }
     let Camera { azimuth_deg, elevation_deg, zoom, field_of_view_deg } = camera;
@@ -621,6 +623,8 @@ fn check(bench: &Bench, camera: &Camera, look: &Look) -> Result<(), ViewError> {
 #[cfg(test)]
 mod tests {
     use powderline_simulator::scene::GateOpening;
+
+    use crate::extent::Extent;
 
     use super::sample::{bare, bench, frame, look, positions};
     use super::*;
@@ -812,8 +816,8 @@ mod tests {
         for (camera, look, says) in settings {
             refused(Painter::new(&bench(), &camera, &look).map(drop), says);
         }
-        let flat = Bench { size_m: [0.1, 0.0, 0.1], ..bench() };
-        refused(Painter::new(&flat, &camera, &look).map(drop), "volume");
+        let flat = Bench { extent: Extent { low_m: [0.0; 3], high_m: [0.1, 0.0, 0.1] }, ..bench() };
+        refused(Painter::new(&flat, &camera, &look).map(drop), "larger than zero");
     }
 
     fn refused(result: Result<(), ViewError>, says: &str) {

@@ -4,6 +4,7 @@ use powderline_shared::pose::Pose;
 use powderline_simulator::scene::{GateOpening, GateShape};
 
 use super::{Colouring, Containers, Look};
+use crate::extent::Extent;
 use crate::mesh::Mesh;
 use crate::{Bench, Container, Frame, Gate, Role};
 
@@ -14,6 +15,7 @@ pub(crate) fn bench() -> Bench {
     Bench {
         name: "sample".to_owned(),
         size_m: [0.1, 0.1, 0.1],
+        extent: Extent { low_m: [0.0; 3], high_m: [0.1; 3] },
         cell_m: 0.01,
         containers: vec![Container { name: "source".to_owned(), role: Role::Source, mesh }],
         gates: vec![gate()],
