@@ -6,7 +6,7 @@
 //! say to each other ([`wire`]), the motion that the arm has made ([`trajectory`]), which joints put its tool at a pose ([`arm`]),
 //! and how powder is accounted for ([`census`], [`mass`]).
 //!
-//! No `std`, no allocation, no unsafe code: the same crate runs on the host and on a microcontroller, and `libm` gives both
+//! No `std` (but for the feature of that name, with which programs read plan files), no allocation, no unsafe code: the same crate runs on the host and on a microcontroller, and `libm` gives both
 //! the same bits. Nothing here is meant to panic; the lints below keep out what can be seen to, which is no proof.
 #![no_std]
 #![forbid(unsafe_code)]
@@ -21,7 +21,7 @@
 )]
 #![cfg_attr(test, expect(clippy::unwrap_used, reason = "a test may stop at the first surprise"))]
 
-#[cfg(test)]
+#[cfg(any(test, feature = "std"))]
 extern crate std;
 
 pub mod arm;

@@ -1,8 +1,11 @@
 //! Plans that are none: each command that reads plans refuses them in one sentence with its exit code.
 
+use std::fs::File;
+use std::process::Command;
+
 use powderline_shared::plan::{Crc32, FORMAT_VERSION};
 
-use crate::programs::{EXECUTE, OPTIMISE, Place, bytes, run};
+use crate::programs::{EXECUTE, FIRMWARE_SIM, OPTIMISE, Place, bytes, run};
 
 /// A plan of a later format version, with the checksum that fits.
 fn from_the_future(plan: &[u8]) -> Vec<u8> {
@@ -40,5 +43,28 @@ fn a_damaged_plan_is_refused_by_every_command_that_reads_plans() {
         let about = if plan.is_empty() { "0 bytes" } else { about };
         run(OPTIMISE, &["inspect", &path]).refused(2, about);
         run(OPTIMISE, &["simulate", &place.tiny(), "--plan", &path]).refused(2, about);
+    }
+}
+
+/// A pipe that nobody writes to would be waited for without end; what is no regular file is refused unread.
+#[test]
+#[cfg(unix)]
+fn no_program_waits_for_a_plan_that_never_comes() {
+    let place = Place::new();
+    let pipe = place.path("pipe.plan");
+    assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    let huge = place.path("huge.plan");
+    File::create(&huge).unwrap().set_len(1 << 32).unwrap();
+    for (path, about) in
+        [(pipe.as_str(), "not a regular file"), ("/dev/zero", "not a regular file"), (&huge, "at most")]
+    {
+        run(EXECUTE, &[path]).refused(3, about);
+        run(FIRMWARE_SIM, &["--on", "pty", "--at", path]).refused(1, about);
+        for command in ["inspect", "export"] {
+            run(OPTIMISE, &[command, path]).refused(2, about);
+        }
+        for command in ["simulate", "report", "render"] {
+            run(OPTIMISE, &[command, "--plan", path]).refused(2, about);
+        }
     }
 }

@@ -1,6 +1,5 @@
 //! The program `execute`: reads a plan, plays it with the executor's core, says what came of it.
 
-pub mod load;
 pub mod pace;
 pub mod report;
 pub mod run;

@@ -20,7 +20,8 @@ use powderline_host::realtime;
 use powderline_host::terminal::LiveLine;
 use powderline_host::words::counted;
 use powderline_shared::arm::ArmModel;
-use powderline_shared::plan::{Mounting, PlanReader};
+use powderline_shared::plan::Mounting;
+use powderline_shared::plan::file::{check_plan, read_plan_file};
 use powderline_shared::pose::Pose;
 use powderline_shared::trajectory::{Sample, TrajectoryHeader};
 use powderline_shared::wire::Context as WireContext;
@@ -214,10 +215,8 @@ fn serve_arm(arguments: &Serve) -> anyhow::Result<()> {
 
 /// Where a plan starts, and the arm that it was made for.
 fn start_of(plan: &Path) -> anyhow::Result<(Pose, Option<Mounting>)> {
-    let named = |error: &dyn std::fmt::Display| anyhow::anyhow!("{}: {error}", plan.display());
-    let bytes = std::fs::read(plan).map_err(|error| named(&error))?;
-    let plan =
-        PlanReader::new(&bytes).map_err(|error| named(&format!("this is not a usable plan: {error}")))?;
+    let bytes = read_plan_file(plan)?;
+    let plan = check_plan(plan, &bytes)?;
     Ok((plan.header().start_pose(), plan.header().arm))
 }
 

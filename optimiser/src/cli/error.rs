@@ -1,6 +1,7 @@
 //! What a command ends with when it does not succeed.
 
 use crate::report::{folder::FolderError, record::RecordError};
+use powderline_shared::plan::file::LoadError;
 use powderline_simulator::{rollout::RolloutError, scene::SceneError, skill::SkillError};
 use std::{fmt, io, process::ExitCode};
 
@@ -104,6 +105,12 @@ impl From<RecordError> for CliError {
 }
 
 /// Standard output that went away (a closed pipe) or is full.
+impl From<LoadError> for CliError {
+    fn from(error: LoadError) -> Self {
+        Self::Input(error.to_string())
+    }
+}
+
 impl From<io::Error> for CliError {
     fn from(error: io::Error) -> Self {
         match error.kind() {

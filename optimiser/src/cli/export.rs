@@ -7,7 +7,6 @@ use super::{
     CliError, Context, PrecisionArg, Resources,
     arm_words::{ArmUse, clearance_words},
     film::Film,
-    inspect::read_plan,
     motion::{MotionArgs, Task, scene_of_plan},
     run::safe_name,
 };
@@ -16,7 +15,10 @@ use destination::{Destination, STDOUT};
 use powderline_shared::{
     arm::{ArmKind, Joints},
     limits::PeakUse,
-    plan::{PlanHeader, PlanReader},
+    plan::{
+        PlanHeader,
+        file::{parse_plan, read_plan_file},
+    },
     pose::Pose,
 };
 use powderline_simulator::{
@@ -330,8 +332,8 @@ impl ExportArgs {
     /// The motion of the plan, and of the arm where there is one; and what a program makes around it, if it is one.
     fn motion(&self, path: &Path) -> Result<(Motion, Option<Program>), CliError> {
         let wrong = |why: String| CliError::Input(format!("{} {why}", path.display()));
-        let bytes = read_plan(path)?;
-        let plan = PlanReader::new(&bytes).map_err(|error| wrong(format!("is no usable plan: {error}")))?;
+        let bytes = read_plan_file(path)?;
+        let plan = parse_plan(path, &bytes)?;
         let broken = |violation| wrong(format!("breaks its own limits: {violation}; make it anew"));
         let mut motion = Motion::new(&plan).map_err(broken)?;
         if self.format == FormatArg::Urscript && motion.path.last_tick() > urscript::MAX_TICKS {

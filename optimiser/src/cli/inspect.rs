@@ -10,14 +10,15 @@ use crate::report::{
 use clap::Args;
 use powderline_shared::{
     limits::{Limits, PeakUse},
-    plan::{MAX_FILE_BYTES, PlanHeader, PlanReader, Prediction, SKILL_PARAMETERS, StartPose},
+    plan::{
+        PlanHeader, PlanReader, Prediction, SKILL_PARAMETERS, StartPose,
+        file::{parse_plan, read_plan_file},
+    },
 };
 use powderline_simulator::scene::figures::mass;
 use serde::Serialize;
 use std::{
     fmt::Write as _,
-    fs::File,
-    io::Read,
     path::{Path, PathBuf},
 };
 
@@ -71,10 +72,8 @@ struct Parameter {
 /// # Errors
 /// One sentence, if the file is no usable plan.
 pub(super) fn execute(arguments: &InspectArgs, context: &mut Context<'_>) -> Result<(), CliError> {
-    let bytes = read_plan(&arguments.plan)?;
-    let path = arguments.plan.display();
-    let plan = PlanReader::new(&bytes)
-        .map_err(|error| CliError::Input(format!("{path} is no usable plan: {error}")))?;
+    let bytes = read_plan_file(&arguments.plan)?;
+    let plan = parse_plan(&arguments.plan, &bytes)?;
     let report = Report::new(&plan, run_of(&arguments.plan, &plan));
     if arguments.json {
         return context.json(&report);
@@ -91,15 +90,6 @@ pub(super) fn run_of(path: &Path, plan: &PlanReader<'_>) -> Option<Finding> {
         && record.state.scene == header.scene_digest
         && record.state.seed == header.seed;
     record.finding().filter(|_| made)
-}
-
-/// Bytes of a plan file, at most as many as a plan can have and one more.
-pub(super) fn read_plan(path: &Path) -> Result<Vec<u8>, CliError> {
-    let mut bytes = Vec::new();
-    File::open(path)
-        .and_then(|file| file.take(MAX_FILE_BYTES as u64 + 1).read_to_end(&mut bytes))
-        .map_err(|error| CliError::Input(format!("{} cannot be read: {error}", path.display())))?;
-    Ok(bytes)
 }
 
 impl Report {

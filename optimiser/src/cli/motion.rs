@@ -3,14 +3,16 @@
 use super::{
     CliError, Resources,
     executed::Executed,
-    inspect::read_plan,
     options::{DEFAULT_PRECISION, PrecisionArg},
 };
 use crate::report::{folder, words::hex};
 use clap::Args;
 use powderline_shared::{
     displacement::{Displacement, pose_at},
-    plan::{PlanHeader, PlanReader, Precision},
+    plan::{
+        PlanHeader, Precision,
+        file::{parse_plan, read_plan_file},
+    },
     pose::Pose,
 };
 use powderline_simulator::{
@@ -116,9 +118,8 @@ impl MotionArgs {
     }
 
     fn plan_task(&self, path: &Path) -> Result<Task, CliError> {
-        let bytes = read_plan(path)?;
-        let plan = PlanReader::new(&bytes)
-            .map_err(|error| CliError::Input(format!("{} is no usable plan: {error}", path.display())))?;
+        let bytes = read_plan_file(path)?;
+        let plan = parse_plan(path, &bytes)?;
         let (header, content_hash) = (*plan.header(), plan.content_hash());
         let scene = match &self.scene {
             Some(name) => scene_given(name, path, &header)?,

@@ -4,7 +4,7 @@ use super::{
     CliError, Context, Resources,
     compare::Experiment,
     film::Film,
-    inspect::{read_plan, run_of},
+    inspect::run_of,
     motion::{Motion, MotionArgs, Task},
 };
 use crate::{
@@ -20,7 +20,10 @@ use crate::{
     },
 };
 use clap::Args;
-use powderline_shared::plan::{PlanReader, SKILL_PARAMETERS};
+use powderline_shared::plan::{
+    PlanReader, SKILL_PARAMETERS,
+    file::{parse_plan, read_plan_file},
+};
 use powderline_simulator::{
     scene::{
         Scene,
@@ -144,9 +147,8 @@ impl ReportArgs {
     }
 
     fn plan(&self, path: &Path) -> Result<Draft, CliError> {
-        let bytes = read_plan(path)?;
-        let plan = PlanReader::new(&bytes)
-            .map_err(|error| CliError::Input(format!("{} is no usable plan: {error}", path.display())))?;
+        let bytes = read_plan_file(path)?;
+        let plan = parse_plan(path, &bytes)?;
         let task = self.task(path)?;
         let finding = run_of(path, &plan);
         let amounts = Amounts::from(&task.scene);

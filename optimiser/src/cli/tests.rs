@@ -1092,7 +1092,7 @@ fn what_is_no_plan_is_refused() {
         assert_sentence(&optimise(&["inspect", &broken]), 2, about);
         assert_sentence(&optimise(&["simulate", "--plan", &broken]), 2, about);
     }
-    assert_sentence(&optimise(&["inspect", &place.text("none")]), 2, "cannot be read");
+    assert_sentence(&optimise(&["inspect", &place.text("none")]), 2, "there is no such file");
 }
 
 #[test]

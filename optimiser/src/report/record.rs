@@ -9,7 +9,10 @@ use super::{
     state::RunState,
 };
 use crate::optim::EpochRecord;
-use powderline_shared::plan::{PlanError, PlanReader};
+use powderline_shared::plan::{
+    PlanError, PlanReader,
+    file::{LoadError, read_plan_file},
+};
 use powderline_simulator::{
     scene::{Scene, SceneError},
     skill::SkillMap,
@@ -40,6 +43,9 @@ pub enum RecordError {
         /// The file.
         path: PathBuf,
     },
+    /// The plan cannot be read.
+    #[error(transparent)]
+    PlanFile(#[from] LoadError),
     /// The plan is not one.
     #[error("{path} is no usable plan: {source}")]
     Plan {
@@ -92,7 +98,7 @@ impl RunRecord {
         let mut record = Self::new(scene, state);
         if record.state.finished {
             record
-                .ship(&read_file(&file(PLAN))?)
+                .ship(&read_plan_file(&file(PLAN))?)
                 .map_err(|source| RecordError::Plan { path: file(PLAN), source })?;
         }
         Ok(record)

@@ -14,6 +14,8 @@
 
 mod checksum;
 mod error;
+#[cfg(feature = "std")]
+pub mod file;
 mod header;
 mod reader;
 mod writer;

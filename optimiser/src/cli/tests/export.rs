@@ -208,11 +208,11 @@ fn a_file_that_cannot_be_written_is_said() {
 #[test]
 fn what_is_no_plan_is_refused() {
     let (place, plan) = with_plan();
-    assert_sentence(&export(&place.text("none.plan"), "csv", &[]), 2, "none.plan cannot be read");
+    assert_sentence(&export(&place.text("none.plan"), "csv", &[]), 2, "none.plan: there is no such file");
     fs::write(&plan, &GOLDEN[..GOLDEN.len() - 7]).unwrap();
-    assert_sentence(&export(&plan, "csv", &[]), 2, "is no usable plan: its checksum is");
+    assert_sentence(&export(&plan, "csv", &[]), 2, "not a usable plan: its checksum is");
     fs::write(&plan, "a text").unwrap();
-    assert_sentence(&export(&plan, "csv", &[]), 2, "is no usable plan");
+    assert_sentence(&export(&plan, "csv", &[]), 2, "not a usable plan");
     assert_eq!(names(&place), ["skill.plan"]);
 }
 

@@ -1,12 +1,16 @@
-//! Reading a plan file, with nothing taken for granted.
+//! Reading a plan file, with nothing taken for granted: the one way in for every program.
+//!
+//! Only regular files are read, so that no program waits for a writer that never comes, and no more of them than a plan can
+//! have.
 
 use core::fmt;
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
+use std::vec::Vec;
 
-use powderline_shared::limits::Violation;
-use powderline_shared::plan::{MAX_FILE_BYTES, PlanError, PlanReader};
+use super::{MAX_FILE_BYTES, PlanError, PlanReader};
+use crate::limits::Violation;
 
 /// Why a file cannot be played. Each message names the file.
 #[derive(Debug)]
@@ -58,8 +62,10 @@ impl fmt::Display for LoadError {
             LoadCause::Directory => {
                 write!(f, "{path}: this is a directory; give the plan file in it, such as {path}/skill.plan")
             }
-            LoadCause::NotRegular => write!(f, "{path}: this is not a regular file; give a plan file"),
-            LoadCause::Empty => write!(f, "{path}: the file is empty; a plan file was wanted"),
+            LoadCause::NotRegular => {
+                write!(f, "{path}: this is not a regular file; write what it holds to a file and give that")
+            }
+            LoadCause::Empty => write!(f, "{path}: the file is empty (0 bytes); a plan file was wanted"),
             LoadCause::Plan(error) => write!(f, "{path}: this is not a usable plan: {error}"),
             LoadCause::Limits(violation) => {
                 write!(f, "{path}: the plan breaks its own limits: {violation}; make it anew")
@@ -96,12 +102,20 @@ pub fn read_plan_file(path: &Path) -> Result<Vec<u8>, LoadError> {
     if bytes.is_empty() { Err(fail(LoadCause::Empty)) } else { Ok(bytes) }
 }
 
+/// A plan whose bytes have been checked.
+///
+/// # Errors
+/// What is wrong with the plan in `path`.
+pub fn parse_plan<'a>(path: &Path, bytes: &'a [u8]) -> Result<PlanReader<'a>, LoadError> {
+    PlanReader::new(bytes).map_err(|error| LoadError::new(path, LoadCause::Plan(error)))
+}
+
 /// A plan whose bytes and whose motion have been checked.
 ///
 /// # Errors
 /// What is wrong with the plan in `path`.
 pub fn check_plan<'a>(path: &Path, bytes: &'a [u8]) -> Result<PlanReader<'a>, LoadError> {
-    let plan = PlanReader::new(bytes).map_err(|error| LoadError::new(path, LoadCause::Plan(error)))?;
+    let plan = parse_plan(path, bytes)?;
     plan.check_limits().map_err(|violation| LoadError::new(path, LoadCause::Limits(violation)))?;
     Ok(plan)
 }
