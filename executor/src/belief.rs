@@ -14,13 +14,14 @@
 use core::fmt;
 use core::num::{NonZeroU32, NonZeroU64};
 
+use powderline_shared::following::Astray;
 use powderline_shared::wire::message::{BRIDGED_TICKS, Status};
 
 /// By which part of the time the arm's clock may be ahead of ours: 0.2 %, many times what a poor crystal is off.
 const DRIFT_SHARE: u64 = 512;
 
-/// What the arm reports and cannot be believed, or understood.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// What the arm reports and cannot be believed, understood or borne.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Doubt {
     /// No setpoint has been sent for it, nor for one that it could be bridged from.
     Unsent {
@@ -48,6 +49,8 @@ pub enum Doubt {
         /// What the arm reports.
         number: u16,
     },
+    /// It is too far from where it is due.
+    Astray(Astray),
 }
 
 impl fmt::Display for Doubt {
@@ -62,6 +65,7 @@ impl fmt::Display for Doubt {
             Self::Early { tick, latest } => {
                 write!(f, "it reported tick {tick}, but cannot be beyond tick {latest} by now")
             }
+            Self::Astray(astray) => astray.fmt(f),
             Self::UnknownFault { number } => write!(f, "it reported fault {number}"),
         }
     }

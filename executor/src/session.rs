@@ -16,8 +16,9 @@
 //! setpoint that the arm does not report as there is sent again, at most one in each control period.
 
 use heapless::Deque;
-use powderline_shared::displacement::{Lsb, Setpoint};
+use powderline_shared::displacement::{Lsb, Setpoint, displacement_between};
 use powderline_shared::fault::{Fault, FaultCode, Reported};
+use powderline_shared::following::{Following, FollowingWatch};
 use powderline_shared::limits::{PeakUse, Violation};
 use powderline_shared::plan::{PlanHeader, PlanReader};
 use powderline_shared::pose::{Pose, norm};
@@ -69,6 +70,8 @@ pub struct Config {
     pub anchor_tolerance_m: f64,
     /// Largest angle of the anchor from the plan's start pose, radians.
     pub anchor_tolerance_rad: f64,
+    /// How far the arm may be from where it is due on its way.
+    pub following: Following,
     /// When an unanswered request is repeated.
     pub retry_us: u64,
     /// When the handshake or leaving is given up, an arm that makes no progress, and stopping one that no longer reports.
@@ -90,6 +93,7 @@ impl Default for Config {
             look_ahead: DEFAULT_LOOK_AHEAD,
             anchor_tolerance_m: 0.5e-3,
             anchor_tolerance_rad: 5e-3,
+            following: Following::default(),
             retry_us: 100_000,
             handshake_us: 2_000_000,
             standstill_us: 6_000_000,
@@ -145,6 +149,7 @@ pub struct Executor<'a> {
     schedule: Schedule,
     window: Window,
     belief: Belief,
+    following: FollowingWatch,
     doubt: Option<Doubt>,
     guard: Option<Guard>,
     stage: Stage,
@@ -194,6 +199,7 @@ impl<'a> Executor<'a> {
             schedule,
             window: Window::default(),
             belief: Belief::new(period_us, header.step_count, schedule.look_ahead()),
+            following: FollowingWatch::new(config.following),
             doubt: None,
             guard: None,
             stage: Stage::Opening,
@@ -471,8 +477,27 @@ impl<'a> Executor<'a> {
         self.reached = Some(reached);
         if let Some(sent) = self.window.setpoint(reached.tick).filter(|_| self.stage == Stage::Streaming) {
             self.telemetry.handle_tracking(sent, reached, self.lsb, first);
+            if first {
+                self.follow(now_us, sent, reached);
+            }
         }
         self.leave_at_end(now_us);
+    }
+
+    /// Holds where the arm is against where it is due, as fast as it is due to move there.
+    fn follow(&mut self, now_us: u64, sent: Setpoint, reached: Setpoint) {
+        let before = match sent.tick {
+            1 => Some(Setpoint::ANCHOR),
+            tick => tick.checked_sub(1).and_then(|before| self.window.setpoint(before)),
+        };
+        let Some(before) = before else { return };
+        let off = displacement_between(sent, reached, self.lsb).components();
+        let period_s = f64::from(self.period_us) / 1e6;
+        let velocity = displacement_between(before, sent, self.lsb).components().map(|step| step / period_s);
+        if let Err(astray) = self.following.check(reached.tick, off, velocity) {
+            self.doubt.get_or_insert(Doubt::Astray(astray));
+            self.stop(now_us, FaultCode::ArmAstray);
+        }
     }
 
     /// The arm tells why it stopped. If all that was known is that it left its state, this is the reason.

@@ -20,6 +20,7 @@ use nalgebra::Vector3;
 use powderline_shared::arm::{ArmError, ArmModel};
 use powderline_shared::displacement::{Displacement, Setpoint, pose_at};
 use powderline_shared::fault::{Fault, FaultCode, Side};
+use powderline_shared::following::{Following, FollowingWatch};
 use powderline_shared::limits::{Limits, Motion, PeakUse, Violation};
 use powderline_shared::pose::Pose;
 use powderline_shared::wire::Context;
@@ -70,6 +71,8 @@ pub struct ArmConfig {
     pub arm: Arm,
     /// When a session that is not heard of is over, microseconds.
     pub watchdog_us: u64,
+    /// How far it may be from where it is told to be.
+    pub following: Following,
 }
 
 /// When a session that is not heard of is over, unless the configuration says otherwise, microseconds.
@@ -90,7 +93,12 @@ impl ArmConfig {
             angular_acceleration_rad_s2: 50.0,
             angular_jerk_rad_s3: 8_500.0,
         };
-        Self { limits, arm: Arm::ideal(pose), watchdog_us: DEFAULT_WATCHDOG_US }
+        Self {
+            limits,
+            arm: Arm::ideal(pose),
+            watchdog_us: DEFAULT_WATCHDOG_US,
+            following: Following::default(),
+        }
     }
 
     /// An arm with joints, its tool at `pose`, with the same Cartesian limits: its joints have their own.
@@ -107,6 +115,7 @@ impl ArmConfig {
 pub struct Controller {
     own_limits: Limits,
     watchdog_us: u64,
+    following: FollowingWatch,
     state: State,
     session: Option<Session>,
     arm: Arm,
@@ -184,6 +193,7 @@ impl Controller {
         let mut controller = Self {
             own_limits: config.limits,
             watchdog_us: config.watchdog_us,
+            following: FollowingWatch::new(config.following),
             state: State::SwitchOnDisabled,
             session: None,
             arm: config.arm,
@@ -501,6 +511,7 @@ impl Controller {
             let period_us = self.period_us();
             self.next_tick_us = Some(tick_us.saturating_add(u64::from(period_us)));
             self.move_arm(tick_us);
+            self.check_following();
             self.note_tick();
             self.report_actual();
             self.tick(tick_us);
@@ -528,6 +539,20 @@ impl Controller {
             && self.fault.is_none()
         {
             self.stop(State::FaultReactionActive, error.code());
+        }
+    }
+
+    /// An arm that is not where it is told to be stops, whoever told it.
+    fn check_following(&mut self) {
+        if self.state != State::OperationEnabled {
+            return;
+        }
+        let off = self.arm.commanded().displacement_to(&self.arm.pose()).components();
+        let [x, y, z] = self.motion.linear.velocity.into();
+        let [rx, ry, rz] = self.motion.angular.velocity.into();
+        let tick = self.anchored().map_or(0, |anchored| anchored.applied_tick);
+        if self.following.check(tick, off, [x, y, z, rx, ry, rz]).is_err() {
+            self.stop(State::FaultReactionActive, FaultCode::ArmFollowing);
         }
     }
 

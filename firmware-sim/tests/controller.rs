@@ -867,6 +867,28 @@ fn at_rest_the_arm_repeats_all_that_may_have_been_missed() {
     assert!(bench.messages.contains(&FromArm::Fault { session: SESSION, fault: fault.into() }));
 }
 
+#[test]
+fn an_arm_that_does_not_follow_its_commands_stops_by_itself() {
+    // Drives of 10 ms are the simulated arms' own; with 1 s an arm hardly moves.
+    for (time_constant_s, found) in [(0.010, None), (1.0, Some(FaultCode::ArmFollowing))] {
+        let arm = Arm::new(ArmModel::bench(), Lag { time_constant_s }, over_the_bench()).unwrap();
+        let mut bench = Bench::new();
+        bench.arm = Controller::new(ArmConfig { arm, ..ArmConfig::ideal(over_the_bench()) });
+        let wide = Limits { workspace_min_m: [-1.0; 3], ..limits() };
+        bench.tell(ToArm::Open(OpenRequest { limits: wide, ..request() }));
+        [Command::Shutdown, Command::SwitchOn, Command::EnableOperation]
+            .iter()
+            .for_each(|command| bench.command(*command));
+        (1..=DEPTH).for_each(|tick| bench.set(setpoint_of(tick, 0.1, 0.5)));
+        for tick in 1..END + 20 {
+            bench.period();
+            bench.set(setpoint_of((tick + DEPTH).min(END), 0.1, 0.5));
+        }
+        assert_eq!(bench.fault(), found, "{time_constant_s} s");
+        assert!(found.is_none() || bench.arm.state() == State::Fault);
+    }
+}
+
 /// Over the default bench, as the arm's model is mounted.
 fn over_the_bench() -> Pose {
     Pose { position_m: Vector3::new(0.05, 0.04, 0.12), ..Pose::identity() }

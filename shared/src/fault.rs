@@ -75,6 +75,7 @@ fault_codes! {
     LinkLost = 112, "The wire to the arm is gone.";
     ArmStalled = 113, "The arm reports, but no longer moves on to the next setpoint.";
     ArmTickImpossible = 114, "The arm reported a tick that it cannot be at.";
+    ArmAstray = 115, "The arm was too far from where it was due.";
     PlanUnreadable = 121, "The plan in memory could not be read to its end.";
     ExecutorSilent = 131, "The executor stopped sending signs of life.";
     ArmOverrun = 132, "The arm's controller was held up for too long while it moved.";
@@ -98,6 +99,7 @@ fault_codes! {
     ArmJointLimit = 312, "A pose was commanded for which a joint of the arm would turn beyond its range.";
     ArmJointSpeed = 313, "A pose was commanded for which a joint of the arm would turn faster than it can.";
     ArmSingular = 314, "The arm came too near to a singularity.";
+    ArmFollowing = 315, "The arm did not follow its own commands closely enough.";
 
     SessionRefused = 401, "The arm refused the session.";
     AnchorElsewhere = 402, "The arm stands too far from the start pose of the plan.";
@@ -220,9 +222,9 @@ mod tests {
     #[test]
     fn numbers_are_pinned_and_sentences_are_sentences() {
         let numbers = [
-            101, 102, 103, 104, 105, 111, 112, 113, 114, 121, 131, 132, 201, 202, 203, 204, 205, 206, 207,
-            301, 302, 303, 304, 305, 306, 307, 311, 312, 313, 314, 401, 402, 403, 404, 405, 406, 407, 408,
-            501, 502,
+            101, 102, 103, 104, 105, 111, 112, 113, 114, 115, 121, 131, 132, 201, 202, 203, 204, 205, 206,
+            207, 301, 302, 303, 304, 305, 306, 307, 311, 312, 313, 314, 315, 401, 402, 403, 404, 405, 406,
+            407, 408, 501, 502,
         ];
         assert!(FaultCode::ALL.iter().map(|code| code.number()).eq(numbers));
         for code in FaultCode::ALL {

@@ -26,6 +26,7 @@ use powderline_host::transport::{self, LinkError, Transport};
 use powderline_host::wait::Interest;
 use powderline_host::words::counted;
 use powderline_shared::displacement::Lsb;
+use powderline_shared::following::Following;
 use powderline_shared::plan::file::{LoadError, check_plan, read_plan_file};
 use powderline_shared::plan::{PERIOD_US_MAX, PERIOD_US_MIN, PlanReader};
 use powderline_shared::wire::frame::Dialect;
@@ -77,6 +78,12 @@ struct Arguments {
     /// Time without a report after which the arm counts as silent, milliseconds
     #[arg(long, value_name = "MS", default_value_t = 300, value_parser = clap::value_parser!(u64).range(10..=10_000))]
     arm_timeout: u64,
+    /// How far the arm may be along an axis from where it is due, millimetres; how far it goes in 30 ms is added
+    #[arg(long, value_name = "MM", default_value_t = 1e3 * Following::default().linear_m, value_parser = positive)]
+    following: f64,
+    /// How far the arm may be turned about an axis from where it is due, milliradians; how far it turns in 30 ms is added
+    #[arg(long, value_name = "MRAD", default_value_t = 1e3 * Following::default().angular_rad, value_parser = positive)]
+    following_angle: f64,
     /// Setpoints to be ahead of the arm's clock; by default as many as it has room for
     #[arg(long, value_name = "TICKS", default_value_t = DEFAULT_LOOK_AHEAD, value_parser = clap::value_parser!(u16).range(1..=16))]
     look_ahead: u16,
@@ -101,6 +108,11 @@ struct Arguments {
     /// Write one JSON object to standard output, and nothing else
     #[arg(long)]
     json: bool,
+}
+
+fn positive(text: &str) -> Result<f64, String> {
+    let value: f64 = text.parse().map_err(|_| format!("\"{text}\" is no number"))?;
+    if value > 0.0 && value.is_finite() { Ok(value) } else { Err("it must be finite and above 0".into()) }
 }
 
 /// The wire cannot be used for this plan.
@@ -247,6 +259,11 @@ fn config(arguments: &Arguments, plan: &PlanReader<'_>) -> anyhow::Result<Config
         look_ahead: arguments.look_ahead,
         reset: arguments.reset,
         silence_us: 1_000 * arguments.arm_timeout,
+        following: Following {
+            linear_m: 1e-3 * arguments.following,
+            angular_rad: 1e-3 * arguments.following_angle,
+            ..Following::default()
+        },
         ..Config::default()
     })
 }
