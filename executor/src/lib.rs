@@ -9,9 +9,9 @@
 //! plan -> player -> guard -> schedule -> session -> (wire) -> arm
 //! ```
 //!
-//! The program `execute` is in `cli/`. For firmware, the features `embedded-can` and `embedded-io`, off by default, add the
-//! module `adapters`: a piece of a driver loop for every CAN controller or serial line whose driver implements the traits of
-//! these crates.
+//! The program `execute` is in `cli/`. [`adapters`] has the one driver loop, for every wire; for firmware, the features
+//! `embedded-can` and `embedded-io`, off by default, bring it to every CAN controller or serial line whose driver implements the
+//! traits of these crates.
 #![no_std]
 #![forbid(unsafe_code)]
 #![warn(
@@ -28,7 +28,6 @@
 #[cfg(test)]
 extern crate std;
 
-#[cfg(any(feature = "embedded-can", feature = "embedded-io"))]
 pub mod adapters;
 pub mod belief;
 pub mod endpoint;

@@ -1,10 +1,10 @@
 //! A plan over a real wire: the executor's core between a clock and a transport.
 
-use std::collections::VecDeque;
 use std::io;
 
+use powderline_executor::adapters::{Device, Gone, Turn, turn};
 use powderline_executor::recorder::Recorder;
-use powderline_executor::{Config, Endpoint, FrameAction};
+use powderline_executor::{Config, Endpoint};
 use powderline_host::clock;
 use powderline_host::interface::Interface;
 use powderline_host::jitter::Jitter;
@@ -21,9 +21,6 @@ use crate::run::{FrameCounts, Observer, RunResult, StopWish};
 
 /// Frames that the flight recorder keeps.
 pub const RECORDED: usize = 4096;
-
-/// Frames that wait for room on the wire; the oldest give way, for the newest say more.
-const QUEUE: usize = 64;
 
 /// The recorder of a session.
 pub type FlightRecorder = Recorder<RECORDED>;
@@ -67,17 +64,19 @@ pub fn play(
     let mut player = Player {
         endpoint: Endpoint::new(0, plan, wire.dialect(), config),
         dialect: wire.dialect(),
-        wire,
-        recorder,
-        queue: VecDeque::new(),
+        wire: Wired {
+            wire,
+            recorder,
+            waiting: None,
+            last_sent: 0,
+            // A tenth of a period is what a smooth motion forgives.
+            jitter: Jitter::new(u64::from(period_us) / 10),
+            not_taken: 0,
+            events: Vec::new(),
+            failure: None,
+        },
         start_us,
-        // A tenth of a period is what a smooth motion forgives.
-        jitter: Jitter::new(u64::from(period_us) / 10),
         wish: StopWish::None,
-        busy: false,
-        not_taken: 0,
-        events: Vec::new(),
-        failure: None,
     };
     player.run(observer)
 }
@@ -85,110 +84,26 @@ pub fn play(
 struct Player<'p, 'w> {
     endpoint: Endpoint<'p>,
     dialect: Dialect,
-    wire: &'w mut dyn Transport,
-    recorder: &'w mut FlightRecorder,
-    queue: VecDeque<Frame>,
+    wire: Wired<'w>,
     start_us: u64,
-    jitter: Jitter,
     wish: StopWish,
-    /// Whether the wire had no room the last time.
-    busy: bool,
-    not_taken: u64,
-    events: Vec<BusEvent>,
-    failure: Option<LinkError>,
 }
 
 impl Player<'_, '_> {
     fn run(&mut self, observer: &mut impl Observer) -> io::Result<RunResult> {
         loop {
-            self.receive();
-            let outcome = loop {
-                let sent_before = self.endpoint.executor().telemetry().sent;
-                match self.endpoint.poll(self.now_us()) {
-                    FrameAction::Send(frame) => {
-                        self.note_lateness(sent_before);
-                        self.enqueue(frame);
-                    }
-                    FrameAction::Wait => break None,
-                    FrameAction::Finished(outcome) => break Some(outcome),
-                }
-            };
-            self.send();
-            if let Some(outcome) = outcome {
+            let now_us = self.now_us();
+            let turn = turn(&mut self.wire, now_us, &mut self.endpoint);
+            if let Turn::Finished(outcome) = turn {
                 return Ok(self.result(outcome));
             }
             self.obey(observer);
-            self.wait(observer)?;
+            self.wait(turn, observer)?;
         }
     }
 
     fn now_us(&self) -> u64 {
         clock::now_us().saturating_sub(self.start_us)
-    }
-
-    fn receive(&mut self) {
-        loop {
-            match self.wire.receive() {
-                Ok(Some(received)) => match received.what {
-                    Incoming::Frame(frame) => {
-                        self.recorder.record(received.at_us, &frame);
-                        // What cannot be understood is dropped, and counted there.
-                        let _ = self.endpoint.handle_frame(self.now_us(), &frame);
-                    }
-                    Incoming::Event(event) => self.handle_event(event),
-                },
-                Ok(None) => return,
-                Err(error) => return self.fail(error),
-            }
-        }
-    }
-
-    fn handle_event(&mut self, event: BusEvent) {
-        if self.events.last() != Some(&event) {
-            self.events.push(event);
-        }
-        if event.ends_session() {
-            let now_us = self.now_us();
-            self.endpoint.executor_mut().handle_link_lost(now_us);
-        }
-    }
-
-    /// The first failure is the reason; the session goes on asking for a stop, should the wire come back.
-    fn fail(&mut self, error: LinkError) {
-        let now_us = self.now_us();
-        self.endpoint.executor_mut().handle_link_lost(now_us);
-        self.failure.get_or_insert(error);
-    }
-
-    /// One cycle for each setpoint: how long after its moment it leaves for the first time.
-    fn note_lateness(&mut self, sent_before: u32) {
-        let telemetry = self.endpoint.executor().telemetry();
-        if telemetry.sent != sent_before {
-            telemetry.late_us.into_iter().for_each(|late_us| self.jitter.record(late_us));
-        }
-    }
-
-    fn enqueue(&mut self, frame: Frame) {
-        if self.queue.len() >= QUEUE {
-            self.queue.pop_front();
-            self.not_taken = self.not_taken.saturating_add(1);
-        }
-        self.queue.push_back(frame);
-    }
-
-    fn send(&mut self) {
-        self.busy = false;
-        while let Some(frame) = self.queue.front() {
-            match self.wire.send(frame) {
-                Ok(Sent::Done) => self.recorder.record(clock::now_us(), frame),
-                Ok(Sent::Busy) => {
-                    self.busy = true;
-                    return;
-                }
-                Err(error) => self.fail(error),
-            }
-            self.queue.pop_front();
-        }
     }
 
     fn obey(&mut self, observer: &mut impl Observer) {
@@ -214,11 +129,16 @@ impl Player<'_, '_> {
         }
     }
 
-    fn wait(&mut self, observer: &impl Observer) -> io::Result<()> {
+    fn wait(&mut self, turn: Turn, observer: &impl Observer) -> io::Result<()> {
+        let busy = self.wire.waiting.is_some();
+        if turn == Turn::Unfinished && !busy {
+            return Ok(());
+        }
         let due_us = self.endpoint.poll_at().unwrap_or(0).saturating_add(self.start_us);
         let retry_us = clock::now_us().saturating_add(BUSY_US);
-        let moment_us = if self.busy { due_us.min(retry_us) } else { due_us };
-        let interests: [Option<Interest<'_>>; 2] = [self.wire.interest(), observer.interest()];
+        // What is due has no room: only time helps, or what arrives.
+        let moment_us = if busy { retry_us } else { due_us };
+        let interests: [Option<Interest<'_>>; 2] = [self.wire.wire.interest(), observer.interest()];
         wait_until(Some(moment_us), interests).map(drop)
     }
 
@@ -237,19 +157,96 @@ impl Player<'_, '_> {
             refusal: executor.refusal(),
             doubt: executor.doubt(),
             duration_us: self.now_us(),
-            jitter: self.jitter.summary(),
+            jitter: self.wire.jitter.summary(),
             frames: Some(FrameCounts {
                 sent,
                 received,
                 rejected,
-                not_taken: self.not_taken,
-                garbled: self.wire.garbled(),
+                not_taken: self.wire.not_taken,
+                garbled: self.wire.wire.garbled(),
             }),
-            wire: self.failure.take().map(|error| error.to_string()).or_else(|| self.gravest_event()),
+            wire: self
+                .wire
+                .failure
+                .take()
+                .map(|error| error.to_string())
+                .or_else(|| self.wire.gravest_event()),
         }
+    }
+}
+
+/// A wire of this machine, as the driver loop wants it: at most one frame waits for room, and a stop takes its place.
+struct Wired<'w> {
+    wire: &'w mut dyn Transport,
+    recorder: &'w mut FlightRecorder,
+    waiting: Option<Frame>,
+    /// The last setpoint that was given out for the first time.
+    last_sent: u32,
+    jitter: Jitter,
+    not_taken: u64,
+    events: Vec<BusEvent>,
+    failure: Option<LinkError>,
+}
+
+impl Wired<'_> {
+    fn handle_event(&mut self, event: BusEvent) -> Result<(), Gone> {
+        if self.events.last() != Some(&event) {
+            self.events.push(event);
+        }
+        if event.ends_session() { Err(Gone) } else { Ok(()) }
+    }
+
+    /// The first failure is the reason; the session goes on asking for a stop, should the wire come back.
+    fn fail(&mut self, error: LinkError) -> Gone {
+        self.failure.get_or_insert(error);
+        Gone
     }
 
     fn gravest_event(&self) -> Option<String> {
         self.events.iter().min().map(|event| event.sentence().to_owned())
+    }
+}
+
+impl Device for Wired<'_> {
+    fn fetch(&mut self, mut heard: impl FnMut(&Frame)) -> Result<bool, Gone> {
+        match self.wire.receive() {
+            Ok(Some(received)) => match received.what {
+                Incoming::Frame(frame) => {
+                    self.recorder.record(received.at_us, &frame);
+                    heard(&frame);
+                }
+                Incoming::Event(event) => self.handle_event(event)?,
+            },
+            Ok(None) => return Ok(false),
+            Err(error) => return Err(self.fail(error)),
+        }
+        Ok(true)
+    }
+
+    fn make_room(&mut self) -> Result<bool, Gone> {
+        let Some(frame) = self.waiting.take() else { return Ok(true) };
+        match self.wire.send(&frame) {
+            Ok(Sent::Done) => self.recorder.record(clock::now_us(), &frame),
+            Ok(Sent::Busy) => self.waiting = Some(frame),
+            // Given up: what it said is said again, should the wire come back.
+            Err(error) => return Err(self.fail(error)),
+        }
+        Ok(self.waiting.is_none())
+    }
+
+    fn put(&mut self, frame: &Frame) -> Result<(), Gone> {
+        if self.waiting.replace(frame.clone()).is_some() {
+            self.not_taken = self.not_taken.saturating_add(1);
+        }
+        Ok(())
+    }
+
+    /// One cycle for each setpoint: how long after its moment it leaves for the first time.
+    fn look(&mut self, endpoint: &Endpoint<'_>) {
+        let telemetry = endpoint.executor().telemetry();
+        if telemetry.sent != self.last_sent {
+            self.last_sent = telemetry.sent;
+            telemetry.late_us.into_iter().for_each(|late_us| self.jitter.record(late_us));
+        }
     }
 }

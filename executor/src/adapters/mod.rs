@@ -1,12 +1,12 @@
-//! The executor on drivers that others wrote: pieces of a driver loop that move frames between an [`Endpoint`] and
-//! anything that implements the traits of embedded Rust.
+//! The one driver loop: [`turn`] moves frames between an [`Endpoint`] and a [`Device`]. Devices are what the program `execute`
+//! has of Linux, and, by a feature each, drivers that others wrote, whatever implements the traits of embedded Rust.
 //!
 //! | feature        | module   | device                                                     | dialect |
 //! |----------------|----------|------------------------------------------------------------|---------|
 //! | `embedded-can` | `can`    | `embedded_can::nb::Can`                                    | classic |
 //! | `embedded-io`  | `serial` | `embedded_io::{Read, ReadReady, Write, WriteReady}`         | FD      |
 //!
-//! One call of `turn` in each round of the control loop fetches what has arrived and hands on what is to be said. It never
+//! One call of [`turn`] in each round of the control loop fetches what has arrived and hands on what is to be said. It never
 //! waits, and does at most [`MOST_PIECES`] pieces of work in either direction: neither a device without room nor a line
 //! that babbles holds up the loop, and the session's own times go on meanwhile.
 //!
@@ -39,21 +39,36 @@ pub enum Turn {
 }
 
 /// The device is no wire any more.
-struct Gone;
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Gone;
 
 /// What an adapter makes of its device.
-trait Device {
+pub trait Device {
     /// Fetches a piece of what has arrived. Whether there may be more.
+    ///
+    /// # Errors
+    /// The device is no wire any more.
     fn fetch(&mut self, heard: impl FnMut(&Frame)) -> Result<bool, Gone>;
 
     /// Hands on what waits. Whether there is room for another frame.
+    ///
+    /// # Errors
+    /// The device is no wire any more.
     fn make_room(&mut self) -> Result<bool, Gone>;
 
     /// Takes a frame to be sent; one that waits need not be sent any more.
+    ///
+    /// # Errors
+    /// The device never carries it.
     fn put(&mut self, frame: &Frame) -> Result<(), Gone>;
+
+    /// Called after each frame that the endpoint has given out, for whoever measures.
+    fn look(&mut self, _endpoint: &Endpoint<'_>) {}
 }
 
-fn turn(device: &mut impl Device, now_us: u64, endpoint: &mut Endpoint<'_>) -> Turn {
+/// One round of the loop, at a time in microseconds: what has arrived goes to the endpoint, what it has to say goes to the
+/// device, as far as there is room.
+pub fn turn(device: &mut impl Device, now_us: u64, endpoint: &mut Endpoint<'_>) -> Turn {
     let more = receive(device, now_us, endpoint);
     match send(device, now_us, endpoint) {
         Turn::Idle if more => Turn::Unfinished,
@@ -94,6 +109,7 @@ fn send(device: &mut impl Device, now_us: u64, endpoint: &mut Endpoint<'_>) -> T
         };
         match action {
             FrameAction::Send(frame) => {
+                device.look(endpoint);
                 if device.put(&frame).is_err() {
                     endpoint.executor_mut().handle_link_lost(now_us);
                 }
