@@ -48,6 +48,15 @@ return [...arguments[0].querySelectorAll('.tick')].filter((tick) => {
 }).map((tick) => tick.textContent);
 """
 
+# Texts of a chart that overlap: numbers at its axes, labels of marks, what its legend says.
+ON_EACH_OTHER = """
+return [...document.querySelectorAll('.chart')].flatMap((chart) => {
+  const texts = [...chart.querySelectorAll('.plot text, .keys > *, h2, .unit')].map((element) => [element, element.getBoundingClientRect()]);
+  return texts.flatMap(([one, a], i) => texts.slice(i + 1).filter(([, b]) => a.left < b.right - 1 && b.left < a.right - 1
+    && a.top < b.bottom - 3 && b.top < a.bottom - 3).map(([other]) => `${one.textContent} / ${other.textContent}`));
+});
+"""
+
 # Tables of which a part has to be scrolled to.
 SCROLLED = """
 return [...document.querySelectorAll('.table')].filter((table) => table.scrollWidth > table.clientWidth)
@@ -226,6 +235,7 @@ class Report:
             stacked = self.script(STACKED)
             check(not stacked, f"at {width} pixels these tables are lists of numbers: {stacked}")
             self.check_axes()
+            self.check_labels()
         self.emulate(400, 900, "light")
         small = self.script(SMALL)
         check(not small, f"at 400 pixels there are controls too small for fingers: {small}")
@@ -262,6 +272,11 @@ class Report:
                     check(abs(at - expected) < 0.6, f"{what}: {value} is at {at}, not at {expected}")
                 if axis == "along" and chart["x_label"] == "epoch":
                     check(all(value == int(value) for _, value in marks), f"{what}: epochs {marks}")
+
+    def check_labels(self):
+        """No two texts of a chart lie on each other."""
+        hit = self.script(ON_EACH_OTHER)
+        check(not hit, f"texts lie on each other: {hit}")
 
     def check_marks(self, figure, chart):
         """Every mark has its sign on every curve, its word in the legend, and its reason where one points."""
@@ -371,6 +386,7 @@ class Report:
         check(len(set(pictures.values())) >= min(len(times), 3), "pictures of different times are alike")
         self.check_tool(times)
         self.check_gates(times)
+        self.check_arm(times)
 
     def check_tool(self, times):
         """The tool is where its pose says, and between two frames between them."""
@@ -380,6 +396,23 @@ class Report:
         self.settle()
         drawn = self.script("return powderline.stage.layers.tool.position.toArray()")
         check(math.dist(drawn, poses[middle][:3]) < 1e-6, f"the tool is at {drawn}")
+
+    def check_arm(self, times):
+        """The arm's rods are where the page's frames have them; its column stands still."""
+        if not self.script("return Boolean(powderline.replay.about.arm)"):
+            return
+        still = self.script("return powderline.replay.about.arm.standing_m.length / 6")
+        for frame in [0, len(times) // 3, len(times) - 1]:
+            self.script("powderline.clock.set(arguments[0])", times[frame])
+            self.settle()
+            told = self.script("const { arm } = powderline.replay.about;"
+                               "return [...arm.standing_m, ...arm.moving_m[arguments[0]]];", frame)
+            drawn = self.script("return powderline.stage.layers.arm.children[0].children.map((rod) => rod.position.toArray())")
+            check(len(drawn) == still + 6 and len(told) == 6 * len(drawn), f"{len(drawn)} rods are drawn")
+            for k, place in enumerate(drawn):
+                ends = told[6 * k:6 * k + 6]
+                middle = [0.5 * (a + b) for a, b in zip(ends[:3], ends[3:])]
+                check(math.dist(place, middle) < 1e-6, f"at {times[frame]} s rod {k} is at {place}, not at {middle}")
 
     def check_gates(self, times):
         """Every gate is where the page's frames have it, and is not drawn where it is no longer there."""
@@ -478,8 +511,9 @@ class Report:
             inside = (stage["x"] <= box["x"] and box["x"] + box["width"] <= stage["x"] + stage["width"]
                       and stage["y"] <= box["y"] and box["y"] + box["height"] <= stage["y"] + stage["height"])
             check(inside, f"a name lies at {box}, outside of {stage}")
+        told = [other.rect for other in self.find_all("#stage .views, #stage .scale")]
         for one in boxes:
-            for other in boxes:
+            for other in boxes + told:
                 apart = (one is other or one["x"] + one["width"] <= other["x"] or other["x"] + other["width"] <= one["x"]
                          or one["y"] + one["height"] <= other["y"] or other["y"] + other["height"] <= one["y"])
                 check(apart, f"names lie on each other: {one}, {other}")

@@ -2,7 +2,7 @@
 
 use super::{
     CliError, Context, Progress,
-    motion::{Motion, Task, collision_words},
+    motion::{ArmShown, Motion, Task, collision_words},
 };
 use crate::report::view;
 use powderline_shared::{displacement::Displacement, pose::Pose};
@@ -21,6 +21,8 @@ pub(super) struct Film<'a> {
     planned: Option<&'a [Pose]>,
     /// Control steps from one frame to the next.
     every: usize,
+    /// The arm, if it is to be seen and there is one.
+    arm: Option<ArmShown>,
 }
 
 impl<'a> Film<'a> {
@@ -44,9 +46,20 @@ impl<'a> Film<'a> {
             }
         };
         let every = (period_s / task.scene.time.control_period_s()).round().max(1.0) as usize;
-        let film = Self { task, anchor, controls, planned, every };
+        let film = Self { task, anchor, controls, planned, every, arm: None };
         check_memory(&task.scene, &task.settings, Workload::Single, besides_bytes(&film.bench()))?;
         Ok(film)
+    }
+
+    /// The same with the arm that makes the motion, if the scene or the plan says which.
+    pub(super) fn with_arm(mut self) -> Self {
+        self.arm = self.task.arm_shown(self.poses());
+        self
+    }
+
+    /// What is to be said of the arm, if it is not as it should be.
+    pub(super) fn arm_remark(&self) -> Option<&str> {
+        self.arm.as_ref()?.remark.as_deref()
     }
 
     /// Length of the motion, seconds.
@@ -58,7 +71,8 @@ impl<'a> Film<'a> {
     pub(super) fn bench(&self) -> Bench {
         let scene = &self.task.scene;
         let period_s = self.every as f64 * scene.time.control_period_s();
-        view::bench(scene, &self.poses(), self.controls.len() / self.every + 1, period_s)
+        let bench = view::bench(scene, &self.poses(), self.controls.len() / self.every + 1, period_s);
+        Bench { arm: self.arm.as_ref().and_then(|shown| shown.arm.clone()), ..bench }
     }
 
     /// Where the tool is at the beginning and after each control step.
@@ -79,12 +93,15 @@ impl<'a> Film<'a> {
         sink: &mut (dyn Sink + Send),
         context: &mut Context<'_>,
     ) -> Result<Evaluation, CliError> {
-        let Self { task, anchor, controls, planned, every } = self;
+        let Self { task, anchor, controls, planned, every, .. } = self;
         let mut simulator = (context.factory)(&task.scene, &task.settings)?;
         let interrupt = context.interrupt.clone();
         let mut progress = Progress::new(context.err, context.live);
         if let Some(collision) = task.collision() {
             progress.line(&format!("Warning: {}.", collision_words(&collision)));
+        }
+        if let Some(remark) = self.arm_remark() {
+            progress.line(&format!("Warning: {remark}"));
         }
         progress.begin("simulating", 0, &[]);
         let mut tick = |done, total| {

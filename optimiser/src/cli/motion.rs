@@ -5,10 +5,12 @@ use super::{
     executed::Executed,
     options::{DEFAULT_PRECISION, PrecisionArg},
 };
-use crate::report::{folder, words::hex};
+use crate::report::{folder, view, words::hex};
 use clap::Args;
 use powderline_shared::{
+    arm::ArmKind,
     displacement::{Displacement, pose_at},
+    limits::Limits,
     plan::{
         PlanHeader, Precision,
         file::{parse_plan, read_plan_file},
@@ -16,9 +18,10 @@ use powderline_shared::{
     pose::Pose,
 };
 use powderline_simulator::{
+    arm::{ArmMotion, CYCLE_US, Mount, Refusal, Surroundings, ToolPath},
     rollout::SimulatorSettings,
     scene::{DEFAULT_SCENE, EMBEDDED_SCENES, Scene},
-    skill::{Collision, SkillMap, Theta, check_theta, collision, controls_of},
+    skill::{Collision, LSB, SkillMap, Theta, check_theta, collision, controls_of},
 };
 use std::path::{Path, PathBuf};
 
@@ -87,6 +90,73 @@ impl Task {
             Motion::Plan { controls, .. } => collision(&self.scene, start, controls),
             Motion::Executed { executed, .. } => collision(&self.scene, &executed.anchor, &executed.controls),
         }
+    }
+}
+
+/// An arm that is to be seen making a motion, and what is to be said of it.
+pub(super) struct ArmShown {
+    /// None where it cannot.
+    pub arm: Option<powderline_view::arm::Arm>,
+    /// One sentence, if it is not as it should be.
+    pub remark: Option<String>,
+}
+
+/// What a motion that is looked at need not keep: it is what it is. Whether an arm can make it is another question.
+const ANY: Limits = Limits {
+    workspace_min_m: [f64::MIN; 3],
+    workspace_max_m: [f64::MAX; 3],
+    linear_velocity_m_s: f64::MAX,
+    linear_acceleration_m_s2: f64::MAX,
+    linear_jerk_m_s3: f64::MAX,
+    angular_velocity_rad_s: f64::MAX,
+    angular_acceleration_rad_s2: f64::MAX,
+    angular_jerk_rad_s3: f64::MAX,
+};
+
+impl Task {
+    /// The arm that makes the motion: the plan's, or that of the scene; none if there is neither.
+    fn mount(&self) -> Option<Mount> {
+        let of_scene = self.scene.arm.as_ref();
+        match &self.motion {
+            Motion::Skill(_) => of_scene.map(Mount::of),
+            Motion::Plan { header, .. } | Motion::Executed { header, .. } => {
+                let arm = header.arm?;
+                Some(Mount {
+                    kind: arm.kind,
+                    world_from_base: arm.world_from_base.pose(),
+                    flange_from_tool: arm.flange_from_tool.pose(),
+                    posture: Some(arm.posture),
+                    near: None,
+                    clearance_m: of_scene.map(|arm| arm.clearance_m),
+                })
+            }
+        }
+    }
+
+    /// The arm, with the tool at these poses from tick to tick. One that comes too near to something is shown doing that.
+    pub(super) fn arm_shown(&self, poses: Vec<Pose>) -> Option<ArmShown> {
+        let mount = self.mount()?;
+        let around = Surroundings::of_scene(&self.scene, view::table_m(&self.scene));
+        let path = ToolPath { period_us: self.scene.time.control_period_us, lsb: LSB, limits: ANY, poses };
+        let made = |mount: &Mount| ArmMotion::new(&path, mount, &around, CYCLE_US);
+        let (made, near) = match made(&mount) {
+            Err(refusal @ Refusal::TooNear { .. }) => {
+                (made(&Mount { clearance_m: None, ..mount }), Some(refusal))
+            }
+            made => (made, None),
+        };
+        let label = ArmKind::label(mount.kind);
+        let remark = match (&made, near) {
+            (Err(refusal), _) => {
+                Some(format!("No arm is drawn, for the {label} cannot make this motion: {refusal}."))
+            }
+            (Ok(_), Some(refusal)) => {
+                Some(format!("The {label} is drawn, though it could not make this motion: {refusal}."))
+            }
+            (Ok(_), None) => None,
+        };
+        let arm = made.ok().map(|motion| view::arm(&self.scene, motion, path.clone()));
+        Some(ArmShown { arm, remark })
     }
 }
 

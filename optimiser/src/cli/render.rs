@@ -33,10 +33,20 @@ pub(super) struct RenderArgs {
     /// Walls are cut open instead of translucent
     #[arg(long)]
     pub cut: bool,
+    /// Without the arm of the scene or the plan
+    #[arg(long)]
+    pub no_arm: bool,
+    /// The axes of the tool's frame and of the flange's, as [arm] has them: red x, green y, blue z
+    #[arg(long)]
+    pub axes: bool,
+    /// What the picture shows at zoom 1
+    #[arg(long, value_enum, default_value = "bench")]
+    pub frame: Framing,
     /// Width and height, pixels
     #[arg(long, value_name = "WxH", default_value = "1280x960", value_parser = parse_size)]
     pub size: [usize; 2],
-    /// Direction from which the bench is seen, degrees counter-clockwise from +x [default: from the front, a little aside]
+    /// Direction from which the bench is seen, degrees: 0 from -y, 90 from +x [default: a little aside from the front, or where
+    /// there is an arm, from the side opposite to it]
     #[arg(long, value_name = "DEG", allow_hyphen_values = true)]
     pub azimuth: Option<f64>,
     /// Height from which it is seen, degrees above the horizon
@@ -56,6 +66,19 @@ pub(super) struct RenderArgs {
 #[derive(Serialize)]
 struct Report<'a> {
     files: Vec<&'a Path>,
+    /// The arm that is drawn.
+    arm: Option<&'static str>,
+    /// What there is to be said of it.
+    remark: Option<&'a str>,
+}
+
+/// What a picture shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub(super) enum Framing {
+    /// Containers, gates and the tool's whole motion; the arm as far as it reaches in
+    Bench,
+    /// The arm too, from its base on, wherever it goes
+    All,
 }
 
 /// What the powder's colour says.
@@ -105,8 +128,11 @@ pub(super) fn execute(arguments: &RenderArgs, context: &mut Context<'_>) -> Resu
     let task = arguments.motion.task()?;
     // Every control step: what moment is nearest to the one that was asked for is seen then.
     let film = Film::new(&task, 0.0, |_| 0)?;
+    let film = if arguments.no_arm { film } else { film.with_arm() };
     let bench = film.bench();
-    let (camera, look) = (arguments.camera(), arguments.look(&bench));
+    let look = arguments.look(&bench);
+    let bench = if arguments.frame == Framing::All { bench.framed_with_arm() } else { bench };
+    let camera = arguments.camera(&bench);
     let times = arguments.times(film.duration_s())?;
     let stills = (!times.is_empty())
         .then(|| Stills::new(&bench, &camera, &look, &arguments.out, &bench.name, &times))
@@ -123,7 +149,8 @@ pub(super) fn execute(arguments: &RenderArgs, context: &mut Context<'_>) -> Resu
     let written: Vec<&Path> =
         both.stills.iter().flat_map(|stills| stills.written()).chain(files).map(PathBuf::as_path).collect();
     if arguments.json {
-        return context.json(&Report { files: written });
+        let arm = bench.arm.as_ref().map(|arm| arm.motion.model.kind.name());
+        return context.json(&Report { files: written, arm, remark: film.arm_remark() });
     }
     for path in written {
         writeln!(context.out, "{}", path.display())?;
@@ -144,10 +171,10 @@ impl RenderArgs {
         Ok((1..=PICTURES).map(|index| duration_s * index as f64 / PICTURES as f64).collect())
     }
 
-    fn camera(&self) -> Camera {
+    fn camera(&self, bench: &Bench) -> Camera {
         let usual = Camera::default();
         Camera {
-            azimuth_deg: self.azimuth.unwrap_or(usual.azimuth_deg),
+            azimuth_deg: self.azimuth.unwrap_or(bench.front_deg() + usual.azimuth_deg),
             elevation_deg: self.elevation.unwrap_or(usual.elevation_deg),
             zoom: self.zoom.unwrap_or(usual.zoom),
             ..usual
@@ -164,7 +191,7 @@ impl RenderArgs {
             Colour::Destination => Colouring::Destination,
         };
         let containers = if self.cut { Containers::CutOpen } else { usual.containers };
-        Look { width_px, height_px, colouring, containers, ..usual }
+        Look { width_px, height_px, colouring, containers, axes: self.axes, ..usual }
     }
 }
 

@@ -107,10 +107,11 @@ pub(super) fn execute(arguments: &ReportArgs, context: &mut Context<'_>) -> Resu
     };
     let mut replayed = None;
     if let Some(task) = task.filter(|_| !arguments.no_replay) {
-        let film = Film::new(&task, PERIOD_S, Recorder::most_bytes)?;
+        let film = Film::new(&task, PERIOD_S, Recorder::most_bytes)?.with_arm();
         let mut recorder = Recorder::new(&film.bench());
         let found = film.shoot(&mut recorder, context)?;
         page.replay = recorder.into_replay();
+        page.notes.extend(film.arm_remark().map(String::from));
         let amounts = Amounts::from(&task.scene);
         let outcome = Outcome::of_evaluation(&amounts, &found);
         if !matches!(task.motion, Motion::Plan { .. }) || page.figures.is_empty() {

@@ -2,8 +2,9 @@
 
 use nalgebra::{Isometry3, Vector3};
 use powderline_shared::pose::Pose;
+use powderline_simulator::arm::{ArmMotion, ToolPath};
 use powderline_simulator::scene::{Container, ContainerShape, Gate, GateShape, Scene, Tool, ToolShape};
-use powderline_view::{Bench, Role, extent::Extent, mesh::Mesh};
+use powderline_view::{Bench, Role, arm::Arm, extent::Extent, mesh::Mesh};
 
 /// What stands and moves in a scene, with the tool at these poses, for so many frames.
 pub fn bench(scene: &Scene, poses: &[Pose], frames: usize, period_s: f64) -> Bench {
@@ -15,12 +16,25 @@ pub fn bench(scene: &Scene, poses: &[Pose], frames: usize, period_s: f64) -> Ben
         containers: scene.containers.iter().map(|container| drawn(scene, container)).collect(),
         gates: scene.gates.iter().map(gate).collect(),
         tool: tool(&scene.tool),
+        arm: None,
         target_m: scene.objective.p_target_m,
         particles: scene.particle_count(),
         period_s,
         frames,
     };
     bench.framed(poses)
+}
+
+/// The arm of a scene, making a motion, with what holds the tool.
+pub fn arm(scene: &Scene, motion: ArmMotion, path: ToolPath) -> Arm {
+    let [_, held_m] = scene.tool.handle_axis_m();
+    let bracket_radius_m = scene.tool.handle.radius_m;
+    Arm { motion, path, table_m: table_m(scene), held_m, bracket_radius_m }
+}
+
+/// Top of the table that a scene's arm and bench stand on, metres; the bench's floor if nothing says otherwise.
+pub fn table_m(scene: &Scene) -> f64 {
+    scene.arm.as_ref().map_or(0.0, |arm| arm.table_height_m)
 }
 
 fn drawn(scene: &Scene, container: &Container) -> powderline_view::Container {

@@ -7,8 +7,13 @@ use std::f64::consts::{PI, TAU};
 use std::path::{Path, PathBuf};
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use powderline_shared::arm::ArmModel;
+use powderline_shared::limits::Limits;
 use powderline_shared::pose::Pose;
+use powderline_simulator::arm::{ArmMotion, CYCLE_US, Mount, Surroundings, ToolPath};
 use powderline_simulator::scene::{GateOpening, GateShape};
+use powderline_simulator::skill::LSB;
+use powderline_view::arm::Arm;
 use powderline_view::extent::Extent;
 use powderline_view::mesh::Mesh;
 use powderline_view::page::{Chart, Figure, Mark, Page, Recorder, Row, Scale, Series, Table, Tone};
@@ -102,11 +107,43 @@ fn bench() -> Bench {
         ],
         gates: gates(),
         tool: Mesh::bowl(0.03, 0.002).and(Mesh::capsule([0.0, 0.032, 0.0], [0.0, 0.09, 0.06], 0.004)),
+        arm: Some(arm()),
         target_m: TARGET_M,
         particles: PARTICLES,
         period_s: PERIOD_S,
         frames: FRAMES,
     }
+}
+
+/// A UR5e beyond the edge y = 0 that does what the tool does.
+fn arm() -> Arm {
+    let model = ArmModel::bench();
+    let world_from_base = Pose { position_m: Vector3::new(0.38, -0.8, -0.1), ..model.world_from_base };
+    let ArmModel { kind, flange_from_tool, posture, .. } = model;
+    let mount = Mount {
+        kind,
+        world_from_base,
+        flange_from_tool,
+        posture: Some(posture),
+        near: None,
+        clearance_m: None,
+    };
+    let poses = (0..FRAMES).map(|index| tool(index as f64 * PERIOD_S, 1.0)).collect();
+    let any = 1e6;
+    let limits = Limits {
+        workspace_min_m: [-any; 3],
+        workspace_max_m: [any; 3],
+        linear_velocity_m_s: any,
+        linear_acceleration_m_s2: any,
+        linear_jerk_m_s3: any,
+        angular_velocity_rad_s: any,
+        angular_acceleration_rad_s2: any,
+        angular_jerk_rad_s3: any,
+    };
+    let path = ToolPath { period_us: (1e6 * PERIOD_S) as u32, lsb: LSB, limits, poses };
+    let motion =
+        ArmMotion::new(&path, &mount, &Surroundings::table(-0.1), CYCLE_US).expect("within its reach");
+    Arm { motion, path, table_m: -0.1, held_m: [0.0, 0.09, 0.06], bracket_radius_m: 0.004 }
 }
 
 /// A pipe that is gone after 1.2 s, and a plate that slides towards the reader for a second after 2 s.
@@ -151,7 +188,7 @@ fn tool(time_s: f64, off: f64) -> Pose {
         SOURCE_M[1] + wobble_m,
         0.14 - 0.09 * down + 0.5 * wobble_m,
     );
-    let turn = 2.1 * eased(late_s, 3.4, 4.4) - 0.5 * down;
+    let turn = 2.1 * eased(late_s, 3.4, 4.5) - 0.5 * down;
     Pose { position_m, orientation: UnitQuaternion::from_axis_angle(&Vector3::y_axis(), turn) }
 }
 

@@ -247,6 +247,7 @@ fn bench() -> Bench {
         ],
         gates: gates(),
         tool: Mesh::bowl(BOWL_M, 0.004).and(Mesh::capsule([-BOWL_M - 0.002, 0.0, 0.0], handle, 0.004)),
+        arm: None,
         target_m: [0.176, 0.048, 0.010],
         particles: Motion::new().bed_m.len(),
         period_s: PERIOD_S,

@@ -5,6 +5,7 @@
 //!
 //! World frame: z up, floor at z = 0, the simulated volume is `[0, size_m]`. Lengths in metres, times in seconds.
 
+pub mod arm;
 pub mod export;
 pub mod extent;
 pub mod mesh;
@@ -17,6 +18,7 @@ use nalgebra::Isometry3;
 use powderline_shared::pose::Pose;
 pub use powderline_simulator::rollout::Destination;
 
+use arm::Arm;
 use extent::Extent;
 use mesh::Mesh;
 
@@ -37,6 +39,8 @@ pub struct Bench {
     pub gates: Vec<Gate>,
     /// The tool in its own frame: origin at the middle of its opening, +z out of it, +x the direction in which it pours.
     pub tool: Mesh,
+    /// The arm that moves the tool, where it is to be seen.
+    pub arm: Option<Arm>,
     /// The point that the loss draws the powder to.
     pub target_m: [f64; 3],
     /// How many particles there are.
@@ -56,6 +60,34 @@ impl Bench {
         let all = about.chain(Extent::swept(&self.tool, tool)).reduce(|all, one| all.and(&one));
         self.extent = all.unwrap_or(self.extent);
         self
+    }
+
+    /// The same, of which pictures show all of the arm, wherever it goes, besides what they show anyway.
+    #[must_use]
+    pub fn framed_with_arm(mut self) -> Self {
+        self.extent = self.arm.iter().fold(self.extent, |extent, arm| extent.and(&arm.extent()));
+        self
+    }
+
+    /// The side from which it is looked at if nothing else is asked for, as a camera's azimuth counts, degrees: the front, or where
+    /// there is an arm, the side opposite to it, for it would be in the way.
+    #[must_use]
+    pub fn front_deg(&self) -> f64 {
+        let middle_m = Extent::of_volume(self.size_m).middle_m();
+        self.arm.as_ref().map_or(0.0, |arm| arm.far_side_deg(middle_m))
+    }
+
+    /// Height of what everything stands on: the table beneath the arm, or the bench's own floor.
+    #[must_use]
+    pub fn ground_m(&self) -> f64 {
+        self.arm.as_ref().map_or(0.0, |arm| arm.table_m.min(0.0))
+    }
+
+    /// The block between table and floor, as wide as the simulated volume; none where the bench stands on the table itself.
+    #[must_use]
+    pub fn stand(&self) -> Option<Mesh> {
+        let ([x, y, _], low_m) = (self.size_m, self.ground_m());
+        (low_m < 0.0).then(|| Mesh::block([0.0, 0.0, low_m], [x, y, 0.0]))
     }
 }
 

@@ -14,7 +14,14 @@ fn a_run_becomes_a_page_with_curves_table_and_replay() {
     assert_eq!(done.code, 0, "{}", done.err);
     assert!(done.out.contains("report.html"), "{}", done.out);
     let page = page(&folder);
-    for text in ["bench-small, seed 4", "Powder that arrives", "pouring angle", "Epochs", "Lost"] {
+    for text in [
+        "\"arm\":{\"name\":\"UR3e\"",
+        "bench-small, seed 4",
+        "Powder that arrives",
+        "pouring angle",
+        "Epochs",
+        "Lost",
+    ] {
         assert!(page.contains(text), "{text}");
     }
     let with_replay = page.len();
@@ -79,7 +86,7 @@ fn a_skill_is_drawn_at_chosen_moments_and_as_a_whole() {
     assert!(names.iter().all(|name| Path::new(name).is_file()));
     let done = optimise(&[&skill[..], &moments, &["--json"]].concat());
     let report: Value = serde_json::from_str(&done.out).unwrap();
-    assert_eq!(report, serde_json::json!({ "files": names }));
+    assert_eq!(report, serde_json::json!({ "files": names, "arm": "ur3e", "remark": null }));
     // Without moments there are six.
     let folder = place.text("more");
     let done = optimise(&[&skill[..], &["--out", &folder, "--cut"]].concat());
@@ -104,4 +111,58 @@ fn what_cannot_be_drawn_is_refused() {
     assert_sentence(&render(&["--at", "1", "--size", "32x32"]), 1, "pictures");
     let interrupted = optimise_for(1, &["render", "bench-small", "--theta", "0,0,0,0,0", "--out", &folder]);
     assert_sentence(&interrupted, 130, "stopped");
+}
+
+/// The scene `bench-small` with its base elsewhere.
+fn with_base(place: &Place, y_m: f64) -> String {
+    let mut scene = Scene::load("bench-small").unwrap();
+    scene.arm.as_mut().unwrap().base_position_m[1] = y_m;
+    let file = place.text("moved.toml");
+    fs::write(&file, scene.to_toml()).unwrap();
+    file
+}
+
+#[test]
+fn the_arm_is_drawn_unless_it_cannot_or_is_not_wanted() {
+    let place = Place::new();
+    let folder = place.text("pictures");
+    let render = |scene: &str, more: &[&str]| {
+        let usual = [
+            "render",
+            scene,
+            "--theta",
+            "0,0,0,0,0",
+            "--size",
+            "64x48",
+            "--at",
+            "1",
+            "--json",
+            "--out",
+            &folder,
+        ];
+        let done = optimise(&[&usual, more].concat());
+        assert_eq!(done.code, 0, "{}", done.err);
+        let report: Value = serde_json::from_str(&done.out).unwrap();
+        let picture = fs::read(report["files"][0].as_str().unwrap()).unwrap();
+        (report, done.err, picture)
+    };
+    let (report, _, drawn) = render("bench-small", &[]);
+    assert_eq!((report["arm"].as_str(), report["remark"].as_str()), (Some("ur3e"), None));
+    let (report, _, whole) = render("bench-small", &["--frame", "all", "--axes"]);
+    assert_eq!(report["arm"], "ur3e");
+    let (report, _, without) = render("bench-small", &["--no-arm"]);
+    assert!(report["arm"].is_null() && report["remark"].is_null());
+    assert!(drawn != without && drawn != whole && whole != without);
+    // Out of reach: said, and drawn as without an arm.
+    let (report, err, away) = render(&with_base(&place, -2.0), &[]);
+    let remark = report["remark"].as_str().unwrap();
+    assert!(
+        report["arm"].is_null() && remark.starts_with("No arm is drawn, for the UR3e cannot make"),
+        "{remark}"
+    );
+    assert!(err.contains(remark) && away == without, "{err}");
+    // Too near to the bench: drawn, and said.
+    let (report, _, _) = render(&with_base(&place, -0.3), &[]);
+    let remark = report["remark"].as_str().unwrap();
+    assert!(remark.contains("UR3e") && remark.contains("make this motion"), "{remark}");
 }

@@ -19,7 +19,7 @@ const DESTINATIONS = [
   ['in flight', '#f7b6a5'],
 ];
 
-/** Directions to look from; z is up. */
+/** Directions to look from, where the front is that of -y; z is up. */
 const VIEWS = { oblique: [0.32, -1, 0.5], front: [0, -1, 0.001], side: [1, 0, 0.001], top: [0, -0.001, 1] };
 
 const MODES = ['speed', 'height', 'destination'];
@@ -125,6 +125,53 @@ function ghost(THREE, mesh) {
   return group;
 }
 
+/** Rods with round ends: `place(k, ends)` puts number k where the six numbers of its ends say. */
+function rods(THREE, radii, ends, colour) {
+  const group = new THREE.Group();
+  group.userData.colour = colour;
+  const [from, to, up] = [new THREE.Vector3(), new THREE.Vector3(), new THREE.Vector3(0, 1, 0)];
+  radii.forEach((radius, k) => {
+    const length = from.fromArray(ends, 6 * k).distanceTo(to.fromArray(ends, 6 * k + 3));
+    group.add(new THREE.Mesh(new THREE.CapsuleGeometry(radius, length, 8, 32), new THREE.MeshLambertMaterial()));
+  });
+  const place = (k, numbers) => {
+    const rod = group.children[k];
+    from.fromArray(numbers);
+    to.fromArray(numbers, 3);
+    rod.position.copy(from).add(to).multiplyScalar(0.5);
+    rod.quaternion.setFromUnitVectors(up, to.sub(from).normalize());
+  };
+  return { group, place };
+}
+
+/** The arm, and `show(at)` that puts it where it is between two frames; and the block that the bench stands on. */
+function armOf(THREE, { arm }) {
+  const group = new THREE.Group();
+  if (!arm) return { group, show: () => {} };
+  const still = arm.standing_m.length / 6;
+  const { group: links, place } = rods(THREE, arm.radii_m, [...arm.standing_m, ...arm.moving_m[0]], '--arm');
+  for (let k = 0; k < still; k += 1) place(k, arm.standing_m.slice(6 * k, 6 * k + 6));
+  group.add(links);
+  if (arm.stand_m) {
+    const [low, high] = arm.stand_m.map((corner) => new THREE.Vector3(...corner));
+    const size = high.clone().sub(low);
+    const block = new THREE.BoxGeometry(...size);
+    // Its top is the floor, with the grid's lines on it.
+    block.translate(...low.add(high).multiplyScalar(0.5).toArray());
+    const solid = new THREE.MeshLambertMaterial({ polygonOffset: true, polygonOffsetFactor: 1, polygonOffsetUnits: 1 });
+    const stand = new THREE.Group();
+    stand.userData.colour = '--stand';
+    stand.add(new THREE.Mesh(block, solid));
+    group.add(stand);
+  }
+  const show = ({ from, to, share }) => {
+    const [before, after] = [arm.moving_m[from], arm.moving_m[to]];
+    const between = before.map((number, i) => number + share * (after[i] - number));
+    for (let k = still; k < arm.radii_m.length; k += 1) place(k, between.slice(6 * (k - still), 6 * (k - still) + 6));
+  };
+  return { group, show };
+}
+
 /** The way of a tool's origin, as a thin rod; nothing if it does not move. */
 function path(THREE, poses, radius, colour) {
   const group = new THREE.Group();
@@ -142,14 +189,16 @@ function path(THREE, poses, radius, colour) {
   return group;
 }
 
-/** Lines on the floor beneath what is to be seen, and how far apart they are. */
-function floorGrid(THREE, [low, high]) {
+/** Lines on the floor beneath what is to be seen, as far as there is floor, and how far apart they are. */
+function floorGrid(THREE, [low, high], ends) {
   const step = roundedUp(Math.max(high[0] - low[0], high[1] - low[1]) / 14);
   const [x, y] = [0, 1].map((axis) => {
     const [from, to] = [Math.floor(low[axis] / step + 1e-9), Math.ceil(high[axis] / step - 1e-9)];
-    return Array.from({ length: to - from + 1 }, (_, line) => (from + line) * step);
+    const lines = Array.from({ length: to - from + 1 }, (_, line) => (from + line) * step);
+    return lines.filter((at) => at > ends[0][axis] - 1e-9 && at < ends[1][axis] + 1e-9);
   });
-  const points = [...x.flatMap((at) => [at, y[0], 0, at, y.at(-1), 0]), ...y.flatMap((at) => [x[0], at, 0, x.at(-1), at, 0])];
+  const [left, right, near, far] = [x[0], x.at(-1), y[0], y.at(-1)];
+  const points = [...x.flatMap((at) => [at, near, 0, at, far, 0]), ...y.flatMap((at) => [left, at, 0, right, at, 0])];
   const geometry = new THREE.BufferGeometry();
   geometry.setAttribute('position', new THREE.Float32BufferAttribute(points, 3));
   const lines = new THREE.LineSegments(geometry, new THREE.LineBasicMaterial());
@@ -247,12 +296,18 @@ function nameTags(THREE, containers, host) {
     }
     return ends.right < 0 || ends.left > width || ends.bottom < 0 || ends.top > height ? null : ends;
   };
+  /** What else is written on the stage, which names keep off. */
+  const around = (at) => {
+    const from = at.getBoundingClientRect();
+    return [...at.parentElement.querySelectorAll('.views, .scale')].map((other) => other.getBoundingClientRect())
+      .map(({ left, top, width, height }) => ({ left: left - from.left, top: top - from.top, wide: width, tall: height }));
+  };
   const names = {
     get visible() { return !host.hidden; },
     set visible(on) { host.hidden = !on; },
     place(camera, width, height) {
       if (host.hidden) return;
-      const taken = [];
+      const taken = around(host);
       tags.forEach(({ tag, corners }) => {
         const ends = rectangle(corners, camera, width, height);
         tag.hidden = !ends;
@@ -263,10 +318,10 @@ function nameTags(THREE, containers, host) {
         let top = clamped(ends.bottom + 3, height - tall);
         // Names do not lie on each other: the next one goes below, or above where there is no room.
         const hit = () => taken.find((other) => left < other.left + other.wide && other.left < left + wide
-          && top < other.top + tall && other.top < top + tall);
-        for (let other = hit(); other && top + tall < height; other = hit()) top = other.top + tall + 1;
+          && top < other.top + other.tall && other.top < top + tall);
+        for (let other = hit(); other && top + tall < height; other = hit()) top = other.top + other.tall + 1;
         for (let other = hit(); other && top > 0; other = hit()) top = other.top - tall - 1;
-        taken.push({ left, top, wide });
+        taken.push({ left, top, wide, tall });
         // In shares, for paper is of another size.
         tag.style.left = `${((100 * (left + 0.5 * wide)) / width).toFixed(2)}%`;
         tag.style.top = `${((100 * top) / height).toFixed(2)}%`;
@@ -285,8 +340,10 @@ function makeStage({ THREE, OrbitControls }, replay, host) {
   const scene = new THREE.Scene();
   const camera = new THREE.PerspectiveCamera(32, 1, 0.01, 100);
   camera.up.set(0, 0, 1);
-  const grid = floorGrid(THREE, about.extent_m);
+  const grid = floorGrid(THREE, about.extent_m, about.arm?.stand_m ?? [[-Infinity, -Infinity], [Infinity, Infinity]]);
+  const arm = armOf(THREE, about);
   const layers = {
+    arm: arm.group,
     source: new THREE.Group(),
     target: new THREE.Group(),
     bystander: new THREE.Group(),
@@ -323,6 +380,9 @@ function makeStage({ THREE, OrbitControls }, replay, host) {
   const controls = new OrbitControls(camera, canvas);
   controls.zoomToCursor = true;
   const extent = new THREE.Box3(...about.extent_m.map((corner) => new THREE.Vector3(...corner)));
+  // An arm stands behind the bench.
+  const front = THREE.MathUtils.degToRad(about.front_deg);
+  const directionOf = (view) => new THREE.Vector3(...VIEWS[view]).applyAxisAngle(new THREE.Vector3(0, 0, 1), front).toArray();
   // Until the reader turns it, the picture fits, however the window changes.
   let looksFrom = null;
   controls.addEventListener('start', () => { looksFrom = null; });
@@ -341,6 +401,7 @@ function makeStage({ THREE, OrbitControls }, replay, host) {
     show(time) {
       const at = replay.at(time);
       grains.show(at);
+      arm.show(at);
       place(layers.tool, about.poses[at.from], about.poses[at.to], at.share);
       for (const { solid, moved } of gates) {
         // Between the last frame that has it and the first that has not, it belongs to the nearer one.
@@ -375,10 +436,10 @@ function makeStage({ THREE, OrbitControls }, replay, host) {
       camera.aspect = width / Math.max(height, 1);
       camera.updateProjectionMatrix();
       grains.uniforms.pixels.value = canvas.height;
-      if (looksFrom) aim(THREE, camera, controls, extent, VIEWS[looksFrom]);
+      if (looksFrom) aim(THREE, camera, controls, extent, directionOf(looksFrom));
     },
     lookFrom(view) {
-      aim(THREE, camera, controls, extent, VIEWS[view]);
+      aim(THREE, camera, controls, extent, directionOf(view));
       looksFrom = view;
     },
     draw() {
@@ -562,9 +623,10 @@ function bindKeys(replay, clock) {
   });
 }
 
-/** Names of containers and gates beside their colours; no colour of what is not there. */
-function showRoles({ containers, gates }) {
+/** Names of containers, gates and arm beside their colours; no colour of what is not there. */
+function showRoles({ containers, gates, arm }) {
   const bodies = [...containers, ...gates.map(({ name }) => ({ name, role: 'gate' }))];
+  if (arm) bodies.push({ name: arm.name, role: 'arm' });
   document.querySelectorAll('[data-of]').forEach((word) => {
     const role = word.dataset.of;
     const names = bodies.filter((body) => body.role === role).map(({ name }) => name);

@@ -16,6 +16,8 @@ use flate2::{Compression, write::ZlibEncoder};
 use powderline_shared::pose::Pose;
 use serde::Serialize;
 
+use crate::arm::{Arm, Capsule};
+use crate::extent::Extent;
 use crate::{Bench, Destination, Frame, Role, Sink, ViewError, mesh::Mesh};
 
 /// Steps over the simulated volume, each axis.
@@ -253,6 +255,9 @@ pub(super) struct About {
     containers: Vec<ContainerAbout>,
     gates: Vec<GateAbout>,
     tool: MeshAbout,
+    arm: Option<ArmAbout>,
+    /// From where the first picture is taken, as a camera's azimuth counts.
+    front_deg: f64,
     times_s: Vec<f64>,
     /// Position (m) and quaternion (x, y, z, w).
     poses: Vec<[f64; 7]>,
@@ -277,6 +282,19 @@ struct GateAbout {
     mesh: MeshAbout,
     /// In each frame how far it is from there, metres; null where it is no longer there.
     moved_m: Vec<Option<[f64; 3]>>,
+}
+
+#[derive(Clone, Debug, Serialize)]
+struct ArmAbout {
+    name: &'static str,
+    /// Of its column and post, which stand still, then of links and bracket, metres.
+    radii_m: Vec<f64>,
+    /// Of column and post: the ends of the axis, six numbers each, metres.
+    standing_m: Vec<f64>,
+    /// Of links and bracket in each frame, likewise.
+    moving_m: Vec<Vec<f64>>,
+    /// Lowest and highest corner of the block beneath the bench; null if it stands on the table itself.
+    stand_m: Option<[[f64; 3]; 2]>,
 }
 
 #[derive(Clone, Debug, Serialize)]
@@ -312,11 +330,33 @@ impl About {
             containers: containers.collect(),
             gates: gates.collect(),
             tool: MeshAbout::new(&bench.tool),
+            arm: bench.arm.as_ref().map(|arm| ArmAbout::new(arm, bench, kept)),
+            front_deg: bench.front_deg(),
             times_s: kept.iter().map(|frame| rounded(frame.time_s)).collect(),
             poses: kept.iter().map(|frame| numbers(&frame.tool)).collect(),
             planned: kept.iter().map(|frame| frame.planned.as_ref().map(numbers)).collect(),
             fastest_m_s: fastest.map(|fastest| f64::from(fastest) * SPEED_QUANTUM_M_S),
             destinations: known.then(|| destinations.iter().copied().map(digit).collect()),
+        }
+    }
+}
+
+impl ArmAbout {
+    fn new(arm: &Arm, bench: &Bench, kept: &[Kept]) -> Self {
+        // To a tenth of a millimetre: what is so large is not seen more exactly.
+        let tenth_mm = |number: &f64| (number * 1e4).round() / 1e4;
+        let ends = |capsule: &Capsule| capsule.ends_m.as_flattened().iter().map(tenth_mm).collect::<Vec<_>>();
+        let moving = |time_s| arm.moving(time_s);
+        let (standing, first) = (arm.standing(), moving(0.0));
+        Self {
+            name: arm.motion.model.kind.label(),
+            radii_m: standing.iter().chain(&first).map(|capsule| capsule.radius_m).collect(),
+            standing_m: standing.iter().flat_map(ends).collect(),
+            moving_m: kept.iter().map(|frame| moving(frame.time_s).iter().flat_map(ends).collect()).collect(),
+            stand_m: bench
+                .stand()
+                .and_then(|stand| Extent::about(stand.points_m))
+                .map(|block| [block.low_m, block.high_m]),
         }
     }
 }
@@ -362,7 +402,6 @@ fn rounded(number: f64) -> f64 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::extent::Extent;
     use powderline_simulator::scene::GateOpening;
     use std::io::Read as _;
 
@@ -375,6 +414,7 @@ mod tests {
             containers: Vec::new(),
             gates: Vec::new(),
             tool: Mesh::bowl(0.03, 0.002),
+            arm: None,
             target_m: [0.3, 0.1, 0.0],
             particles,
             period_s,

@@ -24,6 +24,11 @@ impl Pen {
         Self { size, colour: if is_light { [45, 50, 60] } else { [225, 228, 232] } }
     }
 
+    /// The same size, to be read on what is light, whatever the background.
+    pub(super) fn dark(image: &Image) -> Self {
+        Self::on(image, [255; 3])
+    }
+
     /// Height of a line, pixels.
     pub(super) fn line_px(&self) -> usize {
         self.size.val()

@@ -32,17 +32,56 @@ const BOUNCE: f32 = 0.22;
 pub(super) struct Maps<'a> {
     opaque: Vec<Map>,
     translucent: Cow<'a, [Map]>,
+    /// Of what is large, over the surroundings; empty where there are none.
+    far: Vec<Map>,
 }
 
-/// Directions, and the region of space that their maps cover.
+/// Directions, and the regions of space that their maps cover.
 pub(super) struct Lights {
     lights: Vec<Light>,
+    near: Region,
+    /// Beyond it, coarser.
+    far: Option<Region>,
+    /// For each light, how high the topmost translucent wall lies.
+    walls: Vec<Map>,
+}
+
+/// What a light's map covers.
+#[derive(Clone, Copy)]
+struct Region {
     middle_m: V,
     /// Texels along an edge of a map.
     size: usize,
     texel_m: f32,
-    /// For each light, how high the topmost translucent wall lies.
-    walls: Vec<Map>,
+}
+
+/// Texels along an edge of a coarse map.
+const FAR_TEXELS: usize = 400;
+
+impl Region {
+    /// A sphere of a radius about `middle_m`.
+    fn new(middle_m: V, radius_m: f32, texel_m: f32) -> Self {
+        Self { middle_m, size: (2.0 * radius_m / texel_m).ceil() as usize, texel_m }
+    }
+
+    fn nothing(&self) -> Map {
+        vec![f32::NEG_INFINITY; self.size * self.size]
+    }
+
+    /// Column and row in a light's map, and height towards it in metres.
+    fn place(&self, light: &Light, point_m: &V) -> [f32; 3] {
+        let [across, along, towards] = &light.axes;
+        let from = point_m - self.middle_m;
+        let half = 0.5 * self.size as f32;
+        [half + from.dot(across) / self.texel_m, half + from.dot(along) / self.texel_m, from.dot(towards)]
+    }
+
+    /// The texel that shades a point, and how high the point is over the middle; none outside.
+    fn texel(&self, light: &Light, point_m: &V) -> Option<(usize, f32)> {
+        let [x, y, height] = self.place(light, point_m);
+        let inside = |value: f32| value >= 0.0 && value < self.size as f32;
+        (inside(x) && inside(y)).then(|| (y as usize * self.size + x as usize, height))
+    }
 }
 
 struct Light {
@@ -59,96 +98,117 @@ impl Lights {
     /// `azimuth_rad`.
     pub(super) fn new(middle_m: V, radius_m: f32, texel_m: f32, azimuth_rad: f32, walls: &[Facet]) -> Self {
         let texel_m = texel_m.clamp(radius_m / 320.0, radius_m / 32.0);
-        let size = (2.0 * radius_m / texel_m).ceil() as usize;
-        let mut lights = Self { lights: directions(azimuth_rad), middle_m, size, texel_m, walls: Vec::new() };
+        let near = Region::new(middle_m, radius_m, texel_m);
+        let mut lights = Self { lights: directions(azimuth_rad), near, far: None, walls: Vec::new() };
         lights.walls = (0..lights.lights.len())
-            .map(|light| lights.map(lights.nothing(), light, &[], 0.0, walls))
+            .map(|light| lights.map(&near, near.nothing(), light, &[], 0.0, walls))
             .collect();
         lights
     }
 
-    /// The maps for powder of a radius, for solids, and for translucent walls besides those that are always there.
+    /// The same, where something large also shades what is beyond: over a sphere about another middle.
+    pub(super) fn beyond(mut self, middle_m: V, radius_m: f32) -> Self {
+        self.far = Some(Region::new(middle_m, radius_m, 2.0 * radius_m / FAR_TEXELS as f32));
+        self
+    }
+
+    /// The maps for powder of a radius, for solids, of which the last ones, `large`, shade what is beyond as well, and for
+    /// translucent walls besides those that are always there.
     pub(super) fn maps(
         &self,
         powder_m: &[V],
         radius_m: f32,
-        solids: &[Facet],
+        [small, large]: [&[Facet]; 2],
         more_walls: &[Facet],
     ) -> Maps<'_> {
+        let near = &self.near;
         let opaque = (0..self.lights.len())
             .into_par_iter()
-            .map(|light| self.map(self.nothing(), light, powder_m, radius_m, solids))
+            .map(|light| {
+                let map = self.map(near, near.nothing(), light, powder_m, radius_m, small);
+                self.map(near, map, light, &[], 0.0, &self.facing(light, large))
+            })
             .collect();
-        let with_more = |(light, map): (usize, &Map)| self.map(map.clone(), light, &[], 0.0, more_walls);
+        let with_more =
+            |(light, map): (usize, &Map)| self.map(near, map.clone(), light, &[], 0.0, more_walls);
         let translucent = match more_walls {
             [] => Cow::Borrowed(&self.walls[..]),
             _ => Cow::Owned(self.walls.par_iter().enumerate().map(with_more).collect()),
         };
-        Maps { opaque, translucent }
+        let beyond = |far: &Region| {
+            let map = |light| self.map(far, far.nothing(), light, &[], 0.0, &self.facing(light, large));
+            (0..self.lights.len()).into_par_iter().map(map).collect()
+        };
+        Maps { opaque, translucent, far: self.far.as_ref().map_or_else(Vec::new, beyond) }
     }
 
-    fn nothing(&self) -> Map {
-        vec![f32::NEG_INFINITY; self.size * self.size]
+    /// The triangles of closed solids that face a light: no others are topmost.
+    fn facing(&self, light: usize, solids: &[Facet]) -> Vec<Facet> {
+        let towards = &self.lights[light].axes[2];
+        let faces = |facet: &&Facet| facet.normals.iter().any(|normal| normal.dot(towards) > 0.0);
+        solids.iter().filter(faces).cloned().collect()
     }
 
     /// A map with more in it.
-    fn map(&self, mut map: Map, light: usize, powder_m: &[V], radius_m: f32, solids: &[Facet]) -> Map {
-        let reach = radius_m / self.texel_m;
+    fn map(
+        &self,
+        region: &Region,
+        mut map: Map,
+        light: usize,
+        powder_m: &[V],
+        radius_m: f32,
+        solids: &[Facet],
+    ) -> Map {
+        let (light, size) = (&self.lights[light], region.size);
+        let reach = radius_m / region.texel_m;
         for centre in powder_m {
-            let [x, y, height] = self.place(light, centre);
+            let [x, y, height] = region.place(light, centre);
             let rows =
-                (y - reach).max(0.0).round() as usize..((y + reach).round().max(0.0) as usize).min(self.size);
+                (y - reach).max(0.0).round() as usize..((y + reach).round().max(0.0) as usize).min(size);
             for row in rows {
                 let aside = row as f32 + 0.5 - y;
                 let half = (reach * reach - aside * aside).max(0.0).sqrt();
                 let first = (x - half).max(0.0).round() as usize;
-                let end = ((x + half).round().max(0.0) as usize).min(self.size);
-                for texel in &mut map[row * self.size + first.min(end)..row * self.size + end] {
+                let end = ((x + half).round().max(0.0) as usize).min(size);
+                for texel in &mut map[row * size + first.min(end)..row * size + end] {
                     *texel = texel.max(height);
                 }
             }
         }
         for facet in solids {
-            let corners = facet.corners.map(|corner| self.place(light, &corner));
-            covered(corners, [self.size; 2], |column, row, share, _| {
+            let corners = facet.corners.map(|corner| region.place(light, &corner));
+            covered(corners, [size; 2], |column, row, share, _| {
                 let height = (0..3).map(|corner| share[corner] * corners[corner][2]).sum::<f32>();
-                let texel = &mut map[row * self.size + column];
+                let texel = &mut map[row * size + column];
                 *texel = texel.max(height);
             });
         }
         map
     }
 
-    /// Column and row in a light's map, and height towards it in metres.
-    fn place(&self, light: usize, point_m: &V) -> [f32; 3] {
-        let [across, along, towards] = &self.lights[light].axes;
-        let from = point_m - self.middle_m;
-        let half = 0.5 * self.size as f32;
-        [half + from.dot(across) / self.texel_m, half + from.dot(along) / self.texel_m, from.dot(towards)]
-    }
-
     /// Light on a surface in one of a pixel's samples; 1 on a level surface that nothing shades.
     pub(super) fn at(&self, maps: &Maps<'_>, sample: usize, point_m: &V, normal: &V) -> f32 {
         // A surface must not shade itself by the coarseness of the map.
-        let point_m = point_m + normal * (1.5 * self.texel_m);
+        let above = |region: &Region| point_m + normal * (1.5 * region.texel_m);
+        let (near, far) = (above(&self.near), self.far.as_ref().map(above));
         let mut sum = BOUNCE * (0.5 - 0.5 * normal.z);
         for (index, light) in self.lights.iter().enumerate().skip(sample).step_by(SAMPLES) {
             let incidence = normal.dot(&light.axes[2]);
             if incidence > 0.0 {
-                sum += light.weight * incidence * self.passes(maps, index, &point_m);
+                sum += light.weight * incidence * self.passes(maps, index, &near, far.as_ref());
             }
         }
         sum
     }
 
-    /// Share of a light that reaches a point.
-    fn passes(&self, maps: &Maps<'_>, light: usize, point_m: &V) -> f32 {
-        let [x, y, height] = self.place(light, point_m);
-        let inside = |value: f32| value >= 0.0 && value < self.size as f32;
-        if !inside(x) || !inside(y) {
-            return 1.0;
-        }
-        let texel = y as usize * self.size + x as usize;
+    /// Share of a light that reaches a point, which is given a little above its surface, for near and for coarse maps.
+    fn passes(&self, maps: &Maps<'_>, light: usize, point_m: &V, far_point_m: Option<&V>) -> f32 {
+        let Some((texel, height)) = self.near.texel(&self.lights[light], point_m) else {
+            let beyond = self.far.as_ref().zip(far_point_m);
+            let found = beyond.and_then(|(far, point_m)| far.texel(&self.lights[light], point_m));
+            let is_shaded = found.is_some_and(|(texel, height)| maps.far[light][texel] > height);
+            return if is_shaded { 0.0 } else { 1.0 };
+        };
         match (maps.opaque[light][texel] > height, maps.translucent[light][texel] > height) {
             (true, _) => 0.0,
             (false, true) => THROUGH,

@@ -13,6 +13,7 @@
 //! ```
 
 mod animation;
+mod axes;
 mod camera;
 mod encode;
 mod facet;
@@ -28,6 +29,7 @@ use nalgebra::UnitQuaternion;
 use powderline_shared::pose::Pose;
 use rayon::prelude::*;
 
+use crate::arm::{Arm, Capsule};
 use crate::mesh::Mesh;
 use crate::{Bench, Container, Destination, Frame, Gate, Role, ViewError};
 
@@ -78,6 +80,8 @@ pub struct Look {
     pub grains: usize,
     /// Whether time, ruler and the meaning of colours are drawn.
     pub labels: bool,
+    /// Whether the axes of the tool's frame are drawn, and with an arm those of its flange.
+    pub axes: bool,
 }
 
 impl Default for Look {
@@ -90,6 +94,7 @@ impl Default for Look {
             containers: Containers::Translucent,
             grains: 12,
             labels: true,
+            axes: false,
         }
     }
 }
@@ -179,6 +184,12 @@ pub struct Painter {
     /// Gates where they are shut, and where they are when.
     gates: Vec<(Body, Gate)>,
     tool: Vec<Facet>,
+    arm: Option<Arm>,
+    /// What the bench and the arm's base stand on.
+    stand: Vec<Facet>,
+    ground_m: f32,
+    /// Length of axes that are drawn.
+    axis_m: f32,
     ruler: Ruler,
     radius_m: f32,
 }
@@ -202,12 +213,38 @@ impl Painter {
         let texel_m = bench.cell_m as f32 / 6.0;
         let azimuth_rad = camera.azimuth_deg.to_radians() as f32;
         let lights = Lights::new(middle, 0.62 * facet::length(&size), texel_m, azimuth_rad, &walls);
+        let lights = match &bench.arm {
+            Some(_) => {
+                let all = bench.clone().framed_with_arm().extent;
+                let [middle, size] = [all.middle_m(), all.size_m()].map(|of| V::from(of.map(|x| x as f32)));
+                lights.beyond(middle, 0.65 * facet::length(&size))
+            }
+            None => lights,
+        };
         let is_glass = look.containers == Containers::Translucent;
         let glass = Glass::new(&view, containers.iter().filter(|_| is_glass));
         let gates = bench.gates.iter().map(|gate| (Body::new(&gate.mesh, GATE), gate.clone())).collect();
         let radius_m = RADIUS_CELLS * bench.cell_m as f32;
         let (tool, camera, look) = (facets(&bench.tool), *camera, look.clone());
-        Ok(Self { camera, look, view, lights, containers, glass, gates, tool, ruler, radius_m })
+        let axis_m = AXIS * facet::length(&size);
+        let (arm, ground_m) = (bench.arm.clone(), bench.ground_m() as f32);
+        let stand = bench.stand().map_or_else(Vec::new, |stand| facets(&stand));
+        Ok(Self {
+            camera,
+            look,
+            view,
+            lights,
+            containers,
+            glass,
+            gates,
+            tool,
+            arm,
+            stand,
+            ground_m,
+            axis_m,
+            ruler,
+            radius_m,
+        })
     }
 
     /// Draws a frame. `destinations` may be empty, unless they are what is to be seen.
@@ -218,9 +255,11 @@ impl Painter {
 
     fn paint(&self, moment: &Moment, destinations: &[Destination]) -> Image {
         let (tool, gates) = (self.tool_at(&moment.tool), self.gates_at(moment.time_s));
-        let canvas = self.surfaces(moment, &tool, &gates, destinations);
+        let arm = self.arm_at(moment.time_s);
+        let canvas = self.surfaces(moment, [&tool, &arm], &gates, destinations);
         let places: Vec<V> = moment.powder.iter().map(place).filter(is_finite).collect();
-        let maps = self.lights.maps(&places, self.radius_m, &tool, &all_facets(&gates));
+        let large = [&arm[..], &self.stand].concat();
+        let maps = self.lights.maps(&places, self.radius_m, [&tool, &large], &all_facets(&gates));
         let glass = self.is_glass() && !gates.is_empty();
         let glass = glass.then(|| Glass::new(&self.view, self.containers.iter().chain(&gates)));
         let seen = Seen { canvas, maps, glass: glass.as_ref().unwrap_or(&self.glass) };
@@ -239,6 +278,9 @@ impl Painter {
             }
         });
         let mut image = Image { width_px: self.look.width_px, height_px: self.look.height_px, rgb };
+        if self.look.axes {
+            self.axes(&mut image, moment);
+        }
         if self.look.labels {
             self.label(&mut image, moment.time_s, destinations);
         }
@@ -253,6 +295,13 @@ impl Painter {
             return Vec::new();
         }
         self.tool.iter().map(|facet| facet.moved(&turn, &by)).collect()
+    }
+
+    /// The arm's surface at a time; nothing where there is none.
+    fn arm_at(&self, time_s: f64) -> Vec<Facet> {
+        let capsules = |arm: &Arm| [arm.standing(), arm.moving(time_s).into()].concat();
+        let drawn = |Capsule { ends_m: [from, to], radius_m }| facets(&Mesh::capsule(from, to, radius_m));
+        self.arm.iter().flat_map(capsules).flat_map(drawn).collect()
     }
 
     /// The gates that are there at a time.
@@ -271,11 +320,12 @@ impl Painter {
     fn surfaces(
         &self,
         moment: &Moment,
-        tool: &[Facet],
+        [tool, arm]: [&[Facet]; 2],
         gates: &[Body],
         destinations: &[Destination],
     ) -> Canvas<'_> {
-        let mut canvas = Canvas::floor(&self.view);
+        let mut canvas = Canvas::floor(&self.view, self.ground_m);
+        canvas.solid(&self.stand, [0.0; 3], Finish::Floor);
         let facing = self.camera.facing();
         let cut = self.containers.iter().chain(gates).filter(|_| !self.is_glass());
         for Body { facets, middle, colour } in cut {
@@ -284,6 +334,7 @@ impl Painter {
         if self.look.labels {
             self.ruler.draw(&mut canvas);
         }
+        canvas.solid(arm, linear(ARM), Finish::Matt);
         canvas.solid(tool, linear([150, 158, 170]), Finish::Metal);
         for (index, grain) in moment.powder.iter().enumerate() {
             let at = place(grain);
@@ -346,6 +397,14 @@ impl Painter {
         // Where little light comes to, little is reflected.
         let reflected = edge * sky * (0.25 + 0.75 * light.min(1.0));
         texel.albedo.map(|part| part * light * 0.75 + reflected * 0.8)
+    }
+
+    fn axes(&self, image: &mut Image, moment: &Moment) {
+        let length_m = f64::from(self.axis_m);
+        axes::draw(image, &self.view, &moment.tool, length_m, "tool");
+        if let Some(arm) = &self.arm {
+            axes::draw(image, &self.view, &arm.flange(moment.time_s), length_m, "flange");
+        }
     }
 
     fn label(&self, image: &mut Image, time_s: f64, destinations: &[Destination]) {
@@ -454,6 +513,12 @@ fn key(destinations: &[Destination]) -> Vec<(Rgb, String)> {
     Destination::ALL.into_iter().filter(is_there).map(entry).collect()
 }
 
+/// Length of a frame's axes, of the diagonal of what is to be seen.
+const AXIS: f32 = 0.14;
+
+/// Colour of the arm.
+const ARM: Rgb = [216, 219, 224];
+
 /// Colour of gates.
 const GATE: Rgb = [134, 112, 160];
 
@@ -496,13 +561,22 @@ impl Ruler {
         let outwards = facing - along;
         let ends = [bench.extent.low_m, bench.extent.high_m];
         let corner = [0, 1].map(|axis| ends[usize::from(outwards[axis] > 0.0)][axis] as f32);
-        let start = V::new(corner[0], corner[1], 0.0) + facing * (0.06 * extent);
+        let across_m = facing * (0.05 * length_m);
+        let beside = facing * (0.06 * extent);
+        let start = match bench.stand() {
+            // Beyond the block there is no floor to lie on, unless all of it and more is to be seen.
+            Some(_) if bench.extent.low_m[2] >= 0.0 => {
+                let on = |axis: usize| {
+                    let least = (-across_m[axis]).max(0.0);
+                    let most = bench.size_m[axis] as f32 - across_m[axis].max(0.0);
+                    (corner[axis] + beside[axis]).clamp(least.min(most), most)
+                };
+                V::new(on(0), on(1), 0.0)
+            }
+            _ => V::new(corner[0], corner[1], bench.extent.low_m[2].min(0.0) as f32) + beside,
+        };
         let ends_m = [0, 1, 2, 3, 4, 5].map(|part| start + along * (length_m * part as f32 / 5.0));
-        Self {
-            ends_m,
-            across_m: facing * (0.05 * length_m),
-            name: format!("{} mm", rounded(1e3 * f64::from(length_m))),
-        }
+        Self { ends_m, across_m, name: format!("{} mm", rounded(1e3 * f64::from(length_m))) }
     }
 
     fn draw(&self, canvas: &mut Canvas<'_>) {
@@ -626,7 +700,7 @@ mod tests {
 
     use crate::extent::Extent;
 
-    use super::sample::{bare, bench, frame, look, positions};
+    use super::sample::{self, bare, bench, frame, look, positions};
     use super::*;
 
     const RED: Rgb = [230, 20, 20];
@@ -755,6 +829,52 @@ mod tests {
                     assert!(green > red.saturating_add(20), "{red} {green} at {at}, azimuth {azimuth_deg}");
                 }
             }
+        }
+    }
+
+    /// The arm hides what is behind it, stands on its table, and is another one when the joints are.
+    #[test]
+    fn the_arm_is_drawn_where_its_capsules_are() {
+        let arm = sample::arm();
+        let with = Bench { arm: Some(arm.clone()), ..empty_bench() }.framed_with_arm();
+        let without = Bench { arm: None, ..with.clone() };
+        let look = bare(Colouring::Plain(RED));
+        let camera = Camera { azimuth_deg: with.front_deg() + 22.0, ..Camera::default() };
+        let draw = |bench: &Bench, time_s: f64| {
+            let painter = Painter::new(bench, &camera, &look).expect("settings in range");
+            let image = painter.draw(&Frame { time_s, ..frame(0, &[]) }, &[]);
+            (painter, image)
+        };
+        let (painter, image) = draw(&with, 0.0);
+        let (_, empty) = draw(&without, 0.0);
+        let [upper_arm, forearm, ..] = arm.moving(0.0);
+        for Capsule { ends_m: [from, to], .. } in [upper_arm, forearm] {
+            let middle = V::from([0, 1, 2].map(|axis| (0.5 * (from[axis] + to[axis])) as f32));
+            let [x, y, _] = painter.view.pixel(&painter.view.local(&middle)).expect("before the camera");
+            let pixel = (y as usize / FINE) * image.width_px + x as usize / FINE;
+            let [found, floor] = [&image, &empty].map(|image| image.rgb.as_chunks::<3>().0[pixel]);
+            assert!(found != floor, "{found:?} at {x}, {y}");
+        }
+        assert!(image != draw(&with, 0.2).1, "it moves");
+        // The table is lower than the bench's floor: what is seen of it is farther away.
+        let corner = painter.view.size_px[0] * (painter.view.size_px[1] - 1);
+        let moment = Moment::from(&frame(0, &[]));
+        let depth_m =
+            |painter: &Painter| painter.surfaces(&moment, [&[], &[]], &[], &[]).texels[corner].depth_m;
+        let (bare_painter, _) = draw(&without, 0.0);
+        assert!(depth_m(&painter) > depth_m(&bare_painter) + 0.05);
+    }
+
+    #[test]
+    fn axes_are_drawn_over_everything() {
+        let drawn = |arm: Option<Arm>| {
+            let bench = Bench { arm, ..empty_bench() }.framed_with_arm();
+            let look = Look { axes: true, ..bare(Colouring::Plain([200; 3])) };
+            draw(&painter(&bench, &look), &[], &[])
+        };
+        let (tool, both) = (drawn(None), drawn(Some(sample::arm())));
+        for (image, least) in [(&tool, 20), (&both, 10)] {
+            assert!((0..3).all(|channel| count(image, channel) > least), "red, green and blue");
         }
     }
 

@@ -40,12 +40,12 @@ pub(super) struct Canvas<'a> {
 }
 
 impl<'a> Canvas<'a> {
-    /// The floor and nothing on it.
-    pub(super) fn floor(view: &'a View) -> Self {
+    /// A floor at a height and nothing on it.
+    pub(super) fn floor(view: &'a View, height_m: f32) -> Self {
         let [columns, rows] = view.size_px;
         let texel = |index: usize| {
             let ray = view.world(&view.ray(index % columns, index / columns));
-            let depth_m = -view.eye.z / ray.z;
+            let depth_m = (height_m - view.eye.z) / ray.z;
             let finish = if depth_m > 0.0 && depth_m.is_finite() { Finish::Floor } else { Finish::Empty };
             let depth_m = if finish == Finish::Floor { depth_m } else { f32::INFINITY };
             Texel { depth_m, normal: V::z(), albedo: [0.0; 3], finish }
@@ -249,7 +249,7 @@ mod tests {
         let facet = Facet { corners, normals: [-view.forward; 3], creases: [false; 3] };
         for (depth_m, expected_m, finish) in [(0.5, 0.4, Finish::Matt), (2.0, 1.0, Finish::Metal)] {
             for sphere_first in [true, false] {
-                let mut canvas = Canvas::floor(&view);
+                let mut canvas = Canvas::floor(&view, 0.0);
                 for draws_sphere in [sphere_first, !sphere_first] {
                     if draws_sphere {
                         canvas.sphere(&at(depth_m), 0.1, [1.0, 0.0, 0.0]);
