@@ -37,7 +37,7 @@
 //! # }
 //! ```
 //!
-//! More in [`examples`]: a whole skill, the gradient beside a difference, a bench built in code, a
+//! More in [`examples`]: a whole skill, the gradient beside a difference and restarted, a bench built in code, a
 //! custom tool shape, a custom loss, every grain on its way.
 //!
 //! # Data flow
@@ -125,6 +125,12 @@ pub use real::Real;
 ///
 /// ```ignore
 #[cfg_attr(doc, doc = include_str!("../examples/gradient.rs"))]
+/// ```
+///
+/// # The same beside the restarted adjoint, for many skills: `restarted_gradient`
+///
+/// ```ignore
+#[cfg_attr(doc, doc = include_str!("../examples/restarted_gradient.rs"))]
 /// ```
 ///
 /// # A bench built in code: `scene_in_code`

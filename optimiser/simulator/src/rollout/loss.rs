@@ -58,6 +58,33 @@ pub(crate) fn loss(scene: &Scene, positions: &[[f64; 3]]) -> (f64, Vec<[f64; 3]>
     (sum, gradient)
 }
 
+/// What each particle costs, metres, by identity; none of those that the loss does not see. A constant more or less does not matter.
+///
+/// The loss is no sum over particles where an amount is wanted, since they compete for being among the nearest. One that comes
+/// nearer than the n-th, d_n, takes its place: it costs d_i where that is below d_n, and beyond d_n - max(0, D - d_n) + max(0, D - d_i),
+/// which goes on from there. The difference between two places is then what moving one particle from one to the other
+/// changes of the loss, the others as they are.
+pub(crate) fn values(scene: &Scene, positions: &[[f64; 3]]) -> Vec<Option<f64>> {
+    let from_target = |p: &[f64; 3]| distance(scene.objective.norm, p, &scene.objective.p_target_m).0;
+    let seen = observed(scene, positions);
+    let mut distances: Vec<f64> = seen.iter().map(|&id| from_target(&positions[id])).collect();
+    distances.sort_unstable_by(f64::total_cmp);
+    let wanted = wanted(scene, seen.len(), positions.len());
+    let last = match distances.get(wanted.saturating_sub(1)..) {
+        Some([at, beyond, ..]) => 0.5 * (at + beyond),
+        _ => f64::INFINITY,
+    };
+    let away = from_target(&scene.nearest_of_source_m());
+    let mut out = vec![None; positions.len()];
+    for id in seen {
+        let d = from_target(&positions[id]);
+        let own = if d < last { d } else { last - (away - last).max(0.0) + (away - d).max(0.0) };
+        let lost = scene.objective.lost_weight * away * lost(scene, &positions[id]).0;
+        out[id] = Some(own + lost);
+    }
+    out
+}
+
 /// a^2 / (a^2 + t^2), and its gradient with respect to the position.
 fn lost(scene: &Scene, p: &[f64; 3]) -> (f64, [f64; 3]) {
     let beside = scene.containers.iter().map(|container| {
@@ -225,6 +252,31 @@ mod tests {
         scene.objective.observation = Observation::Subsample { particles: 3 };
         let far = vec![[0.0, 0.048, 0.01]; 1000];
         assert!(loss(&scene, &far).0 > 0.17, "bringing nothing is not what is wanted");
+    }
+
+    /// Moving one particle changes the loss as it changes what the particle costs, as long as no other's place in the ranking changes.
+    #[test]
+    fn what_a_particle_costs_is_what_moving_it_changes() {
+        for (aim, lost_weight) in [(Aim::All, 0.0), (Aim::Amount, 0.0), (Aim::Amount, 2.0)] {
+            let mut scene = scene(aim, 6);
+            scene.objective.lost_weight = lost_weight;
+            let mut places = line(&scene);
+            // Many at one distance, so that one more or less does not move the sixth.
+            places.extend([places[4]; 4]);
+            let at = |to: usize| {
+                let mut moved = places.clone();
+                moved[0] = places[to];
+                (loss(&scene, &moved).0, values(&scene, &moved)[0].unwrap())
+            };
+            let (loss_there, cost_there) = at(2);
+            for to in [1, 3, 6, 8] {
+                let (loss, cost) = at(to);
+                assert!(
+                    (loss - loss_there - (cost - cost_there)).abs() < 1e-12,
+                    "{aim:?} {to}: {loss} {cost}"
+                );
+            }
+        }
     }
 
     #[test]

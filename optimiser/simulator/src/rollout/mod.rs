@@ -11,6 +11,7 @@
 //! | the loss of any motion of the tool | [`Evaluate::simulate`] |
 //! | its derivative by every displacement | [`Evaluate::simulate_with_gradient`] |
 //! | the same of a loss of one's own | [`ParticleSimulator::gradient_of_custom_loss`] |
+//! | a slope that holds over larger steps | [`ParticleSimulator::evaluate_restarted`] |
 //! | every grain on the way, and where it ends | [`Evaluate::record`] |
 //! | the grains at the end alone | [`ParticleSimulator::final_positions_m`] |
 //!
@@ -37,13 +38,15 @@
 //! | 0 to 330, the whole skill | 1.4e-2 | 0.66 |
 //!
 //! Over steps that a search might take the slope is another: with differences over half-steps of
-//! 0.1 the whole skill's gradient has a cosine of 0.82 (`f64`), and 3.5 times the length.
+//! 0.1 the whole skill's gradient has a cosine of 0.82 (`f64`), and 3.5 times the length. [`restart`] says why, and has a
+//! gradient that forgets what single grains do.
 
 mod branches;
 pub mod gradcheck;
 pub(crate) mod loss;
 mod outcome;
 pub(crate) mod path;
+pub mod restart;
 pub(crate) mod schedule;
 mod simulator;
 #[cfg(test)]
@@ -325,6 +328,17 @@ pub trait ParticleSimulator: Evaluate {
         controls: &[Displacement],
         progress: Progress<'_>,
     ) -> Result<Vec<[f64; 3]>, RolloutError>;
+
+    /// Loss of a skill, and its gradient by the adjoint that [`restart`]s.
+    ///
+    /// # Errors
+    /// See [`RolloutError`].
+    fn evaluate_restarted(
+        &mut self,
+        theta: &Theta,
+        restarts: &restart::Restarts,
+        progress: Progress<'_>,
+    ) -> Result<Evaluation, RolloutError>;
 
     /// A custom loss at the end of such a motion, and its derivative with respect to each
     /// displacement, the others held: per metre and per radian, whatever the loss's own unit is.

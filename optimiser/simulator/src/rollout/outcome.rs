@@ -124,7 +124,7 @@ fn place(c: &Container, p: &[f64; 3]) -> Place {
 }
 
 /// In the ball (or box) around the tool's inner space.
-fn held(scene: &Scene, tool: &Pose, p: &[f64; 3]) -> bool {
+pub(super) fn held(scene: &Scene, tool: &Pose, p: &[f64; 3]) -> bool {
     let y = tool.tool_from_world(&(*p).into());
     let t = scene.tool.wall_thickness_m;
     match &scene.tool.shape {

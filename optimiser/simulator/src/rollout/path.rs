@@ -14,6 +14,13 @@ use crate::mpm::contact::{BodyState, BodyStateBar};
 use crate::real::Real;
 use crate::skill::Control;
 
+/// Cotangent of a pose: of its position, and of its rotation from the left.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct PoseBar {
+    pub(crate) position: Vector3<f64>,
+    pub(crate) rotation: Vector3<f64>,
+}
+
 /// A control sequence from an anchor pose.
 pub(crate) struct Trajectory {
     /// Substeps of the motion that are done where it begins.
@@ -64,6 +71,11 @@ impl Trajectory {
     /// The bits of a control.
     pub(crate) fn control_bits(&self, step: usize) -> [u64; 6] {
         self.controls[step].components().map(f64::to_bits)
+    }
+
+    /// Pose at the beginning of a control step.
+    pub(crate) fn pose_before(&self, step: usize) -> Pose {
+        self.poses[step]
     }
 
     /// Pose after the last step.
@@ -133,6 +145,12 @@ impl TrajectoryAdjoint<'_> {
         if substep.is_multiple_of(self.path.substeps as usize) {
             self.finish(step);
         }
+    }
+
+    /// Adds a cotangent of the pose at the beginning of the control step whose substeps have been taken last.
+    pub(crate) fn take_over(&mut self, bar: &PoseBar) {
+        self.position_bar += bar.position;
+        self.rotation_bar += bar.rotation;
     }
 
     fn finish(&mut self, step: usize) {

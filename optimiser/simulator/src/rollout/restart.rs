@@ -56,6 +56,7 @@ use powderline_shared::pose::Pose;
 use rayon::prelude::*;
 
 use super::outcome::held;
+use super::path::PoseBar;
 use crate::mpm::Model;
 use crate::mpm::bodies::Bodies;
 use crate::mpm::contact::BodyState;
@@ -88,18 +89,22 @@ pub struct Restarts {
     pub steps: Vec<usize>,
     /// Radius of the neighbourhoods, metres.
     pub radius_m: f64,
+    /// Whether the tool's pose keeps the resultant of what the tool carries.
+    pub keeps_resultant: bool,
+    /// Whether it begins with slopes as well, instead of the loss's own derivative.
+    pub begins_with_slopes: bool,
 }
 
 impl Restarts {
-    /// For the motion of a skill: at the ends of scooping, lift, transport and pour, and at each quarter of the pour, in
-    /// neighbourhoods of 1.5 cells.
+    /// For the motion of a skill: at the ends of scooping, lift and transport and at each quarter of the pour, in neighbourhoods of
+    /// 1.5 cells. What is after the pour it takes in one piece: more cuts there made the slope of the transport worse.
     #[must_use]
     pub fn of_skill(scene: &Scene, map: &SkillMap, theta: &Theta) -> Self {
-        let period_s = scene.time.control_period_s();
+        let (period_s, horizon) = (scene.time.control_period_s(), scene.time.horizon_steps as usize);
         let mut times_s = Vec::new();
         for segment in map.segments(theta) {
             match segment.kind {
-                SegmentKind::Insert => {}
+                SegmentKind::Approach | SegmentKind::Insert => {}
                 SegmentKind::Pour => times_s.extend(
                     [0.25, 0.5, 0.75, 1.0]
                         .map(|share| segment.start_s + share * (segment.end_s - segment.start_s)),
@@ -107,10 +112,16 @@ impl Restarts {
                 _ => times_s.push(segment.end_s),
             }
         }
-        let mut steps: Vec<usize> = times_s.into_iter().map(|time_s| (time_s / period_s).round() as usize).collect();
+        let steps = times_s.into_iter().map(|time_s| (time_s / period_s).round() as usize);
+        let mut steps: Vec<usize> = steps.filter(|step| (1..horizon).contains(step)).collect();
         steps.sort_unstable();
         steps.dedup();
-        Self { steps, radius_m: RADIUS_CELLS * scene.domain.cell_m }
+        Self {
+            steps,
+            radius_m: RADIUS_CELLS * scene.domain.cell_m,
+            keeps_resultant: true,
+            begins_with_slopes: true,
+        }
     }
 }
 
@@ -122,14 +133,7 @@ pub(super) struct Cut<'a, T: Real> {
     pub(super) bodies: &'a Bodies<T>,
     /// The tool at the cut.
     pub(super) tool: Pose,
-    pub(super) radius_m: f64,
-}
-
-/// Cotangent of a pose: of its position, and of its rotation from the left.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct PoseBar {
-    pub(super) position: Vector3<f64>,
-    pub(super) rotation: Vector3<f64>,
+    pub(super) restarts: &'a Restarts,
 }
 
 impl<T: Real> Cut<'_, T> {
@@ -146,7 +150,7 @@ impl<T: Real> Cut<'_, T> {
         let mut over = PoseBar::default();
         for (g, l, id) in particles.occupied() {
             let (x, slope) = (positions[id as usize], slopes[id as usize]);
-            if held(self.scene, &self.tool, &x) {
+            if self.restarts.keeps_resultant && held(self.scene, &self.tool, &x) {
                 let exact = [0, 1, 2].map(|axis| bar[g].x[axis][l].to_f64());
                 let left = Vector3::from(exact) - Vector3::from(slope);
                 over.position += left;
@@ -161,14 +165,17 @@ impl<T: Real> Cut<'_, T> {
     /// Slopes of what grains cost, by identity, metres per metre. Each is a sum over neighbours in the order of their cells and identities,
     /// so its bits depend on nothing else.
     pub(super) fn slopes(&self, positions: &[[f64; 3]], values: &[Option<f64>]) -> Vec<[f64; 3]> {
-        let cells = Cells::new(positions, self.radius_m);
+        let cells = Cells::new(positions, self.restarts.radius_m);
         let walls = self.walls();
         (0..positions.len())
             .into_par_iter()
             .map(|id| {
-                let near: Vec<Wall<'_, T>> =
-                    walls.iter().filter(|wall| wall.distance_m(&positions[id]) < self.radius_m).copied().collect();
-                let mut sums = Sums::new(self.radius_m);
+                let near: Vec<Wall<'_, T>> = walls
+                    .iter()
+                    .filter(|wall| wall.distance_m(&positions[id]) < self.restarts.radius_m)
+                    .copied()
+                    .collect();
+                let mut sums = Sums::new(self.restarts.radius_m);
                 cells.around(&positions[id], |other| {
                     let Some(value) = values[other] else { return };
                     let away = [0, 1, 2].map(|axis| positions[other][axis] - positions[id][axis]);
@@ -191,7 +198,7 @@ impl<T: Real> Cut<'_, T> {
         let all = fixed.chain(gates).chain(tool);
         all.filter_map(|(piece, motion)| {
             let half_m = piece.shape.half_thickness()?.to_f64();
-            Some(Wall { piece, motion, deep_m: DEEP * half_m.min(0.5 * self.radius_m) })
+            Some(Wall { piece, motion, deep_m: DEEP * half_m.min(0.5 * self.restarts.radius_m) })
         })
         .collect()
     }
@@ -311,6 +318,130 @@ impl Cells {
             let from = self.sorted.partition_point(|(cell, _)| *cell < [i, j, k - 1]);
             let these = self.sorted[from..].iter().take_while(|(cell, _)| *cell <= [i, j, k + 1]);
             these.for_each(|(_, id)| look(*id));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mpm::bodies::Moment;
+    use crate::rollout::path::resting;
+
+    struct Case {
+        scene: Scene,
+        model: Model<f64>,
+        bodies: Bodies<f64>,
+        tool: Pose,
+        restarts: Restarts,
+    }
+
+    impl Case {
+        /// `bench`, whose tool is at its start.
+        fn new() -> Self {
+            let scene = Scene::load("bench").unwrap();
+            let (map, model) = (SkillMap::new(&scene), Model::new(&scene));
+            let tool = *map.start_pose();
+            let bodies = Bodies { tool: resting(&tool), gates: model.gates.at(Moment::Settling) };
+            let restarts = Restarts::of_skill(&scene, &map, &[0.0; 5]);
+            Self { scene, model, bodies, tool, restarts }
+        }
+
+        fn cut(&self) -> Cut<'_, f64> {
+            let Self { scene, model, bodies, tool, restarts } = self;
+            Cut { scene, model, bodies, tool: *tool, restarts }
+        }
+    }
+
+    /// Places 2 mm apart in a box, shaken a little, always the same.
+    fn grains(from_m: [f64; 3], counts: [u32; 3]) -> Vec<[f64; 3]> {
+        let [nx, ny, nz] = counts;
+        let all = (0..nx * ny * nz).map(|index| [index / (ny * nz), index / nz % ny, index % nz]);
+        let shaken = |index: u32, axis: u32| f64::from((index * 7919 + axis * 104_729) % 997) / 997.0 - 0.5;
+        (0..)
+            .zip(all)
+            .map(|(index, ijk)| {
+                [0, 1, 2].map(|k| from_m[k] + 0.002 * (f64::from(ijk[k]) + 0.4 * shaken(index, k as u32)))
+            })
+            .collect()
+    }
+
+    #[test]
+    fn what_costs_in_proportion_to_its_place_has_that_slope() {
+        let case = Case::new();
+        let places = grains([0.030, 0.030, 0.006], [12, 12, 8]);
+        let slope = [0.7, -0.4, 0.2];
+        let value = |x: &[f64; 3]| 3.0 + x.iter().zip(slope).map(|(x, slope)| x * slope).sum::<f64>();
+        let values: Vec<_> = places.iter().map(|x| Some(value(x))).collect();
+        let slopes = case.cut().slopes(&places, &values);
+        let middle = places.iter().zip(&slopes).filter(|(x, _)| {
+            (0.038..0.046).contains(&x[0]) && (0.038..0.046).contains(&x[1]) && (0.012..0.016).contains(&x[2])
+        });
+        assert!(middle.clone().count() > 20);
+        for (_, found) in middle {
+            for (found, slope) in found.iter().zip(slope) {
+                // The ridge takes a twelfth.
+                assert!((found / slope - 0.92).abs() < 0.05, "{found} {slope}");
+            }
+        }
+    }
+
+    /// Inside and outside of the source's wall from 88 to 92 mm, and above its rim at 34 mm.
+    #[test]
+    fn nothing_is_compared_across_a_wall() {
+        let case = Case::new();
+        let steepest = |from_z_m: f64| {
+            let mut places = grains([0.0845, 0.040, from_z_m], [2, 8, 4]);
+            places.extend(grains([0.0925, 0.040, from_z_m], [2, 8, 4]));
+            let values: Vec<_> = places.iter().map(|x| Some(if x[0] < 0.09 { 0.0 } else { 1.0 })).collect();
+            let slopes = case.cut().slopes(&places, &values);
+            slopes.iter().map(|slope| slope[0].abs()).fold(0.0, f64::max)
+        };
+        assert!(steepest(0.010) < 1e-9, "{}", steepest(0.010));
+        assert!(steepest(0.040) > 1.0, "{}", steepest(0.040));
+    }
+
+    #[test]
+    fn the_resultant_of_what_is_carried_stays() {
+        let case = Case::new();
+        let p: [f64; 3] = case.tool.position_m.into();
+        // On the tool, and far from it.
+        let mut places = grains([p[0] - 0.006, p[1] - 0.006, p[2] - 0.006], [6, 6, 4]);
+        places.extend(grains([0.160, 0.040, 0.006], [6, 6, 4]));
+        let particles = Particles::<f64>::at_rest(&places);
+        let values: Vec<_> = places.iter().map(|x| Some(libm::sin(300.0 * x[0]))).collect();
+        let mut bar = vec![Group::ZERO; particles.groups.len()];
+        for (g, l, id) in particles.occupied() {
+            set_vec(&mut bar[g].x, l, [f64::from(id % 7), 1.0, -f64::from(id % 3)]);
+            bar[g].q[0][l] = 5.0;
+        }
+        let moments = |bar: &[Group<f64>]| {
+            let on_tool = |id: u32| held(&case.scene, &case.tool, &places[id as usize]);
+            let all = particles.occupied().filter(|(_, _, id)| on_tool(*id)).map(|(g, l, id)| {
+                let b = Vector3::from([0, 1, 2].map(|k| bar[g].x[k][l]));
+                (b, (Vector3::from(places[id as usize]) - case.tool.position_m).cross(&b))
+            });
+            all.fold((Vector3::zeros(), Vector3::zeros()), |sum, one| (sum.0 + one.0, sum.1 + one.1))
+        };
+        let before = moments(&bar);
+        let over = case.cut().restart(&particles, &values, &mut bar);
+        let after = moments(&bar);
+        assert!((before.0 - after.0 - over.position).norm() < 1e-9 && before.0.norm() > 100.0);
+        assert!((before.1 - after.1 - over.rotation).norm() < 1e-9 && over.rotation.norm() > 1e-3);
+        assert!(particles.occupied().all(|(g, l, _)| bar[g].q[0][l] == 0.0));
+    }
+
+    #[test]
+    fn cuts_go_by_the_skill() {
+        let case = Case::new();
+        let map = SkillMap::new(&case.scene);
+        let steps = &case.restarts.steps;
+        let horizon = case.scene.time.horizon_steps as usize;
+        assert!(steps.len() == 7 && steps.windows(2).all(|pair| pair[0] < pair[1]), "{steps:?}");
+        assert!(steps.iter().all(|step| (1..horizon).contains(step)));
+        for segment in &map.segments(&[0.0; 5])[2..] {
+            let step = (segment.end_s / case.scene.time.control_period_s()).round() as usize;
+            assert!(steps.contains(&step), "{segment:?} {steps:?}");
         }
     }
 }

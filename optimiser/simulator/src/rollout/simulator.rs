@@ -14,7 +14,8 @@ use crate::mpm::substep::{OnGrid, State, Workspace};
 use crate::mpm::timings::{Stage, StageTimings};
 use crate::real::Real;
 use crate::rollout::branches::{self, Batch, Worker};
-use crate::rollout::path::{Trajectory, resting};
+use crate::rollout::path::{PoseBar, Trajectory, resting};
+use crate::rollout::restart::{Cut, Restarts};
 use crate::rollout::schedule::{Action, advances, schedule};
 use crate::rollout::{
     Destination, DisplacementGradient, Evaluate, Evaluation, LossFn, Observer, ParticleSimulator, Progress,
@@ -200,20 +201,20 @@ impl<T: Real> Simulator<T> {
         controls: &[Displacement],
         progress: Progress<'_>,
     ) -> Result<(Evaluation, Vec<Control>), RolloutError> {
-        self.control_gradient_of(None, from, controls, progress)
+        self.control_gradient_of(Asked::default(), from, controls, progress)
     }
 
-    /// The same for a custom loss, if it is not the scene's.
+    /// The same of another loss, or by another adjoint.
     fn control_gradient_of(
         &mut self,
-        loss: Option<LossFn<'_>>,
+        asked: Asked<'_>,
         from: &RolloutState<T>,
         controls: &[Displacement],
         progress: Progress<'_>,
     ) -> Result<(Evaluation, Vec<Control>), RolloutError> {
         let path = self.path(from, controls.to_vec());
         let reserved_bytes = self.bytes_of_workers_to_come();
-        self.in_pool_for(loss, |r| r.gradient(&from.state, &path, reserved_bytes), progress)
+        self.in_pool_for(asked, |r| r.gradient(&from.state, &path, reserved_bytes), progress)
     }
 
     /// Evaluations after each of several control sequences of one length, side by side.
@@ -280,13 +281,13 @@ impl<T: Real> Simulator<T> {
         job: impl FnOnce(&mut Rollout<'_, T>) -> R + Send,
         progress: Progress<'_>,
     ) -> R {
-        self.in_pool_for(None, job, progress)
+        self.in_pool_for(Asked::default(), job, progress)
     }
 
-    /// The same with a custom loss.
+    /// The same for a gradient.
     fn in_pool_for<R: Send>(
         &mut self,
-        loss: Option<LossFn<'_>>,
+        asked: Asked<'_>,
         job: impl FnOnce(&mut Rollout<'_, T>) -> R + Send,
         progress: Progress<'_>,
     ) -> R {
@@ -299,7 +300,7 @@ impl<T: Real> Simulator<T> {
             budget: &self.budget,
             packing: &self.packing,
             max_checkpoints: self.max_checkpoints,
-            loss,
+            asked,
             progress,
         };
         in_first(&self.pool, || job(&mut rollout))
@@ -316,6 +317,21 @@ impl<T: Real> ParticleSimulator for Simulator<T> {
         Ok(self.advanced(&start, controls, progress)?.state.particles.positions_by_id())
     }
 
+    fn evaluate_restarted(
+        &mut self,
+        theta: &Theta,
+        restarts: &Restarts,
+        progress: Progress<'_>,
+    ) -> Result<Evaluation, RolloutError> {
+        let linear = self.skill.linearise(theta)?;
+        let start = self.initial_state(progress)?;
+        let asked = Asked { restarts: Some(restarts), ..Asked::default() };
+        let (mut evaluation, bars) = self.control_gradient_of(asked, &start, &linear.controls, progress)?;
+        self.recycle(start);
+        evaluation.gradient = Some(linear.pull_back(&bars));
+        Ok(evaluation)
+    }
+
     fn gradient_of_custom_loss(
         &mut self,
         controls: &[Displacement],
@@ -323,7 +339,8 @@ impl<T: Real> ParticleSimulator for Simulator<T> {
         progress: Progress<'_>,
     ) -> Result<(f64, Vec<DisplacementGradient>), RolloutError> {
         let start = self.initial_state(progress)?;
-        let (evaluation, bars) = self.control_gradient_of(Some(loss), &start, controls, progress)?;
+        let asked = Asked { loss: Some(loss), ..Asked::default() };
+        let (evaluation, bars) = self.control_gradient_of(asked, &start, controls, progress)?;
         Ok((evaluation.loss, bars.into_iter().map(DisplacementGradient::from).collect()))
     }
 }
@@ -475,9 +492,24 @@ struct Rollout<'a, T: Real> {
     budget: &'a Budget,
     packing: &'a [[f64; 3]],
     max_checkpoints: usize,
-    /// Instead of the scene's.
-    loss: Option<LossFn<'a>>,
+    asked: Asked<'a>,
     progress: Progress<'a>,
+}
+
+/// What a gradient is asked for, if it is not the scene's loss and the exact adjoint.
+#[derive(Clone, Copy, Default)]
+struct Asked<'a> {
+    loss: Option<LossFn<'a>>,
+    restarts: Option<&'a Restarts>,
+}
+
+/// Where the way back has got to.
+struct Retreat<T> {
+    evaluation: Evaluation,
+    /// What each grain costs at the end, by identity, metres; empty if nobody asks.
+    values: Vec<Option<f64>>,
+    /// Cotangents of the particles.
+    bar: Vec<Group<T>>,
 }
 
 impl<T: Real> Rollout<'_, T> {
@@ -560,7 +592,7 @@ impl<T: Real> Rollout<'_, T> {
         let total = advances(schedule(path.len(), slots)) + ADJOINT_WORK * path.len() as u64;
         let mut done = 0;
         let mut back = path.pull_back();
-        let mut end: Option<(Evaluation, Vec<Group<T>>)> = None;
+        let mut end: Option<Retreat<T>> = None;
         let (mut at, mut is_kept) = (0, true);
         let mut schedule = schedule(path.len(), slots);
         while let Some(action) = schedule.next() {
@@ -593,24 +625,29 @@ impl<T: Real> Rollout<'_, T> {
                 Action::Adjoint(step) => {
                     let (state, grid) =
                         if is_kept { (&last.state, last.on_grid.as_ref()) } else { (&working, None) };
-                    let (evaluation, mut bar) = match end.take() {
+                    let mut retreat = match end.take() {
                         Some(end) => end,
                         None => self.end_of(path, state)?,
                     };
+                    let bar = &mut retreat.bar;
                     let bodies = path.bodies(&self.model.gates, step);
-                    let tool_bar = self.workspace.substep_adjoint(self.model, &bodies, state, grid, &mut bar);
-                    self.check_finite(step, &tool_bar, state, &bar)?;
+                    let tool_bar = self.workspace.substep_adjoint(self.model, &bodies, state, grid, bar);
+                    self.check_finite(step, &tool_bar, state, bar)?;
                     back.take(step, tool_bar);
                     self.workspace.timings.skip();
-                    self.workspace.sort_adjoint(state, &mut bar);
-                    end = Some((evaluation, bar));
+                    if self.restarts_before(step) {
+                        let over = self.restart(path, step, state, &mut retreat);
+                        back.take_over(&over);
+                    }
+                    self.workspace.sort_adjoint(state, &mut retreat.bar);
+                    end = Some(retreat);
                     self.workspace.timings.mark(Stage::SortAdjoint);
                     done += ADJOINT_WORK;
                     self.report(done.min(total), total)?;
                 }
             }
         }
-        let (evaluation, bar) = match end {
+        let Retreat { evaluation, bar, .. } = match end {
             Some(end) => end,
             // A motion of no step ends where it began.
             None => self.end_of(path, &kept[0].state)?,
@@ -640,12 +677,38 @@ impl<T: Real> Rollout<'_, T> {
         kept.on_grid.into_iter().for_each(|grid| grid.recycle_into(&mut self.workspace.spare));
     }
 
-    /// Last step, loss, and the loss's cotangent in the order of the last step's particles.
-    fn end_of(
+    /// Whether the adjoint restarts where this substep begins.
+    fn restarts_before(&self, substep: usize) -> bool {
+        let n = self.scene.time.substeps as usize;
+        let asked = |restarts: &Restarts| restarts.steps.contains(&(substep / n));
+        substep > 0 && substep.is_multiple_of(n) && self.asked.restarts.is_some_and(asked)
+    }
+
+    /// Restarts the adjoint; `state` is that at the beginning of the substep, whose order the cotangents have.
+    fn restart(
         &mut self,
         path: &Trajectory,
+        substep: usize,
         state: &State<T>,
-    ) -> Result<(Evaluation, Vec<Group<T>>), RolloutError> {
+        retreat: &mut Retreat<T>,
+    ) -> PoseBar {
+        let Some(restarts) = self.asked.restarts else { return PoseBar::default() };
+        let mut state = state.copied(&mut self.workspace.spare);
+        state.fill();
+        let cut = Cut {
+            scene: self.scene,
+            model: self.model,
+            bodies: &path.bodies(&self.model.gates, substep - 1),
+            tool: path.pose_before(substep / self.scene.time.substeps as usize),
+            restarts,
+        };
+        let over = cut.restart(&state.particles, &retreat.values, &mut retreat.bar);
+        state.recycle_into(&mut self.workspace.spare);
+        over
+    }
+
+    /// Last step, loss, and the loss's cotangent in the order of the last step's particles.
+    fn end_of(&mut self, path: &Trajectory, state: &State<T>) -> Result<Retreat<T>, RolloutError> {
         let mut state = state.copied(&mut self.workspace.spare);
         state.fill();
         if let Some(last) = path.len().checked_sub(1) {
@@ -653,13 +716,24 @@ impl<T: Real> Rollout<'_, T> {
         }
         let (mut evaluation, mut gradient) =
             evaluation(self.scene, &state.particles, &path.end().unwrap_or(*self.anchor));
-        if let Some(loss) = self.loss {
+        if let Some(loss) = self.asked.loss {
             let positions = state.particles.positions_by_id();
             (evaluation.loss, gradient) = loss(&positions);
             let (given, particles) = (gradient.len(), positions.len());
             if given != particles {
                 return Err(RolloutError::LossGradientLength { given, particles });
             }
+        }
+        let values = match self.asked.restarts {
+            Some(_) => loss::values(self.scene, &state.particles.positions_by_id()),
+            None => Vec::new(),
+        };
+        if let (Some(restarts), Some(tool)) = (self.asked.restarts, path.end())
+            && restarts.begins_with_slopes
+        {
+            let bodies = &path.bodies(&self.model.gates, path.len() - 1);
+            let cut = Cut { scene: self.scene, model: self.model, bodies, tool, restarts };
+            gradient = cut.slopes(&state.particles.positions_by_id(), &values);
         }
         let mut bar = std::mem::take(&mut self.workspace.bar);
         fit(&mut bar, state.particles.groups.len(), Group::ZERO);
@@ -669,7 +743,7 @@ impl<T: Real> Rollout<'_, T> {
         }
         self.workspace.sort_adjoint(&state, &mut bar);
         state.recycle_into(&mut self.workspace.spare);
-        Ok((evaluation, bar))
+        Ok(Retreat { evaluation, values, bar })
     }
 
     /// Particles are searched once per control step, and whenever the tool's cotangent, a sum over all contacts, is not finite.

@@ -4,6 +4,7 @@ mod gates;
 
 use powderline_shared::{displacement::Displacement, plan::Precision};
 
+use crate::rollout::restart::Restarts;
 use crate::rollout::{
     Destination, DisplacementGradient, Evaluate, ParticleSimulator, Recording, RolloutError, Simulator,
     SimulatorSettings, Snapshot, gradcheck, outcome,
@@ -47,6 +48,33 @@ fn no_bit_changes(mut scene: Scene) {
     assert!(one.1.iter().flatten().any(|b| *b != 0));
     assert!(one == gradient(2, 1 << 30), "two threads");
     assert!(one == gradient(3, 64 << 20), "three threads and few checkpoints");
+}
+
+/// A restarted gradient has the same bits for any threads and memory; one that never restarts is the exact one, and one that does
+/// is another.
+#[test]
+fn restarts_change_no_bit_by_threads_or_memory_and_are_what_makes_the_difference() {
+    let mut scene = benches()[1].clone();
+    scene.domain.cell_m *= 2.0;
+    scene.time.substeps /= 2;
+    let theta = gradcheck::CHECKED_THETA;
+    let usual = Restarts::of_skill(&scene, &SkillMap::new(&scene), &theta);
+    let simulator = |threads: usize, memory_bytes: u64| {
+        let settings =
+            SimulatorSettings { seed: 1, precision: Precision::F32, threads: Some(threads), memory_bytes };
+        Simulator::<f32>::new(&scene, &settings).expect("threads")
+    };
+    let restarted = |threads: usize, memory_bytes: u64, restarts: &Restarts| {
+        let mut s = simulator(threads, memory_bytes);
+        s.evaluate_restarted(&theta, restarts, &mut |_, _| true).expect("runs")
+    };
+    let one = restarted(1, 1 << 30, &usual);
+    assert_eq!(one, restarted(2, 1 << 30, &usual), "two threads");
+    assert_eq!(one, restarted(3, 48 << 20, &usual), "three threads and few checkpoints");
+    let exact = simulator(2, 1 << 30).evaluate(&theta, true, &mut |_, _| true).expect("runs");
+    assert!(one.loss.to_bits() == exact.loss.to_bits() && one.gradient != exact.gradient);
+    let never = Restarts { steps: Vec::new(), begins_with_slopes: false, ..usual };
+    assert_eq!(exact, restarted(2, 1 << 30, &never));
 }
 
 #[test]
