@@ -65,6 +65,7 @@
 //! | splines and their slopes | `mpm/stencil.rs` | Steffen et al. 2008 |
 //! | elasticity, yield surface, volume correction, cohesion | `mpm/material.rs` | Klar et al. 2016; Matsuoka and Nakai 1974; Tampubolon et al. 2017 |
 //! | volume held to the grid's density | `mpm/density.rs` | after Dunatunga and Kamrin 2015 |
+//! | velocity residue, given back | `mpm/residue.rs` | after Fei et al. 2021, AFLIP |
 //! | contact, friction | `mpm/contact.rs`, `mpm/grid_update.rs` | Coulomb; Stomakhin et al. 2013 |
 //! | signed distances, with second derivatives | `shape` | |
 //! | which states are kept | `rollout/schedule.rs` | Griewank and Walther 2000, revolve |

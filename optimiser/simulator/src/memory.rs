@@ -11,6 +11,7 @@ use std::path::Path;
 
 use crate::mpm::particles::LANES;
 use crate::mpm::spare::{Size, state_bytes};
+use crate::mpm::substep::vectors_on_grid;
 use crate::real::Real;
 use crate::scene::{BLOCK_CELLS, Scene, VolumeCorrection};
 use powderline_shared::plan::Precision;
@@ -106,7 +107,9 @@ impl Sizes {
         let groups = scene.particle_count().div_ceil(LANES) * 6 / 5;
         // Identity and origin of each particle.
         let besides = (2 * groups * LANES * size_of::<u32>()) as u64;
-        Self { fixed, state: state_bytes::<T>(Size { groups, nodes: 2 * node_blocks(scene), besides }) }
+        let vectors = vectors_on_grid(scene.powder.transfer.is_some());
+        let size = Size { groups, nodes: 2 * node_blocks(scene), vectors, besides };
+        Self { fixed, state: state_bytes::<T>(size) }
     }
 
     /// For a gradient with so many kept states. Rollouts side by side take theirs from these.

@@ -1,7 +1,8 @@
 //! Grid to particle: velocity and affine velocity, contact at the particle, advection.
 //!
 //! `v = sum w v_i`, `C = (4/dx^2) sum w v_i (x_i - x)^T` (APIC for quadratic splines), then contact, then
-//! `x' = x + dt v'`; and, if the scene asks for it, the volume is held to the grid's density ([`super::density`]).
+//! `x' = x + dt v'`; and, if the scene asks for it, the volume is held to the grid's density ([`super::density`]), and the velocity
+//! gets back what the grid cannot hold ([`super::residue`]).
 
 use crate::mpm::Model;
 use crate::mpm::bodies::Bodies;
@@ -12,11 +13,26 @@ use crate::mpm::grid_update::{contact_lanes, contact_lanes_adjoint, find_near, m
 use crate::mpm::layout::{Block, Grid, Nodes, empty_tile, load_tile};
 use crate::mpm::p2g::at_base;
 use crate::mpm::particles::{Group, LANES, Lanes, mat_of, set_mat, set_vec, vec_of};
+use crate::mpm::residue::Residue;
 use crate::mpm::sleep::BlockStatus;
 use crate::mpm::stencil::{TILE_EDGE, Tile, scatter};
 use crate::mpm::stencil_positions::StencilPositions;
 use crate::real::Real;
 use crate::small::{dot, three, tr_mul_vec};
+
+/// What is given back of the velocities' residue, and the tile of the velocities without forces.
+#[inline(always)]
+fn load_unforced<T: Real>(
+    model: &Model<T>,
+    block: &Block,
+    unforced: Option<&[Nodes<T>]>,
+) -> Option<(Residue<T>, Tile<T>)> {
+    model.residue.zip(unforced).map(|(residue, nodes)| {
+        let mut tile = empty_tile();
+        load_tile(block, nodes, &mut tile);
+        (residue, tile)
+    })
+}
 
 /// Moves one block's particles.
 pub(crate) struct TileToParticles<'a, T> {
@@ -24,6 +40,8 @@ pub(crate) struct TileToParticles<'a, T> {
     pub(crate) bodies: &'a Bodies<T>,
     pub(crate) block: &'a Block,
     pub(crate) velocity: &'a [Nodes<T>],
+    /// Velocity without forces, where the residue is given back.
+    pub(crate) unforced: Option<&'a [Nodes<T>]>,
     /// Whether volumes are held in this substep.
     pub(crate) holds_volume: bool,
     pub(crate) state: &'a mut [Group<T>],
@@ -38,6 +56,7 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticles<'_, T> {
         let shift = Grid::tile_shift(self.block.coord).map(T::from_f64);
         let mut tile = empty_tile();
         load_tile(self.block, self.velocity, &mut tile);
+        let unforced = load_unforced(model, self.block, self.unforced);
         let touching = model.obstacles.at_particles(&model.grid, self.block.coord, self.bodies);
         let mut seen = BlockStatus { inside: true, quiet: true };
         let sleep = [model.sleep_speed, model.sleep_speed * model.inverse_dx].map(|limit| limit * limit);
@@ -47,6 +66,9 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticles<'_, T> {
             let occupied = self.block.occupied(g);
             let weights = places.weights();
             let gathered = gather(&tile, &places, &weights, occupied);
+            let residue = unforced
+                .as_ref()
+                .map(|(residue, tile)| residue.of_group(tile, &places, &weights, occupied, &state.v));
             if self.holds_volume {
                 hold_volume(&tile, &places, &weights, occupied, state);
             }
@@ -74,6 +96,13 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticles<'_, T> {
                 }
                 state.x[axis] = next;
             }
+            if let Some(residue) = residue {
+                for axis in 0..3 {
+                    for l in 0..LANES {
+                        v[axis][l] += residue[axis][l];
+                    }
+                }
+            }
             state.v = v;
             let none = |lanes: &Lanes<T>| lanes[..occupied].iter().all(|lane| *lane == T::ZERO);
             seen = BlockStatus { inside: seen.inside && none(&outside), quiet: seen.quiet && none(&loud) };
@@ -84,29 +113,38 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticles<'_, T> {
 
 /// Adjoint of [`TileToParticles`] for one block: scatters the cotangent of the nodes' velocities into a tile.
 /// On return `bar.x` is the cotangent of the input positions as far as this stage goes; `bar.v` and `bar.c`
-/// are used up. Where volume is held to the grid's density, `bar.c[0]` is the cotangent of the logarithmic volume.
+/// are used up, but for `bar.v` where the residue is given back: that is the cotangent of the input velocities as far as this stage
+/// goes. Where volume is held to the grid's density, `bar.c[0]` is the cotangent of the logarithmic volume.
 pub(crate) struct TileToParticlesAdjoint<'a, T> {
     pub(crate) model: &'a Model<T>,
     pub(crate) bodies: &'a Bodies<T>,
     pub(crate) block: &'a Block,
     pub(crate) velocity: &'a [Nodes<T>],
+    /// Velocity without forces, where the residue is given back.
+    pub(crate) unforced: Option<&'a [Nodes<T>]>,
     /// Whether volumes were held in this substep.
     pub(crate) holds_volume: bool,
     pub(crate) input: &'a [Group<T>],
     pub(crate) bar: &'a mut [Group<T>],
     pub(crate) tile_bar: &'a mut Tile<T>,
+    /// For the cotangent of the velocity without forces, where the residue is given back.
+    pub(crate) unforced_bar: Option<&'a mut Tile<T>>,
 }
 
 impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
     type Output = BodyStateBar;
 
     #[inline(always)]
-    fn call(self) -> BodyStateBar {
+    fn call(mut self) -> BodyStateBar {
         let model = self.model;
         let shift = Grid::tile_shift(self.block.coord).map(T::from_f64);
         let mut tile = empty_tile();
         load_tile(self.block, self.velocity, &mut tile);
         *self.tile_bar = empty_tile();
+        let unforced = load_unforced(model, self.block, self.unforced);
+        if let Some(tile_bar) = &mut self.unforced_bar {
+            **tile_bar = empty_tile();
+        }
         let touching = model.obstacles.at_particles(&model.grid, self.block.coord, self.bodies);
         let mut tool_bar = BodyStateBar::default();
         let mut met = Vec::with_capacity(touching.len());
@@ -117,7 +155,8 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
             let (input, bar) = (&self.input[g], &mut self.bar[g]);
             let places = StencilPositions::of(model.inverse_dx, shift, &input.x);
             let (occupied, weights) = (self.block.occupied(g), places.weights());
-            // x' = x + dt v'
+            let v_bar = bar.v;
+            // x' = x + dt u
             for axis in 0..3 {
                 for l in 0..LANES {
                     bar.v[axis][l] += model.dt * bar.x[axis][l];
@@ -171,6 +210,16 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
             }
             if let Some(held) = held {
                 bar.c[0] = held.map_or(Lanes::ZERO, |held| held.volume);
+            }
+            if let (Some((residue, tile)), Some(tile_bar)) = (&unforced, &mut self.unforced_bar) {
+                let back = residue.adjoint(tile, &places, &weights, occupied, &v_bar, &mut rows);
+                scatter(tile_bar, occupied, |l| stencils.of(l), |l| back.sent.affine(l, no_mass));
+                for l in 0..LANES {
+                    for axis in 0..3 {
+                        bar.x[axis][l] += model.inverse_dx * back.x[axis][l];
+                    }
+                }
+                bar.v = back.v;
             }
         }
         tool_bar

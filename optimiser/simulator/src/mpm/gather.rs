@@ -160,12 +160,25 @@ pub(crate) fn gather<T: Real>(
     occupied: usize,
 ) -> Gathered<T> {
     let mut out = Gathered::ZERO;
-    for_parts!(T, moments(tile, places, w, occupied, &mut out));
+    for_parts!(T, moments<true>(tile, places, w, occupied, &mut out));
     out
 }
 
+/// `sum w g` alone.
 #[inline(always)]
-fn moments<T: Real, const FROM: usize, const TO: usize>(
+pub(crate) fn gather_sum<T: Real>(
+    tile: &Tile<T>,
+    places: &StencilPositions<T>,
+    w: &Weights<T>,
+    occupied: usize,
+) -> [Lanes<T>; 3] {
+    let mut out = Gathered::ZERO;
+    for_parts!(T, moments<false>(tile, places, w, occupied, &mut out));
+    out.sum
+}
+
+#[inline(always)]
+fn moments<T: Real, const FROM: usize, const TO: usize, const MOMENTS: bool>(
     tile: &Tile<T>,
     places: &StencilPositions<T>,
     w: &Weights<T>,
@@ -196,6 +209,9 @@ fn moments<T: Real, const FROM: usize, const TO: usize>(
             for c in 0..3 {
                 let all = sum_3(wx, [s0[c], s1[c], s2[c]]);
                 sum[c][l] += all;
+                if !MOMENTS {
+                    continue;
+                }
                 first[3 * c][l] += moment(wx, [s0[c], s1[c], s2[c]]);
                 first[3 * c + 1][l] += sum_3(wx, [j0[c], j1[c], j2[c]]);
                 first[3 * c + 2][l] += sum_3(wx, [k0[c], k1[c], k2[c]]) - up * all;
@@ -252,20 +268,20 @@ fn fourth_moments<T: Real, const FROM: usize, const TO: usize, const MOMENTS: bo
     }
 }
 
-/// [`gather`], and `sum (dw/dX) (g.P)`; the nodes' fourth number meets `mass`.
+/// [`gather`], and `sum (dw/dX) (g.P)`; the nodes' fourth number meets each particle's `mass`.
 #[inline(always)]
 pub(crate) fn gather_with_gradient<T: Real>(
     tile: &Tile<T>,
     places: &StencilPositions<T>,
     w: &Weights<T>,
     sent: &Sent<T>,
-    mass: T,
+    mass: &Lanes<T>,
     occupied: usize,
     rows: &mut Rows<T>,
 ) -> Gathered<T> {
     let (slopes, mut out) = (places.slopes(), Gathered::ZERO);
-    let fourth = Fourth::ZERO;
-    for_parts!(T, of_runs<MASS>(tile, places, w, &slopes, sent, mass, &fourth, occupied, &mut rows.0, &mut out));
+    let fourth = Fourth { base: *mass, steps: [Lanes::ZERO; 3] };
+    for_parts!(T, of_runs<MASS>(tile, places, w, &slopes, sent, &fourth, occupied, &mut rows.0, &mut out));
     out
 }
 
@@ -281,7 +297,7 @@ pub(crate) fn gather_gradient<T: Real>(
 ) -> Gathered<T> {
     let (slopes, mut out) = (places.slopes(), Gathered::ZERO);
     let fourth = Fourth::ZERO;
-    for_parts!(T, of_runs<NONE>(tile, places, w, &slopes, sent, T::ZERO, &fourth, occupied, &mut rows.0, &mut out));
+    for_parts!(T, of_runs<NONE>(tile, places, w, &slopes, sent, &fourth, occupied, &mut rows.0, &mut out));
     out
 }
 
@@ -297,7 +313,7 @@ pub(crate) fn gather_gradient_of_four<T: Real>(
     rows: &mut Rows<T>,
 ) -> Gathered<T> {
     let (slopes, mut out) = (places.slopes(), Gathered::ZERO);
-    for_parts!(T, of_runs<AFFINE>(tile, places, w, &slopes, sent, T::ZERO, fourth, occupied, &mut rows.0, &mut out));
+    for_parts!(T, of_runs<AFFINE>(tile, places, w, &slopes, sent, fourth, occupied, &mut rows.0, &mut out));
     out
 }
 
@@ -349,7 +365,6 @@ fn of_runs<T: Real, const FROM: usize, const TO: usize, const WITH: u8>(
     w: &Weights<T>,
     slopes: &Weights<T>,
     sent: &Sent<T>,
-    mass: T,
     fourth: &Fourth<T>,
     occupied: usize,
     rows: &mut [Row<T>; 9],
@@ -364,7 +379,7 @@ fn of_runs<T: Real, const FROM: usize, const TO: usize, const WITH: u8>(
             let nodes: &[[T; 4]; ROW] =
                 nodes[(i * TILE_EDGE + j) * TILE_EDGE..].first_chunk().expect("nine rows");
             let [i, j] = [i, j].map(|n| T::from_f64(n as f64));
-            *row = of_row::<T, FROM, TO, WITH>(nodes, &along, sent, mass, fourth, [i, j]);
+            *row = of_row::<T, FROM, TO, WITH>(nodes, &along, sent, fourth, [i, j]);
         }
         add_rows::<T, FROM, TO, WITH>(rows, [&w[0], &w[1]], [&slopes[0], &slopes[1]], &along.up, out);
     }
@@ -403,7 +418,6 @@ fn of_row<T: Real, const FROM: usize, const TO: usize, const WITH: u8>(
     nodes: &[[T; 4]; ROW],
     along: &Along<T>,
     sent: &Sent<T>,
-    mass: T,
     fourth: &Fourth<T>,
     [i, j]: [T; 2],
 ) -> Row<T> {
@@ -423,7 +437,7 @@ fn of_row<T: Real, const FROM: usize, const TO: usize, const WITH: u8>(
         let times = |k: usize, p: [T; 3]| {
             let product = sum_3(p, [nodes[k][0], nodes[k][1], nodes[k][2]]);
             match WITH {
-                MASS => mass.mul_add(nodes[k][3], product),
+                MASS => fourth.base[l].mul_add(nodes[k][3], product),
                 AFFINE => {
                     let k_of_own = T::from_f64(k as f64) - along.up[l];
                     k_of_own.mul_add(fourth.steps[2][l], along_i).mul_add(nodes[k][3], product)

@@ -7,7 +7,9 @@ use crate::mpm::density::{inverse_room, room_beside};
 use crate::mpm::layout::{BLOCK_EDGE, BLOCK_NODES, NodeBlock, Nodes};
 use crate::mpm::obstacle::{Collider, NearbyCollider};
 use crate::mpm::particles::{LANES, Lanes, set_vec, vec_of};
+use crate::mpm::residue::{unforced_velocity, unforced_velocity_adjoint};
 use crate::mpm::sleep::can_wake;
+use crate::mpm::stencil::Tile;
 use crate::mpm::tiles::Tiles;
 use crate::real::Real;
 use crate::shape::{SignedDistance, with_solid};
@@ -49,6 +51,9 @@ pub(crate) struct UpdateNodes<'a, T> {
     pub(crate) momentum: &'a mut Nodes<T>,
     /// Velocity, and density where volume is held to it.
     pub(crate) velocity: &'a mut Nodes<T>,
+    /// Where the velocity residue is given back: the tiles of momentum without forces of those who are awake, and for the velocities
+    /// of that momentum.
+    pub(crate) unforced: Option<(&'a [Tile<T>], &'a mut Nodes<T>)>,
 }
 
 impl<T: Real> pulp::NullaryFnOnce for UpdateNodes<'_, T> {
@@ -61,6 +66,12 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodes<'_, T> {
             return false;
         }
         *self.momentum = self.tiles.sum(self.node);
+        if let Some((tiles, unforced)) = self.unforced {
+            *unforced = Tiles { fresh: tiles, sleepers_send: false, ..self.tiles }.sum(self.node);
+            for (unforced, momentum) in unforced.iter_mut().zip(&*self.momentum) {
+                *unforced = unforced_velocity(*unforced, momentum[3]);
+            }
+        }
         if !any_mass(self.momentum) {
             *self.velocity = [[T::ZERO; 4]; BLOCK_NODES];
             return false;
@@ -254,6 +265,17 @@ pub(crate) struct UpdateNodesAdjoint<'a, T> {
     pub(crate) holds_volume: bool,
     pub(crate) momentum: &'a Nodes<T>,
     pub(crate) momentum_bar: &'a mut Nodes<T>,
+    pub(crate) unforced: Option<UnforcedNodesBar<'a, T>>,
+}
+
+/// Where the velocity residue is given back: what is to be known for the cotangents of the nodes' momentum without forces.
+pub(crate) struct UnforcedNodesBar<'a, T> {
+    /// Of the velocities, of those who are awake.
+    pub(crate) tiles: &'a [Tile<T>],
+    /// Velocities.
+    pub(crate) velocity: &'a Nodes<T>,
+    /// For the cotangents of the momentum; as fourth numbers, what is added to those of mass.
+    pub(crate) bar: &'a mut Nodes<T>,
 }
 
 impl<T: Real> pulp::NullaryFnOnce for UpdateNodesAdjoint<'_, T> {
@@ -264,6 +286,13 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodesAdjoint<'_, T> {
         if !self.velocity_bar_tiles.any_awake(self.node) {
             return BodyStateBar::default();
         }
+        let of_unforced = self.unforced.map(|UnforcedNodesBar { tiles, velocity, bar }| {
+            *bar = Tiles { fresh: tiles, ..self.velocity_bar_tiles }.sum(self.node);
+            for ((bar, velocity), momentum) in bar.iter_mut().zip(velocity).zip(self.momentum) {
+                *bar = unforced_velocity_adjoint(*velocity, momentum[3], *bar);
+            }
+            &*bar
+        });
         if !any_mass(self.momentum) {
             *self.momentum_bar = [[T::ZERO; 4]; BLOCK_NODES];
             return BodyStateBar::default();
@@ -297,6 +326,9 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodesAdjoint<'_, T> {
             let p_bar = three!(i => b[i] * inverse);
             let m_bar = -((p_bar[0] * px + p_bar[1] * py + p_bar[2] * pz) * inverse);
             *out = [p_bar[0], p_bar[1], p_bar[2], m_bar];
+        }
+        for (out, of_unforced) in self.momentum_bar.iter_mut().zip(of_unforced.into_iter().flatten()) {
+            out[3] += of_unforced[3];
         }
         if self.holds_volume {
             let (momentum, out) = ([self.momentum, &incoming], &mut *self.momentum_bar);

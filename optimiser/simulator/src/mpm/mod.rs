@@ -28,6 +28,7 @@ pub(crate) mod obstacle;
 pub(crate) mod p2g;
 pub(crate) mod particles;
 pub(crate) mod principal;
+pub(crate) mod residue;
 pub(crate) mod sleep;
 pub(crate) mod sort;
 pub(crate) mod spare;
@@ -84,6 +85,8 @@ pub(crate) struct Model<T> {
     pub(crate) viscous_loss: T,
     /// Whether volume is held to the density that the grid sees, see [`density`].
     pub(crate) holds_volume: bool,
+    /// What is given back of the velocity that the grid cannot hold; none if nothing is.
+    pub(crate) residue: Option<residue::Residue<T>>,
     /// Density over the mass of a node whose spline is all room: `1/(rho_0 dx^3)`, 1/kg.
     pub(crate) density_per_mass: T,
     /// Gravity times substep, m/s.
@@ -116,6 +119,7 @@ impl<T: Real> Model<T> {
             stress_dx: T::from_f64(dt * volume * 4.0 / dx),
             viscous_loss: T::from_f64(scene.viscous_loss()),
             holds_volume: scene.powder.volume_correction == VolumeCorrection::Grid,
+            residue: scene.powder.transfer.map(|transfer| residue::Residue::of(transfer, dt)),
             density_per_mass: T::from_f64(1.0 / (scene.powder.density_kg_m3 * dx * dx * dx)),
             sleep_speed: T::from_f64(scene.domain.sleep_speed_m_s),
             quiet_substeps: (sleep::QUIET_S / dt).ceil() as u32,

@@ -10,7 +10,8 @@ use crate::mpm::layout::{Block, Grid, Nodes, empty_tile, load_tile};
 use crate::mpm::material::{self, ReturnBar, is_mild, trial_strain, trial_strain_adjoint};
 use crate::mpm::particles::{Group, LANES, Lanes, mat_of, set_mat, set_vec, vec_of};
 use crate::mpm::principal;
-use crate::mpm::stencil::{Affine, Tile, scatter};
+use crate::mpm::residue::{unforced, unforced_adjoint};
+use crate::mpm::stencil::{Affine, Tile, scatter, scatter_all};
 use crate::mpm::stencil_positions::StencilPositions;
 use crate::real::Real;
 use crate::small::{Mat3, Sym3, Vec3, full, mul_vec, scale, sub, three, tr_mul_vec};
@@ -49,7 +50,7 @@ impl<T: Real> Sent<T> {
 }
 
 /// Scatters one block's particles into its tile and writes their new strain and volume correction; and their positions, if
-/// they come from elsewhere.
+/// they come from elsewhere (and their velocities, if those are still asked for).
 pub(crate) struct ParticlesToTile<'a, T> {
     pub(crate) model: &'a Model<T>,
     pub(crate) block: &'a Block,
@@ -57,21 +58,29 @@ pub(crate) struct ParticlesToTile<'a, T> {
     pub(crate) from: Option<&'a [Group<T>]>,
     pub(crate) state: &'a mut [Group<T>],
     pub(crate) tile: &'a mut Tile<T>,
+    /// For momentum without forces, where the velocity residue is given back.
+    pub(crate) unforced: Option<&'a mut Tile<T>>,
 }
 
 impl<T: Real> pulp::NullaryFnOnce for ParticlesToTile<'_, T> {
     type Output = ();
 
     #[inline(always)]
-    fn call(self) {
+    fn call(mut self) {
         let shift = Grid::tile_shift(self.block.coord).map(T::from_f64);
         *self.tile = empty_tile();
+        if let Some(tile) = &mut self.unforced {
+            **tile = empty_tile();
+        }
+        // If the compiler knew that this is 0, it would drop a quarter of each row and no longer vectorise.
+        let no_mass = std::hint::black_box(T::ZERO);
         for g in 0..self.state.len() {
             let input = self.from.map_or(&self.state[g], |from| &from[g]);
             let places = StencilPositions::of(self.model.inverse_dx, shift, &input.x);
             let mut returned = Returned::ZERO;
             stress(self.model, input, &TrialStrains::new(self.model, input), &places, &mut returned);
-            let (x, sent, state) = (input.x, &returned.sent, &mut self.state[g]);
+            let unforced = self.unforced.as_mut().map(|tile| (tile, unforced(self.model, input, &places)));
+            let (x, v, sent, state) = (input.x, input.v, &returned.sent, &mut self.state[g]);
             state.strain = returned.strain;
             state.q = returned.q;
             if self.from.is_some() {
@@ -79,7 +88,16 @@ impl<T: Real> pulp::NullaryFnOnce for ParticlesToTile<'_, T> {
             }
             let stencils = places.stencils(&places.weights());
             let occupied = self.block.occupied(g);
-            scatter(self.tile, occupied, |l| stencils.of(l), |l| sent.affine(l, self.model.mass));
+            let affine = |l: usize| sent.affine(l, self.model.mass);
+            if let Some((tile, unforced)) = unforced {
+                if self.from.is_some() {
+                    state.v = v;
+                }
+                let both = |l: usize| [affine(l), unforced.affine(l, no_mass)];
+                scatter_all([&mut *self.tile, tile], occupied, |l| stencils.of(l), both);
+            } else {
+                scatter(self.tile, occupied, |l| stencils.of(l), affine);
+            }
         }
     }
 }
@@ -202,7 +220,7 @@ fn dt_times<T: Real>(dt: T, c: &Mat3<T>) -> Mat3<T> {
 }
 
 /// Adjoint of [`ParticlesToTile`] for one block. On entry `bar` holds the cotangent of the new strain and
-/// volume correction, what is already known of the positions', and, where volume is held to the grid's density, in `bar.c[0]` the
+/// volume correction, what is already known of the positions' (and, where the velocity residue is given back, of the velocities'), and, where volume is held to the grid's density, in `bar.c[0]` the
 /// cotangent of the logarithmic volume; on return, the cotangent of the input.
 pub(crate) struct ParticlesToTileAdjoint<'a, T> {
     pub(crate) model: &'a Model<T>,
@@ -210,6 +228,8 @@ pub(crate) struct ParticlesToTileAdjoint<'a, T> {
     pub(crate) input: &'a [Group<T>],
     /// Cotangents of momentum and mass.
     pub(crate) nodes_bar: &'a [Nodes<T>],
+    /// Of momentum without forces, where the velocity residue is given back.
+    pub(crate) unforced_bar: Option<&'a [Nodes<T>]>,
     /// Whether volumes were held in this substep.
     pub(crate) holds_volume: bool,
     pub(crate) bar: &'a mut [Group<T>],
@@ -224,6 +244,12 @@ impl<T: Real> pulp::NullaryFnOnce for ParticlesToTileAdjoint<'_, T> {
         let shift = Grid::tile_shift(self.block.coord).map(T::from_f64);
         let mut tile = empty_tile();
         load_tile(self.block, self.nodes_bar, &mut tile);
+        let mass = Lanes([model.mass; LANES]);
+        let unforced = self.unforced_bar.map(|nodes| {
+            let mut tile = empty_tile();
+            load_tile(self.block, nodes, &mut tile);
+            tile
+        });
         let mut rows = Rows::new();
         for g in 0..self.input.len() {
             let (input, bar) = (&self.input[g], &mut self.bar[g]);
@@ -233,8 +259,11 @@ impl<T: Real> pulp::NullaryFnOnce for ParticlesToTileAdjoint<'_, T> {
             stress(model, input, &trial, &places, &mut returned);
             let sent = &returned.sent;
             let occupied = self.block.occupied(g);
-            let gathered =
-                gather_with_gradient(&tile, &places, &weights, sent, model.mass, occupied, &mut rows);
+            let gathered = gather_with_gradient(&tile, &places, &weights, sent, &mass, occupied, &mut rows);
+            if unforced.is_none() {
+                // What is added to -0 stays what it is.
+                bar.v = [Lanes([-T::ZERO; LANES]); 3];
+            }
             let mut a_dx_bar = [Lanes::ZERO; 9];
             for l in 0..LANES {
                 let (f, a_dx) = (places.f(l), mat_of(&sent.a_dx, l));
@@ -242,7 +271,7 @@ impl<T: Real> pulp::NullaryFnOnce for ParticlesToTileAdjoint<'_, T> {
                 let (gradient, through_f) = (vec_of(&gathered.gradient, l), tr_mul_vec(&a_dx, sum));
                 for axis in 0..3 {
                     bar.x[axis][l] += model.inverse_dx * (gradient[axis] - through_f[axis]);
-                    bar.v[axis][l] = model.mass * sum[axis];
+                    bar.v[axis][l] += model.mass * sum[axis];
                     for c in 0..3 {
                         a_dx_bar[3 * axis + c][l] = first[axis][c] - sum[axis] * f[c];
                     }
@@ -251,7 +280,17 @@ impl<T: Real> pulp::NullaryFnOnce for ParticlesToTileAdjoint<'_, T> {
             if !self.holds_volume {
                 bar.c[0] = Lanes::ZERO;
             }
+            let through_unforced = unforced.as_ref().map(|tile| {
+                unforced_adjoint(model, tile, &places, &weights, (input, occupied), &mut rows, bar)
+            });
             stress_adjoint(model, input, &trial, &a_dx_bar, bar);
+            if let Some(c_bar) = through_unforced {
+                for k in 0..9 {
+                    for l in 0..LANES {
+                        bar.c[k][l] += c_bar[k][l];
+                    }
+                }
+            }
         }
     }
 }

@@ -176,7 +176,7 @@ pub(crate) fn fall_asleep<T: Real>(
         unused.resize(groups.len(), Group::ZERO);
         let mut sleeper = SleepingBlock { tile: empty_tile(), unquiet: Vec::new(), groups: groups.to_vec() };
         let (from, state, tile) = (Some(groups), &mut unused[..], &mut sleeper.tile);
-        model.arch.dispatch(ParticlesToTile { model, block, from, state, tile });
+        model.arch.dispatch(ParticlesToTile { model, block, from, state, tile, unforced: None });
         load_tile(block, velocity, &mut velocities);
         let unquiet = |at: &usize| sleeper.sends_to(*at) && can_wake(model, &velocities[*at]);
         sleeper.unquiet = (0..TILE_LENGTH).filter(unquiet).map(|at| (at as u16, velocities[at])).collect();

@@ -18,8 +18,10 @@ pub(crate) struct BufferPool<T> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Size {
     pub(crate) groups: usize,
-    /// Blocks of nodes, in each of the two vectors for what is on its grid.
+    /// Blocks of nodes, in each vector for what is on its grid.
     pub(crate) nodes: usize,
+    /// Such vectors.
+    pub(crate) vectors: usize,
     /// Bytes beside these vectors.
     pub(crate) besides: u64,
 }
@@ -70,15 +72,16 @@ impl<T: Real> BufferPool<T> {
         (bytes(&self.groups) + bytes(&self.nodes)) as u64
     }
 
-    /// States that fit into the buffers here and `left` more bytes. A state needs one buffer of groups and two of nodes, each
+    /// States that fit into the buffers here and `left` more bytes. A state needs one buffer of groups and some of nodes, each
     /// long enough.
     pub(crate) fn states(&self, size: Size, left: u64) -> usize {
+        let vectors = size.vectors as u64;
         let kinds = [
             (enough(&self.groups, size.groups), 1, state_bytes::<T>(Size { nodes: 0, besides: 0, ..size })),
             (
                 enough(&self.nodes, size.nodes),
-                2,
-                state_bytes::<T>(Size { groups: 0, besides: 0, ..size }) / 2,
+                vectors,
+                state_bytes::<T>(Size { groups: 0, besides: 0, ..size }) / vectors,
             ),
         ];
         let cost = |states: u64| {
@@ -100,7 +103,7 @@ impl<T: Real> BufferPool<T> {
 /// Bytes of a state in memory that is new.
 pub(crate) fn state_bytes<T: Real>(size: Size) -> u64 {
     let groups = roomy(size.groups) * size_of::<Group<T>>();
-    let nodes = 2 * roomy(size.nodes) * size_of::<Nodes<T>>();
+    let nodes = size.vectors * roomy(size.nodes) * size_of::<Nodes<T>>();
     (groups + nodes) as u64 + size.besides
 }
 
@@ -187,7 +190,7 @@ mod tests {
     #[test]
     fn states_are_counted_by_what_they_lack() {
         let mut spare: BufferPool<f32> = BufferPool::empty();
-        let size = Size { groups: 64, nodes: 32, besides: 100 };
+        let size = Size { groups: 64, nodes: 32, vectors: 2, besides: 100 };
         let one = state_bytes::<f32>(size);
         assert_eq!(
             (spare.states(size, one - 1), spare.states(size, one), spare.states(size, 5 * one)),

@@ -137,14 +137,30 @@ pub(crate) fn scatter<T: Real>(
     stencil: impl Fn(usize) -> Stencil<T>,
     affine: impl Fn(usize) -> Affine<T>,
 ) {
+    scatter_all([tile], occupied, stencil, |l| [affine(l)]);
+}
+
+/// The same into several tiles at once, with as many functions.
+#[inline(always)]
+pub(crate) fn scatter_all<T: Real, const N: usize>(
+    tiles: [&mut Tile<T>; N],
+    occupied: usize,
+    stencil: impl Fn(usize) -> Stencil<T>,
+    affine: impl Fn(usize) -> [Affine<T>; N],
+) {
     let mut l = 0;
     while l < occupied {
         let start = stencil(l).start;
-        let mut rows = Rows([[T::ZERO; ROW]; 9]);
+        let mut rows: [Rows<T>; N] = std::array::from_fn(|_| Rows([[T::ZERO; ROW]; 9]));
         while l < occupied && stencil(l).start == start {
-            rows.add(&stencil(l), &affine(l));
+            let (stencil, affine) = (stencil(l), affine(l));
+            for n in 0..N {
+                rows[n].add(&stencil, &affine[n]);
+            }
             l += 1;
         }
-        rows.add_to(tile, start);
+        for n in 0..N {
+            rows[n].add_to(tiles[n], start);
+        }
     }
 }

@@ -8,7 +8,7 @@ use crate::mpm::Model;
 use crate::mpm::bodies::Bodies;
 use crate::mpm::contact::BodyStateBar;
 use crate::mpm::g2p::{TileToParticles, TileToParticlesAdjoint};
-use crate::mpm::grid_update::{UpdateNodes, UpdateNodesAdjoint};
+use crate::mpm::grid_update::{UnforcedNodesBar, UpdateNodes, UpdateNodesAdjoint};
 use crate::mpm::layout::{Block, Layout, NodeBlock, Nodes, empty_tile};
 use crate::mpm::p2g::{ParticlesToTile, ParticlesToTileAdjoint, ReturnMap, ReturnMapAdjoint};
 use crate::mpm::particles::{Group, LANES, Particles};
@@ -145,18 +145,19 @@ impl<T: Real> State<T> {
     }
 
     /// What keeping it takes, with what is on its grid. Some of what is beside its vectors, states share.
-    pub(crate) fn size(&self) -> Size {
+    pub(crate) fn size(&self, model: &Model<T>) -> Size {
         let Layout { blocks, nodes } = &*self.layout;
         let groups = self.particles.groups.len();
         let besides = 2 * groups * LANES * size_of::<u32>()
             + blocks.len() * (size_of::<Block>() + size_of::<SleepState<T>>())
             + nodes.len() * size_of::<NodeBlock>();
-        Size { groups, nodes: nodes.len(), besides: besides as u64 }
+        let vectors = vectors_on_grid(model.residue.is_some());
+        Size { groups, nodes: nodes.len(), vectors, besides: besides as u64 }
     }
 
     /// Bytes of that.
-    pub(crate) fn bytes(&self) -> u64 {
-        state_bytes::<T>(self.size())
+    pub(crate) fn bytes(&self, model: &Model<T>) -> u64 {
+        state_bytes::<T>(self.size(model))
     }
 }
 
@@ -167,34 +168,49 @@ pub(crate) struct OnGrid<T> {
     momentum: Vec<Nodes<T>>,
     /// Velocity, after contact.
     velocity: Vec<Nodes<T>>,
+    /// Velocity without forces, where the velocity residue is given back; else nothing.
+    unforced: Vec<Nodes<T>>,
+}
+
+/// How many vectors there are for what is on the grid.
+pub(crate) fn vectors_on_grid(gives_back_residue: bool) -> usize {
+    if gives_back_residue { 3 } else { 2 }
 }
 
 impl<T: Real> OnGrid<T> {
     /// Nothing, to be written to.
     pub(crate) fn empty() -> Self {
-        Self { momentum: Vec::new(), velocity: Vec::new() }
+        Self { momentum: Vec::new(), velocity: Vec::new(), unforced: Vec::new() }
     }
 
-    fn fit(&mut self, nodes: usize, spare: &mut BufferPool<T>) {
+    fn fit(&mut self, model: &Model<T>, nodes: usize, spare: &mut BufferPool<T>) {
         spare.fit_nodes(&mut self.momentum, nodes);
         spare.fit_nodes(&mut self.velocity, nodes);
+        if model.residue.is_some() {
+            spare.fit_nodes(&mut self.unforced, nodes);
+        }
     }
 
     /// Is no longer needed.
     pub(crate) fn recycle_into(self, spare: &mut BufferPool<T>) {
         spare.return_nodes(self.momentum);
         spare.return_nodes(self.velocity);
+        spare.return_nodes(self.unforced);
     }
 }
 
 /// Scratch memory of the substeps, reused from one to the next.
 pub(crate) struct Workspace<T> {
     tiles: Vec<Tile<T>>,
+    /// Of momentum without forces, where the velocity residue is given back; else none.
+    unforced_tiles: Vec<Tile<T>>,
     /// Of the latest substep.
     pub(crate) on_grid: OnGrid<T>,
     /// The node blocks in which something moves so fast that it can wake sleepers.
     moving: Vec<bool>,
     momentum_bar: Vec<Nodes<T>>,
+    /// As [`Self::unforced_tiles`].
+    unforced_bar: Vec<Nodes<T>>,
     /// Cotangents of the particles, between two gradients.
     pub(crate) bar: Vec<Group<T>>,
     /// Changes places with them when they are put in another order.
@@ -216,13 +232,20 @@ fn split<'a, U>(layout: &Layout, mut groups: &'a mut [U]) -> Vec<&'a mut [U]> {
     out
 }
 
+/// Of so many, those that are there, or none.
+fn each_if_any<U>(items: &mut [U], count: usize) -> Vec<Option<&mut U>> {
+    if items.is_empty() { (0..count).map(|_| None).collect() } else { items.iter_mut().map(Some).collect() }
+}
+
 impl<T: Real> Workspace<T> {
     pub(crate) fn new() -> Self {
         Self {
             tiles: Vec::new(),
+            unforced_tiles: Vec::new(),
             on_grid: OnGrid::empty(),
             moving: Vec::new(),
             momentum_bar: Vec::new(),
+            unforced_bar: Vec::new(),
             bar: Vec::new(),
             other_bar: Vec::new(),
             unused: Vec::new(),
@@ -232,18 +255,28 @@ impl<T: Real> Workspace<T> {
     }
 
     /// Takes the memory for substeps that begin at such a state, and for their adjoints: what is left is for states.
-    pub(crate) fn prepare(&mut self, state: &State<T>) {
-        let (groups, nodes) = (state.particles.groups.len(), state.layout.nodes.len());
-        self.fit(&state.layout);
-        self.spare.fit_nodes(&mut self.momentum_bar, nodes);
+    pub(crate) fn prepare(&mut self, model: &Model<T>, state: &State<T>) {
+        let groups = state.particles.groups.len();
+        self.fit(model, &state.layout);
+        self.fit_bars(model, &state.layout);
         self.spare.fit_groups(&mut self.unused, groups);
         fit(&mut self.bar, groups, Group::ZERO);
         fit(&mut self.other_bar, groups, Group::ZERO);
     }
 
-    fn fit(&mut self, layout: &Layout) {
+    fn fit(&mut self, model: &Model<T>, layout: &Layout) {
         fit(&mut self.tiles, layout.blocks.len(), empty_tile());
-        self.on_grid.fit(layout.nodes.len(), &mut self.spare);
+        if model.residue.is_some() {
+            fit(&mut self.unforced_tiles, layout.blocks.len(), empty_tile());
+        }
+        self.on_grid.fit(model, layout.nodes.len(), &mut self.spare);
+    }
+
+    fn fit_bars(&mut self, model: &Model<T>, layout: &Layout) {
+        self.spare.fit_nodes(&mut self.momentum_bar, layout.nodes.len());
+        if model.residue.is_some() {
+            self.spare.fit_nodes(&mut self.unforced_bar, layout.nodes.len());
+        }
     }
 
     /// Advances the state by one substep in which the bodies are there.
@@ -291,6 +324,7 @@ impl<T: Real> Workspace<T> {
         state: &mut State<T>,
     ) -> Result<(), EscapedParticle> {
         let (layout, velocity) = (&*state.layout, &self.on_grid.velocity);
+        let unforced = model.residue.map(|_| &self.on_grid.unforced[..]);
         let (before, moving) = (&state.rest, &self.moving);
         let (seen, rest): (Vec<BlockStatus>, Vec<SleepState<T>>) = split(layout, &mut state.particles.groups)
             .into_par_iter()
@@ -304,6 +338,7 @@ impl<T: Real> Workspace<T> {
                         bodies,
                         block,
                         velocity,
+                        unforced,
                         holds_volume,
                         state,
                     });
@@ -339,21 +374,25 @@ impl<T: Real> Workspace<T> {
         from: Option<&[Group<T>]>,
         state: &mut [Group<T>],
     ) {
-        self.fit(layout);
-        let jobs = split(layout, state).into_par_iter().zip(&mut self.tiles).zip(&layout.blocks).zip(rest);
+        self.fit(model, layout);
+        let unforced = each_if_any(&mut self.unforced_tiles, layout.blocks.len());
+        let tiles = self.tiles.par_iter_mut().zip(unforced);
+        let jobs = split(layout, state).into_par_iter().zip(tiles).zip(&layout.blocks).zip(rest);
         let jobs = jobs.with_max_len(MAX_BLOCKS);
-        jobs.for_each(|(((state, tile), block), rest)| {
+        jobs.for_each(|(((state, (tile, unforced)), block), rest)| {
             let from = from.map(|from| &from[block.first_group..block.first_group + block.groups()]);
             if !rest.is_asleep() {
-                model.arch.dispatch(ParticlesToTile { model, block, from, state, tile });
+                model.arch.dispatch(ParticlesToTile { model, block, from, state, tile, unforced });
             }
         });
         self.timings.mark(Stage::ParticlesToGrid);
-        let OnGrid { momentum, velocity } = &mut self.on_grid;
+        let OnGrid { momentum, velocity, unforced } = &mut self.on_grid;
+        let unforced = each_if_any(unforced, layout.nodes.len());
+        let unforced_tiles = &self.unforced_tiles[..];
         let tiles = Tiles { fresh: &self.tiles, rest, sleepers_send: true };
-        let nodes = layout.nodes.par_iter().zip(momentum).zip(velocity);
+        let nodes = layout.nodes.par_iter().zip(momentum).zip(velocity).zip(unforced);
         nodes
-            .map(|((node, momentum), velocity)| {
+            .map(|(((node, momentum), velocity), unforced)| {
                 model.arch.dispatch(UpdateNodes {
                     model,
                     bodies,
@@ -362,6 +401,7 @@ impl<T: Real> Workspace<T> {
                     holds_volume,
                     momentum,
                     velocity,
+                    unforced: unforced.map(|unforced| (unforced_tiles, unforced)),
                 })
             })
             .collect_into_vec(&mut self.moving);
@@ -383,8 +423,8 @@ impl<T: Real> Workspace<T> {
         let layout = &*state.layout;
         let input = &state.particles.groups;
         let holds_volume = state.holds_volume(model);
-        self.fit(layout);
-        self.spare.fit_nodes(&mut self.momentum_bar, layout.nodes.len());
+        self.fit(model, layout);
+        self.fit_bars(model, layout);
         if known.is_none() {
             let mut unused = std::mem::take(&mut self.unused);
             self.spare.fit_groups(&mut unused, input.len());
@@ -392,36 +432,48 @@ impl<T: Real> Workspace<T> {
             self.particles_to_grid(model, bodies, holds_volume, blocks, Some(input), &mut unused);
             self.unused = unused;
         }
-        let OnGrid { momentum, velocity } = known.unwrap_or(&self.on_grid);
+        let OnGrid { momentum, velocity, unforced } = known.unwrap_or(&self.on_grid);
+        let unforced = model.residue.map(|_| &unforced[..]);
+        let unforced_tiles = each_if_any(&mut self.unforced_tiles, layout.blocks.len());
         let at_particles: Vec<BodyStateBar> = split(layout, bar)
             .into_par_iter()
-            .zip(&mut self.tiles)
+            .zip(self.tiles.par_iter_mut().zip(unforced_tiles))
             .zip(&layout.blocks)
             .zip(&state.rest)
             .with_max_len(MAX_BLOCKS)
             .filter(|(_, rest)| !rest.is_asleep())
-            .map(|(((bar, tile_bar), block), _)| {
+            .map(|(((bar, (tile_bar, unforced_bar)), block), _)| {
                 let input = &input[block.first_group..block.first_group + block.groups()];
                 model.arch.dispatch(TileToParticlesAdjoint {
                     model,
                     bodies,
                     block,
                     velocity,
+                    unforced,
                     holds_volume,
                     input,
                     bar,
                     tile_bar,
+                    unforced_bar,
                 })
             })
             .collect();
         self.timings.mark(Stage::GridToParticlesAdjoint);
         let tiles = Tiles { fresh: &self.tiles, rest: &state.rest, sleepers_send: false };
+        let unforced_tiles = &self.unforced_tiles[..];
+        let unforced_bar = each_if_any(&mut self.unforced_bar, layout.nodes.len());
         let at_nodes: Vec<BodyStateBar> = layout
             .nodes
             .par_iter()
+            .enumerate()
             .zip(momentum)
-            .zip(&mut self.momentum_bar)
-            .map(|((node, momentum), momentum_bar)| {
+            .zip(self.momentum_bar.par_iter_mut().zip(unforced_bar))
+            .map(|(((n, node), momentum), (momentum_bar, unforced_bar))| {
+                let unforced = unforced.zip(unforced_bar).map(|(unforced, bar)| UnforcedNodesBar {
+                    tiles: unforced_tiles,
+                    velocity: &unforced[n],
+                    bar,
+                });
                 model.arch.dispatch(UpdateNodesAdjoint {
                     model,
                     bodies,
@@ -430,11 +482,13 @@ impl<T: Real> Workspace<T> {
                     holds_volume,
                     momentum,
                     momentum_bar,
+                    unforced,
                 })
             })
             .collect();
         self.timings.mark(Stage::GridUpdateAdjoint);
         let nodes_bar = &self.momentum_bar;
+        let unforced_bar = model.residue.map(|_| &self.unforced_bar[..]);
         split(layout, bar)
             .into_par_iter()
             .zip(&layout.blocks)
@@ -448,6 +502,7 @@ impl<T: Real> Workspace<T> {
                         block,
                         input,
                         nodes_bar,
+                        unforced_bar,
                         holds_volume,
                         bar,
                     });

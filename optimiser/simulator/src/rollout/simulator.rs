@@ -249,7 +249,7 @@ impl<T: Real> Simulator<T> {
     /// Workers for so many motions, bounded by threads and memory. A function of its inputs alone, since the budget has
     /// already set their memory aside.
     fn worker_count(&self, motions: usize) -> usize {
-        let per_worker = self.settled.as_ref().map_or(0, State::bytes) * WORKER_STATES;
+        let per_worker = self.settled.as_ref().map_or(0, |state| state.bytes(&self.model)) * WORKER_STATES;
         branches::worker_count(
             self.pool.current_num_threads(),
             motions,
@@ -270,7 +270,7 @@ impl<T: Real> Simulator<T> {
 
     /// What workers will hold that are not there yet.
     fn bytes_of_workers_to_come(&self) -> u64 {
-        let per_worker = self.settled.as_ref().map_or(0, State::bytes) * WORKER_STATES;
+        let per_worker = self.settled.as_ref().map_or(0, |state| state.bytes(&self.model)) * WORKER_STATES;
         let workers = self.worker_count(BRANCHES as usize);
         if workers == 1 { 0 } else { workers.saturating_sub(self.workers.len()) as u64 * per_worker }
     }
@@ -583,7 +583,7 @@ impl<T: Real> Rollout<'_, T> {
         path: &Trajectory,
         reserved_bytes: u64,
     ) -> Result<(Evaluation, Vec<Control>), RolloutError> {
-        self.workspace.prepare(start);
+        self.workspace.prepare(self.model, start);
         // The state at work is the last one kept, until it is advanced: then it is `working`.
         let copy = start.copied(&mut self.workspace.spare);
         let mut kept = vec![Checkpoint { step: 0, state: copy, on_grid: None }];
@@ -662,7 +662,7 @@ impl<T: Real> Rollout<'_, T> {
     /// the last one, and enough for an end in reasonable time.
     fn slots(&self, kept: &[Checkpoint<T>], path: &Trajectory, reserved_bytes: u64) -> usize {
         let spare = &self.workspace.spare;
-        let size = kept[kept.len() - 1].state.size();
+        let size = kept[kept.len() - 1].state.size(self.model);
         let in_states = spare.bytes() + kept.len() as u64 * state_bytes::<T>(size);
         let left = self.budget.left(in_states).saturating_sub(reserved_bytes);
         let more = spare.states(size, left);

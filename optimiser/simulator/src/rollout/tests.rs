@@ -9,18 +9,22 @@ use crate::rollout::{
     Destination, DisplacementGradient, Evaluate, ParticleSimulator, Recording, RolloutError, Simulator,
     SimulatorSettings, Snapshot, gradcheck, outcome,
 };
-use crate::scene::{Aim, Cuboid, Infeasible, Scene, Tool, ToolShape, VolumeCorrection, YieldSurface};
+use crate::scene::{
+    Aim, Cuboid, Infeasible, Scene, Tool, ToolShape, Transfer, VolumeCorrection, YieldSurface,
+};
 use crate::skill::{SkillMap, Theta};
 
 /// The small bench with the paper's powder, and with every part of it that can be another.
-fn benches() -> [Scene; 2] {
+fn benches() -> [Scene; 3] {
     let mut scene = Scene::load("bench-small").expect("shipped");
     scene.powder.yield_surface = YieldSurface::DruckerPrager;
     scene.powder.volume_correction = VolumeCorrection::Strain;
     let mut other = scene.clone();
     other.powder.yield_surface = YieldSurface::MatsuokaNakai;
     other.powder.volume_correction = VolumeCorrection::Grid;
-    [scene, other]
+    let mut gets_back = other.clone();
+    gets_back.powder.transfer = Some(Transfer { residue_time_s: 0.05 });
+    [scene, other, gets_back]
 }
 
 #[test]

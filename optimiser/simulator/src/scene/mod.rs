@@ -167,6 +167,9 @@ pub struct Powder {
     pub yield_surface: YieldSurface,
     /// What holds the powder's volume together.
     pub volume_correction: VolumeCorrection,
+    /// What of the particles' velocities survives the grid; none if the file has none: nothing that is finer than the grid (APIC).
+    #[serde(default)]
+    pub transfer: Option<Transfer>,
     /// Mohr-Coulomb cohesion in plane strain, as a shear cell measures it, pascal; 0 (dry sand) to 1e5, for cohesive powder about 50. Needs a
     /// friction angle.
     pub cohesion_pa: f64,
@@ -198,6 +201,16 @@ pub enum YieldSurface {
     /// same angle in compression and in extension, and up to 4 degrees more in between, as sands
     /// have it (35 degrees act as 39 in plane strain).
     MatsuokaNakai,
+}
+
+/// What of the particles' velocities survives the grid.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Transfer {
+    /// What the grid cannot hold of the powder's velocity is given back and decays in this time, seconds; 0.0001 to 10,
+    /// typically 0.05, a few times `sqrt(cell_m/9.81)`. Without it that is lost in every substep: powder then flows the less far the
+    /// shorter the substeps are, and the stiffer it is. The source has the equations, in `mpm/residue.rs`.
+    pub residue_time_s: f64,
 }
 
 /// How powder that has come apart knows when it touches again.

@@ -34,7 +34,7 @@ const STRUCTURE: &[Case] = &[
     (
         "youngs_modulus_pa = 1.0e4",
         "youngs_modulus = 1.0e4",
-        ": powder.youngs_modulus at line 18: unknown field `youngs_modulus`, expected one of `fill_min_m`, `fill_max_m`, `fill_shape`, `particles_per_cell`, `seed`, `youngs_modulus_pa`, `poissons_ratio`, `density_kg_m3`, `friction_angle_deg`, `yield`, `volume_correction`, `cohesion_pa`, `tensile_strength_pa`, `viscosity_pa_s`; did you mean `youngs_modulus_pa`?",
+        ": powder.youngs_modulus at line 18: unknown field `youngs_modulus`, expected one of `fill_min_m`, `fill_max_m`, `fill_shape`, `particles_per_cell`, `seed`, `youngs_modulus_pa`, `poissons_ratio`, `density_kg_m3`, `friction_angle_deg`, `yield`, `volume_correction`, `transfer`, `cohesion_pa`, `tensile_strength_pa`, `viscosity_pa_s`; did you mean `youngs_modulus_pa`?",
     ),
     (
         "yield = \"drucker_prager\"",
@@ -154,7 +154,7 @@ const STRUCTURE: &[Case] = &[
     (
         "cohesion_pa = 0.0",
         "cell_m = 0.004",
-        ": powder.cell_m at line 24: unknown field `cell_m`, expected one of `fill_min_m`, `fill_max_m`, `fill_shape`, `particles_per_cell`, `seed`, `youngs_modulus_pa`, `poissons_ratio`, `density_kg_m3`, `friction_angle_deg`, `yield`, `volume_correction`, `cohesion_pa`, `tensile_strength_pa`, `viscosity_pa_s`; that key belongs into [domain]",
+        ": powder.cell_m at line 24: unknown field `cell_m`, expected one of `fill_min_m`, `fill_max_m`, `fill_shape`, `particles_per_cell`, `seed`, `youngs_modulus_pa`, `poissons_ratio`, `density_kg_m3`, `friction_angle_deg`, `yield`, `volume_correction`, `transfer`, `cohesion_pa`, `tensile_strength_pa`, `viscosity_pa_s`; that key belongs into [domain]",
     ),
     (
         "difference_half_step = 0.1",
@@ -330,6 +330,16 @@ const SINGLE_FIELDS: &[Case] = &[
         "cohesion_pa = 0.0",
         "cohesion_pa = 7.0\ntensile_strength_pa = -1.0",
         ": powder.tensile_strength_pa is -1, but it must be from 0 to 1e7",
+    ),
+    (
+        "cohesion_pa = 0.0",
+        "cohesion_pa = 0.0\ntransfer = { residue_time_s = 0.0 }",
+        ": powder.transfer.residue_time_s is 0, but it must be from 0.0001 to 10",
+    ),
+    (
+        "cohesion_pa = 0.0",
+        "cohesion_pa = 0.0\ntransfer = { residue_time_ms = 50 }",
+        ": powder.transfer at line 25: unknown field `residue_time_ms`, expected `residue_time_s`; did you mean `residue_time_s`?",
     ),
     (
         "viscosity_pa_s = 0.08",

@@ -2,7 +2,7 @@
 
 use powderline_simulator::scene::{
     Aim, Amount, ContainerShape, EMBEDDED_SCENES, FillShape, Gate, GateOpening, GateShape, Observation,
-    Quantity, Scene, ToolShape, VolumeCorrection, YieldSurface,
+    Quantity, Scene, ToolShape, Transfer, VolumeCorrection, YieldSurface,
 };
 use proptest::prelude::*;
 
@@ -24,6 +24,7 @@ fn arbitrary_scene() -> impl Strategy<Value = Scene> {
             if round {
                 scene.powder.yield_surface = YieldSurface::MatsuokaNakai;
                 scene.powder.volume_correction = VolumeCorrection::Grid;
+                scene.powder.transfer = Some(Transfer { residue_time_s: 0.05 + 0.1 * small });
             }
             if scoop {
                 scene.powder.cohesion_pa = 7.0;

@@ -4,20 +4,32 @@
 //! vector of `C` (Jiang et al. 2017, "An angular momentum conserving affine-particle-in-cell method").
 
 use crate::mpm::Model;
-use crate::mpm::particles::{Particles, mat_of, vec_of};
+use crate::mpm::particles::{Lanes, Particles, mat_of, vec_of};
 use crate::mpm::substep::State;
 use crate::mpm::tests::{Dice, advance, empty_bench, far_away, lattice, on_grid, row, to_tiles};
 use crate::real::Real;
+use crate::scene::{Scene, Transfer};
 use crate::small::cross;
 
 const SUBSTEPS: usize = 20;
 
+/// Time in which the velocity residue decays, where it is given back, s.
+const RESIDUE_S: f64 = 0.05;
+
 /// A stirred cloud in the middle of an empty box without gravity. Viscosity is on.
 fn cloud<T: Real>() -> (Model<T>, State<T>) {
-    let mut dice = Dice::new(61);
+    cloud_in(&free_bench())
+}
+
+fn free_bench() -> Scene {
     let mut scene = empty_bench([0.064; 3]);
     scene.domain.gravity_m_s2 = [0.0; 3];
-    let model = Model::<T>::new(&scene);
+    scene
+}
+
+fn cloud_in<T: Real>(scene: &Scene) -> (Model<T>, State<T>) {
+    let mut dice = Dice::new(61);
+    let model = Model::<T>::new(scene);
     assert!(model.viscous_loss > T::ZERO);
     let points = lattice([0.022, 0.023, 0.021], [0.042, 0.043, 0.039], 0.002, &mut dice);
     let mut state = State::new(&model, &Particles::at_rest(&points)).unwrap();
@@ -67,7 +79,7 @@ fn relative_drift<T: Real>() -> f64 {
 
 fn relative_mass_error<T: Real>() -> f64 {
     let (model, state) = cloud::<T>();
-    let (tiles, _) = to_tiles(&model, &state);
+    let tiles = to_tiles(&model, &state).tiles;
     let (nodes, _) = on_grid(&model, &far_away(), &state, &tiles);
     let on_grid: f64 = nodes.iter().flatten().map(|n| n[3].to_f64()).sum();
     let in_particles = model.mass.to_f64() * state.particles.occupied().count() as f64;
@@ -90,10 +102,7 @@ fn free_flight_keeps_mass_and_momenta_to_rounding() {
 fn viscosity_slows_the_strain_rate_and_nothing_else() {
     let energy = |model: &Model<f64>, mut state: State<f64>| {
         advance(model, &far_away(), &mut state, SUBSTEPS);
-        let of = |(g, l, _): (usize, usize, u32)| -> f64 {
-            vec_of(&state.particles.groups[g].v, l).iter().map(|v| v * v).sum()
-        };
-        state.particles.occupied().map(of).sum::<f64>()
+        kinetic(&state)
     };
     let (mut model, state) = cloud::<f64>();
     let viscous = energy(&model, state.clone());
@@ -101,4 +110,59 @@ fn viscosity_slows_the_strain_rate_and_nothing_else() {
     let inviscid = energy(&model, state);
     println!("kinetic energy with viscosity over without: {:.4}", viscous / inviscid);
     assert!(viscous < inviscid);
+}
+
+/// What is given back has no momentum; that it has velocity, the energy shows. It has angular momentum: no part of the affine
+/// velocities is given back.
+#[test]
+fn the_velocity_residue_that_is_given_back_has_no_momentum() {
+    let mut scene = free_bench();
+    let end = |scene: &Scene| {
+        let (model, mut state) = cloud_in::<f64>(scene);
+        let (before, size) = momenta(&model, &state);
+        advance(&model, &far_away(), &mut state, SUBSTEPS);
+        let (after, _) = momenta(&model, &state);
+        let drift: [f64; 6] = std::array::from_fn(|i| (after[i] - before[i]).abs() / size[i]);
+        (drift, kinetic(&state))
+    };
+    let (_, lost) = end(&scene);
+    scene.powder.transfer = Some(Transfer { residue_time_s: RESIDUE_S });
+    let (drift, kept) = end(&scene);
+    println!("drift of momenta {drift:?}; energy over that without {:.2}", kept / lost);
+    assert!(drift[..3].iter().all(|drift| *drift < 1e-14) && kept > 1.2 * lost, "{drift:?} {kept} {lost}");
+}
+
+/// Sum of the squares of the velocities.
+fn kinetic<T: Real>(state: &State<T>) -> f64 {
+    let of = |(g, l, _): (usize, usize, u32)| -> f64 {
+        vec_of(&state.particles.groups[g].v, l).iter().map(|v| v.to_f64() * v.to_f64()).sum()
+    };
+    state.particles.occupied().map(of).sum()
+}
+
+/// The velocities of this cloud are finer than the grid; what is left of their energy after 10 ms, and so what stress does to
+/// them meanwhile, depends on the number of substeps, unless it decays by time.
+#[test]
+fn what_is_lost_in_a_time_does_not_depend_on_the_substeps() {
+    let left = |substeps: u32, transfer: Option<Transfer>| {
+        let mut scene = free_bench();
+        scene.powder.transfer = transfer;
+        scene.time.substeps = substeps;
+        let (mut model, mut state) = cloud_in::<f64>(&scene);
+        // Without stress, and slow, so that the particles stay where they are.
+        (model.stress_dx, model.viscous_loss) = (0.0, 0.0);
+        for group in &mut state.particles.groups {
+            group.c = [Lanes::ZERO; 9];
+            group.v.iter_mut().for_each(|row| row.iter_mut().for_each(|v| *v *= 1e-3));
+        }
+        let before = kinetic(&state);
+        advance(&model, &far_away(), &mut state, substeps as usize);
+        kinetic(&state) / before
+    };
+    let of = |transfer| [20, 80].map(|substeps| left(substeps, transfer));
+    let [coarse, fine] = of(None);
+    let [coarse_back, fine_back] = of(Some(Transfer { residue_time_s: RESIDUE_S }));
+    println!("left without: {coarse:.4}, {fine:.4}; given back: {coarse_back:.4}, {fine_back:.4}");
+    assert!((fine_back / coarse_back - 1.0).abs() < 0.02, "{coarse_back} {fine_back}");
+    assert!(coarse < 0.8 * coarse_back && fine < 0.97 * coarse, "{coarse} {fine}");
 }

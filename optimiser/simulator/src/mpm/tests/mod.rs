@@ -187,17 +187,25 @@ fn row<T>(group: &mut Group<T>, k: usize) -> &mut Lanes<T> {
     }
 }
 
-/// Material and scatter of all blocks: tiles, and the particles with their new strains.
-fn to_tiles<T: Real>(model: &Model<T>, state: &State<T>) -> (Vec<Tile<T>>, Vec<Group<T>>) {
-    let groups = &state.particles.groups;
+/// What all blocks send to the grid: tiles, those without forces where they are asked for, and the particles with their new strains.
+struct OnTiles<T> {
+    tiles: Vec<Tile<T>>,
+    unforced: Vec<Tile<T>>,
+    groups: Vec<Group<T>>,
+}
+
+/// Material and scatter of all blocks.
+fn to_tiles<T: Real>(model: &Model<T>, state: &State<T>) -> OnTiles<T> {
+    let input = &state.particles.groups;
     let mut tiles = vec![empty_tile(); state.layout.blocks.len()];
-    let mut output = vec![Group::ZERO; groups.len()];
-    for (block, tile) in state.layout.blocks.iter().zip(&mut tiles) {
+    let (mut unforced_tiles, mut groups) = (tiles.clone(), vec![Group::ZERO; input.len()]);
+    for ((block, tile), unforced) in state.layout.blocks.iter().zip(&mut tiles).zip(&mut unforced_tiles) {
         let range = block.first_group..block.first_group + block.groups();
-        let (from, state) = (Some(&groups[range.clone()]), &mut output[range]);
-        model.arch.dispatch(ParticlesToTile { model, block, from, state, tile });
+        let (from, state) = (Some(&input[range.clone()]), &mut groups[range]);
+        let unforced = model.residue.map(|_| unforced);
+        model.arch.dispatch(ParticlesToTile { model, block, from, state, tile, unforced });
     }
-    (tiles, output)
+    OnTiles { tiles, unforced: unforced_tiles, groups }
 }
 
 /// Grid update of all node blocks: momentum and mass before, velocity after.
@@ -210,24 +218,34 @@ fn on_grid<T: Real>(
     let zero = vec![[[T::ZERO; 4]; BLOCK_NODES]; state.layout.nodes.len()];
     let (mut momentum, mut velocity) = (zero.clone(), zero);
     for ((node, momentum), velocity) in state.layout.nodes.iter().zip(&mut momentum).zip(&mut velocity) {
-        let (tiles, holds_volume) = (state.tiles(tiles), state.holds_volume(model));
-        model.arch.dispatch(UpdateNodes { model, bodies, node, tiles, holds_volume, momentum, velocity });
+        let (tiles, holds_volume, unforced) = (state.tiles(tiles), state.holds_volume(model), None);
+        let update = UpdateNodes { model, bodies, node, tiles, holds_volume, momentum, velocity, unforced };
+        model.arch.dispatch(update);
     }
     (momentum, velocity)
 }
 
-/// Gather, contact at particles and advection of all blocks; strain and volume correction are left alone.
+/// Gather, contact at particles and advection of all blocks; strain and volume correction are left alone. `at_nodes` are velocity,
+/// and velocity without forces.
 fn to_particles<T: Real>(
     model: &Model<T>,
     bodies: &Bodies<T>,
     state: &State<T>,
-    velocity: &[Nodes<T>],
+    [velocity, unforced]: [&[Nodes<T>]; 2],
 ) -> Vec<Group<T>> {
     let mut output = state.particles.groups.clone();
-    let holds_volume = state.holds_volume(model);
+    let (holds_volume, unforced) = (state.holds_volume(model), model.residue.map(|_| unforced));
     for block in &state.layout.blocks {
         let state = &mut output[block.first_group..block.first_group + block.groups()];
-        model.arch.dispatch(TileToParticles { model, bodies, block, velocity, holds_volume, state });
+        model.arch.dispatch(TileToParticles {
+            model,
+            bodies,
+            block,
+            velocity,
+            unforced,
+            holds_volume,
+            state,
+        });
     }
     output
 }

@@ -7,6 +7,7 @@ use crate::mpm::sort::sort;
 use crate::mpm::spare::BufferPool;
 use crate::mpm::substep::{State, Workspace};
 use crate::mpm::tests::{Dice, advance, empty_bench, even_lattice, far_away, standing};
+use crate::scene::Transfer;
 
 const SLEEP_SPEED: f64 = 5e-4;
 /// The bed: a box of powder on the floor of an empty volume, between its walls.
@@ -14,8 +15,13 @@ const SIZE_M: [f64; 3] = [0.048, 0.032, 0.160];
 const DEPTH_M: f64 = 0.032;
 
 fn model(sleep_speed_m_s: f64) -> Model<f64> {
+    model_with(sleep_speed_m_s, None)
+}
+
+fn model_with(sleep_speed_m_s: f64, transfer: Option<Transfer>) -> Model<f64> {
     let mut scene = empty_bench(SIZE_M);
     scene.domain.sleep_speed_m_s = sleep_speed_m_s;
+    scene.powder.transfer = transfer;
     Model::new(&scene)
 }
 
@@ -84,7 +90,13 @@ fn the_tool_wakes_what_it_comes_near_to() {
 
 #[test]
 fn what_falls_on_sleepers_wakes_them_and_comes_to_rest_as_on_those_awake() {
-    let (sleepy, wakeful) = (model(SLEEP_SPEED), model(0.0));
+    falls_on_sleepers(SLEEP_SPEED, None);
+    // The bed comes to rest later if it gets its velocity back.
+    falls_on_sleepers(4.0 * SLEEP_SPEED, Some(Transfer { residue_time_s: 0.005 }));
+}
+
+fn falls_on_sleepers(sleep_speed: f64, transfer: Option<Transfer>) {
+    let [sleepy, wakeful] = [sleep_speed, 0.0].map(|speed| model_with(speed, transfer));
     let (points, count) = bed_and_lump();
     let mut state = State::new(&sleepy, &Particles::at_rest(&points)).unwrap();
     let mut workspace = Workspace::new();

@@ -6,12 +6,13 @@ use crate::mpm::Model;
 use crate::mpm::bodies::Bodies;
 use crate::mpm::contact::{BodyState, BodyStateBar};
 use crate::mpm::g2p::TileToParticlesAdjoint;
-use crate::mpm::gather::{Gathered, Rows, Sent, gather, gather_gradient, gather_with_gradient};
+use crate::mpm::gather::{Gathered, Rows, Sent, gather, gather_gradient, gather_sum, gather_with_gradient};
 use crate::mpm::grid_update::UpdateNodesAdjoint;
 use crate::mpm::layout::{BLOCK_NODES, Nodes, empty_tile, load_tile};
 use crate::mpm::material::Material;
 use crate::mpm::p2g::{ParticlesToTileAdjoint, affine, at_base};
 use crate::mpm::particles::{Group, LANES, Lanes, Particles};
+use crate::mpm::residue::{unforced_velocity, unforced_velocity_adjoint};
 use crate::mpm::sort::{sort, sort_adjoint};
 use crate::mpm::spare::BufferPool;
 use crate::mpm::stencil::{Affine, Stencil, TILE_EDGE, TILE_LENGTH, Tile, scatter, weight_slopes, weights};
@@ -22,7 +23,7 @@ use crate::mpm::tests::{
     to_tiles,
 };
 use crate::real::Real;
-use crate::scene::{VolumeCorrection, YieldSurface};
+use crate::scene::{Transfer, VolumeCorrection, YieldSurface};
 use crate::shape::SignedDistance;
 use crate::small::{Mat3, Vec3, mul_vec, sub, tr_mul_vec};
 
@@ -132,22 +133,26 @@ fn stir(state: &mut State<f64>, dice: &mut Dice) {
     }
 }
 
+/// What can be another in a powder: its yield surface, its volume correction, whether it gets its velocity residue back.
+type Law = (YieldSurface, VolumeCorrection, Option<Transfer>);
+
 /// Powders of every law.
-const POWDERS: [(YieldSurface, VolumeCorrection); 3] = [
-    (YieldSurface::DruckerPrager, VolumeCorrection::Strain),
-    (YieldSurface::MatsuokaNakai, VolumeCorrection::Strain),
-    (YieldSurface::DruckerPrager, VolumeCorrection::Grid),
+const POWDERS: [Law; 5] = [
+    (YieldSurface::DruckerPrager, VolumeCorrection::Strain, None),
+    (YieldSurface::MatsuokaNakai, VolumeCorrection::Strain, None),
+    (YieldSurface::DruckerPrager, VolumeCorrection::Grid, None),
+    (YieldSurface::DruckerPrager, VolumeCorrection::Strain, Some(Transfer { residue_time_s: 0.01 })),
+    (YieldSurface::MatsuokaNakai, VolumeCorrection::Grid, Some(Transfer { residue_time_s: 0.01 })),
 ];
 
 /// A bowl that pushes down and forward into stirred powder on the floor, tilted, turning. Where volume is held to the grid's density,
 /// every seventh particle believes to be looser than it is; the others lie looser than they believe.
-fn scooping_of(
-    (yield_surface, volume_correction): (YieldSurface, VolumeCorrection),
-) -> (Model<f64>, State<f64>, Bodies<f64>) {
+fn scooping_of((yield_surface, volume_correction, transfer): Law) -> (Model<f64>, State<f64>, Bodies<f64>) {
     let mut dice = Dice::new(71);
     let mut scene = empty_bench([0.064; 3]);
     scene.powder.yield_surface = yield_surface;
     scene.powder.volume_correction = volume_correction;
+    scene.powder.transfer = transfer;
     let model = Model::<f64>::new(&scene);
     let tool = BodyState {
         velocity: [0.12, 0.03, -0.1],
@@ -271,8 +276,9 @@ fn gathered_as_taken<T: Real>(rounding: f64) {
         let narrow = tile.map(|node| node.map(T::from_f64));
         let (places, sends) = group_at::<T>(&x, &sent);
         let (w, occupied) = (places.weights(), x.len());
-        let all =
-            gather_with_gradient(&narrow, &places, &w, &sends, T::from_f64(MASS), occupied, &mut Rows::new());
+        let masses = Lanes([T::from_f64(MASS); LANES]);
+        let all = gather_with_gradient(&narrow, &places, &w, &sends, &masses, occupied, &mut Rows::new());
+        let alone = gather_sum(&narrow, &places, &w, occupied);
         let plain = gather(&narrow, &places, &w, occupied);
         let massless = gather_gradient(&narrow, &places, &w, &sends, occupied, &mut Rows::new());
         let same = |got: T, want: f64, what: &str| {
@@ -287,6 +293,7 @@ fn gathered_as_taken<T: Real>(rounding: f64) {
                 for of in [&all, &plain, &massless] {
                     same(of.sum[c][l], sum[c], "sum");
                 }
+                same(alone[c][l], sum[c], "sum alone");
                 for of in [&all, &plain] {
                     (0..3).for_each(|axis| same(of.first[3 * c + axis][l], first[axis][c], "first moment"));
                 }
@@ -338,7 +345,8 @@ fn round_trip_of_a_particle_has_taylor_slope_two_in_its_position() {
     let sends = |x: Vec3<f64>| affine(at_base(v, &matrix, place(x).3), &matrix, MASS);
     let with = |tile: &Tile<f64>, x: Vec3<f64>, sent: &Affine<f64>| {
         let (places, sends) = group_at::<f64>(&[x], &[*sent]);
-        gather_with_gradient(tile, &places, &places.weights(), &sends, MASS, 1, &mut Rows::new())
+        let masses = Lanes([MASS; LANES]);
+        gather_with_gradient(tile, &places, &places.weights(), &sends, &masses, 1, &mut Rows::new())
     };
     for x in [[2.8, 3.3, 4.1], [3.6, 2.7, 5.2], [4.4, 4.0, 3.1]] {
         let f = |x: &[f64]| {
@@ -377,18 +385,24 @@ fn particle_to_grid_has_taylor_slope_two() {
     POWDERS.into_iter().for_each(particle_to_grid_gradient);
 }
 
-fn particle_to_grid_gradient(powder: (YieldSurface, VolumeCorrection)) {
+fn particle_to_grid_gradient(powder: Law) {
     let (model, state, _) = scooping_of(powder);
     let mut dice = Dice::new(53);
     let momentum = 1.0 / (model.mass * SPEED);
     let nodes_bar =
         random_nodes(state.layout.nodes.len(), [momentum, momentum, momentum, 1.0 / model.mass], &mut dice);
+    let unit = if model.residue.is_some() { momentum } else { 0.0 };
+    let unforced_bar = random_nodes(state.layout.nodes.len(), [unit, unit, unit, 0.0], &mut dice);
     let measure = Measure::random(state.particles.occupied().count(), 15..22, &mut dice);
     let f = |x: &[f64]| {
         let state = with_numbers(&state, x);
-        let (tiles, output) = to_tiles(&model, &state);
-        let nodes: Vec<_> = state.layout.nodes.iter().map(|n| state.tiles(&tiles).sum(n)).collect();
-        inner_nodes(&nodes_bar, &nodes) + measure.of(&state.particles, &output)
+        let sent = to_tiles(&model, &state);
+        let sum = |tiles: &[Tile<f64>]| -> Vec<_> {
+            state.layout.nodes.iter().map(|n| state.tiles(tiles).sum(n)).collect()
+        };
+        inner_nodes(&nodes_bar, &sum(&sent.tiles))
+            + inner_nodes(&unforced_bar, &sum(&sent.unforced))
+            + measure.of(&state.particles, &sent.groups)
     };
     let mut bar = measure.cotangent(&state.particles);
     for block in &state.layout.blocks {
@@ -398,6 +412,7 @@ fn particle_to_grid_gradient(powder: (YieldSurface, VolumeCorrection)) {
             block,
             input: &state.particles.groups[range.clone()],
             nodes_bar: &nodes_bar,
+            unforced_bar: model.residue.map(|_| &unforced_bar[..]),
             holds_volume: false,
             bar: &mut bar[range],
         });
@@ -423,7 +438,7 @@ fn grid_update_has_taylor_slope_two_in_momentum_mass_and_the_tools_motion() {
     [POWDERS[0], POWDERS[2]].into_iter().for_each(grid_update_gradient);
 }
 
-fn grid_update_gradient(powder: (YieldSurface, VolumeCorrection)) {
+fn grid_update_gradient(powder: Law) {
     let (model, state, bodies) = scooping_of(powder);
     let mut dice = Dice::new(54);
     let units = tile_units(&model);
@@ -476,7 +491,7 @@ fn bounds_met(
     state: &State<f64>,
     velocity: &[Nodes<f64>],
 ) -> (usize, usize) {
-    let after = to_particles(model, bodies, state, velocity);
+    let after = to_particles(model, bodies, state, [velocity; 2]);
     let change = |(g, l, _): (usize, usize, u32)| after[g].q[0][l] - state.particles.groups[g].q[0][l];
     let changes: Vec<f64> = state.particles.occupied().map(change).collect();
     let count = |of: &dyn Fn(f64) -> bool| changes.iter().filter(|change| of(**change)).count();
@@ -536,6 +551,7 @@ fn grid_adjoint(
             holds_volume: state.holds_volume(model),
             momentum,
             momentum_bar,
+            unforced: None,
         }));
     }
     (bars, total)
@@ -546,7 +562,7 @@ fn grid_to_particle_has_taylor_slope_two_in_positions_velocities_and_the_tools_m
     POWDERS.into_iter().for_each(grid_to_particle_gradient);
 }
 
-fn grid_to_particle_gradient(powder: (YieldSurface, VolumeCorrection)) {
+fn grid_to_particle_gradient(powder: Law) {
     let (model, mut state, bodies) = scooping_of(powder);
     let mut dice = Dice::new(55);
     let mut velocity = random_nodes(state.layout.nodes.len(), [SPEED, SPEED, SPEED, 0.0], &mut dice);
@@ -563,20 +579,25 @@ fn grid_to_particle_gradient(powder: (YieldSurface, VolumeCorrection)) {
     }
     let state = state;
     let particles = 22 * state.particles.occupied().count();
-    let nodes = velocity.as_flattened().as_flattened();
+    let unforced = random_nodes(velocity.len(), [SPEED, SPEED, SPEED, 0.0], &mut dice);
+    let nodes = [&velocity[..], &unforced].concat();
+    let nodes = nodes.as_flattened().as_flattened();
     let f = |x: &[f64]| {
         let state = with_numbers(&state, &x[..particles]);
         let (at_nodes, tool_numbers) = x[particles..].split_at(nodes.len());
         let unit = |c: usize| if c < 3 { SPEED } else { 1.0 };
         let of = |n: &[f64]| std::array::from_fn(|k| std::array::from_fn(|c| unit(c) * n[4 * k + c]));
-        let velocity: Vec<Nodes<f64>> = at_nodes.chunks(4 * BLOCK_NODES).map(of).collect();
+        let at_nodes: Vec<Nodes<f64>> = at_nodes.chunks(4 * BLOCK_NODES).map(of).collect();
+        let (velocity, unforced) = at_nodes.split_at(velocity.len());
         let bodies = moved(&bodies, &scaled(tool_numbers, &TOOL_SIZES));
-        measure.of(&state.particles, &to_particles(&model, &bodies, &state, &velocity))
+        measure.of(&state.particles, &to_particles(&model, &bodies, &state, [velocity, unforced]))
     };
     let mut bar = measure.cotangent(&state.particles);
     let mut tiles = vec![empty_tile(); state.layout.blocks.len()];
+    let mut unforced_tiles = tiles.clone();
     let mut tool_bar = BodyStateBar::default();
-    for (block, tile_bar) in state.layout.blocks.iter().zip(&mut tiles) {
+    let both = tiles.iter_mut().zip(&mut unforced_tiles);
+    for (block, (tile_bar, unforced_bar)) in state.layout.blocks.iter().zip(both) {
         let range = block.first_group..block.first_group + block.groups();
         let input = &state.particles.groups[range.clone()];
         tool_bar.add(&model.arch.dispatch(TileToParticlesAdjoint {
@@ -584,25 +605,31 @@ fn grid_to_particle_gradient(powder: (YieldSurface, VolumeCorrection)) {
             bodies: &bodies,
             block,
             velocity: &velocity,
+            unforced: model.residue.map(|_| &unforced[..]),
             holds_volume: model.holds_volume,
             input,
             bar: &mut bar[range],
             tile_bar,
+            unforced_bar: model.residue.map(|_| unforced_bar),
         }));
     }
-    // Only the cotangents of positions and, where it is held, of volume are results of this stage.
+    // Only the cotangents of positions, of volume where it is held, and of velocities where they get something back are results of
+    // this stage.
     for (g, input) in bar.iter_mut().zip(&state.particles.groups) {
-        *g = Group { x: g.x, c: g.c, q: g.q, ..Group::ZERO };
+        let v = if model.residue.is_some() { g.v } else { [Lanes::ZERO; 3] };
+        *g = Group { x: g.x, v, c: g.c, q: g.q, ..Group::ZERO };
         if model.holds_volume {
             through_volume(input, g);
         }
-        *g = Group { x: g.x, strain: g.strain, q: g.q, ..Group::ZERO };
+        *g = Group { x: g.x, v, strain: g.strain, q: g.q, ..Group::ZERO };
     }
     let mut gradient = simulate_with_gradient(&state.particles, &bar);
-    for node in &state.layout.nodes {
-        // The fourth number at a node is no velocity.
-        let sums = state.tiles(&tiles).sum(node);
-        gradient.extend(sums.iter().flat_map(|b| [b[0] * SPEED, b[1] * SPEED, b[2] * SPEED, b[3]]));
+    for tiles in [&tiles, &unforced_tiles] {
+        for node in &state.layout.nodes {
+            // The fourth number at a node is no velocity.
+            let sums = state.tiles(tiles).sum(node);
+            gradient.extend(sums.iter().flat_map(|b| [b[0] * SPEED, b[1] * SPEED, b[2] * SPEED, b[3]]));
+        }
     }
     gradient.extend(tool_gradient(&tool_bar));
     let mut x = numbers(&state.particles);
@@ -612,11 +639,26 @@ fn grid_to_particle_gradient(powder: (YieldSurface, VolumeCorrection)) {
 }
 
 #[test]
+fn a_nodes_unforced_velocity_has_taylor_slope_two() {
+    let mut dice = Dice::new(59);
+    let (x, weight): ([f64; 4], [f64; 4]) = ([0.3, -0.2, 0.5, 1.3], dice.many(1.0));
+    let f = |x: &[f64]| {
+        let v = unforced_velocity([x[0], x[1], x[2], 0.0], x[3]);
+        (0..3).map(|c| v[c] * weight[c]).sum()
+    };
+    let gradient = unforced_velocity_adjoint(unforced_velocity(x, x[3]), x[3], weight);
+    assert_gradient("unforced velocity of a node", 1e-3, &f, &x, &gradient);
+    // Nobody is there.
+    assert_eq!(unforced_velocity([0.0; 4], 0.0), [0.0; 4]);
+    assert_eq!(unforced_velocity_adjoint([0.0; 4], 0.0, weight)[..3], [0.0; 3]);
+}
+
+#[test]
 fn a_whole_substep_has_taylor_slope_two_in_the_state_and_the_tools_motion() {
     POWDERS.into_iter().for_each(whole_substep_gradient);
 }
 
-fn whole_substep_gradient(powder: (YieldSurface, VolumeCorrection)) {
+fn whole_substep_gradient(powder: Law) {
     let (model, state, bodies) = scooping_of(powder);
     let mut dice = Dice::new(56);
     let count = state.particles.occupied().count();
