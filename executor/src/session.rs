@@ -49,14 +49,19 @@ const OUTBOX_CAPACITY: usize = 4;
 /// before pulling the plug.
 pub const HARD_STOP_US: u64 = 800_000;
 
+/// How long an arm has to say that it stands before it is believed, microseconds: more than once, and nothing else meanwhile.
+pub const STANDS_US: u64 = 100_000;
+
+/// Signs of life of an arm that is in no session, while ours is in one, that are too many to be left over from before.
+const STRANGERS: u8 = 3;
+
 /// Periods without a report after which the arm is silent, at the least.
 const SILENT_PERIODS: u64 = 4;
 
 /// What may differ from arm to arm. Times in microseconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Config {
-    /// Number of the session; best a random one, so that nothing left over from an earlier session passes for ours. If it
-    /// cannot be told from another one, the next that can is taken.
+    /// Number of the session; best a random one. If the arm has closed one of that number not long ago, the next is taken.
     pub session: u16,
     /// What one count is worth on the wire; the plan's own if `None`. Setpoints are rounded to it before they are checked.
     pub lsb: Option<Lsb>,
@@ -143,6 +148,10 @@ pub struct Executor<'a> {
     config: Config,
     header: PlanHeader,
     plan_hash: u64,
+    /// What was agreed on with the arm; none before it has opened the session.
+    context: Context,
+    /// What the arm has given out to be reset by; 0 if it need not or may not be.
+    reset_nonce: u32,
     lsb: Lsb,
     period_us: u32,
     player: Player<'a>,
@@ -165,6 +174,12 @@ pub struct Executor<'a> {
     telemetry: Telemetry,
     /// Whether to stop as fast as the arm can.
     hard: bool,
+    /// Signs of life of another arm.
+    strangers: u8,
+    /// When the last was heard.
+    stranger_us: Option<u64>,
+    /// Since when the arm has said nothing but that it stands, while it is being stopped.
+    stands_since_us: Option<u64>,
     heard_us: u64,
     reported_us: u64,
     /// The highest tick and the last phase that the arm has got to, and when.
@@ -185,14 +200,15 @@ impl<'a> Executor<'a> {
     #[must_use]
     pub fn new(now_us: u64, plan: &PlanReader<'a>, config: Config) -> Self {
         let header = *plan.header();
-        let context = Context { session: config.session, plan_hash: plan.content_hash() };
-        let config = Config { session: context.usable().session, ..config };
+        let config = Config { session: config.session.max(1), ..config };
         let period_us = config.period_us.unwrap_or(header.control_period_us);
         let schedule = Schedule::new(config.look_ahead, period_us);
         Self {
             config,
             header,
             plan_hash: plan.content_hash(),
+            context: Context::NONE,
+            reset_nonce: 0,
             lsb: config.lsb.unwrap_or(header.lsb),
             period_us,
             player: Player::new(plan),
@@ -212,6 +228,9 @@ impl<'a> Executor<'a> {
             refusal: None,
             telemetry: Telemetry::default(),
             hard: false,
+            strangers: 0,
+            stranger_us: None,
+            stands_since_us: None,
             heard_us: now_us,
             reported_us: now_us,
             furthest: (0, None),
@@ -228,8 +247,12 @@ impl<'a> Executor<'a> {
     /// Takes in one message of the arm.
     pub fn handle_message(&mut self, now_us: u64, message: &FromArm) {
         match *message {
-            FromArm::Opened { session } if self.is_ours(session) => self.opened(now_us),
-            FromArm::Refused { session, reason } if self.is_ours(session) => self.refused(&reason),
+            FromArm::Opened { session, nonce, digest } if session == self.config.session => {
+                self.opened(now_us, nonce, digest);
+            }
+            FromArm::Refused { session, reason } if session == self.config.session => {
+                self.refused(now_us, &reason);
+            }
             FromArm::Anchored { session, pose } if self.is_ours(session) => self.anchored(now_us, &pose),
             FromArm::Actual { session, reached } if self.is_ours(session) => self.actual(now_us, reached),
             FromArm::Fault { session, fault } if self.is_ours(session) => self.arm_fault(now_us, fault),
@@ -238,6 +261,8 @@ impl<'a> Executor<'a> {
                 self.telemetry.lost = heartbeat.lost;
                 self.telemetry.dropped = heartbeat.dropped;
             }
+            FromArm::Heartbeat(heartbeat) if heartbeat.session == NO_SESSION => self.stranger(now_us),
+            FromArm::Status(status) if !self.is_ours(status.session) => self.foreign_status(&status),
             FromArm::Status(status) if self.is_news(&status) => self.status(now_us, &status),
             // Of another session, or older than what is known: no business of ours.
             FromArm::Opened { .. }
@@ -362,10 +387,16 @@ impl<'a> Executor<'a> {
         self.window.setpoint(self.telemetry.sent)
     }
 
-    /// Number of the session and hash of the plan, which the frames of the session are told by.
+    /// What the frames of the session are told by; none before the arm has opened it.
     #[must_use]
     pub fn context(&self) -> Context {
-        Context { session: self.config.session, plan_hash: self.plan_hash }
+        self.context
+    }
+
+    /// Number of the session.
+    #[must_use]
+    pub fn session(&self) -> u16 {
+        self.config.session
     }
 
     /// The numbers behind a limit fault of our own.
@@ -392,8 +423,9 @@ impl<'a> Executor<'a> {
         self.guard.map_or_else(PeakUse::default, |guard| guard.peak_use())
     }
 
+    /// Before the arm has opened the session, nothing is of ours.
     fn is_ours(&self, session: u16) -> bool {
-        session == self.config.session
+        self.context != Context::NONE && session == self.context.session
     }
 
     // --- what the arm says ---
@@ -402,18 +434,47 @@ impl<'a> Executor<'a> {
     /// and on begins to count anew; it may seem silent for a while, which is not far from the truth.
     fn is_news(&self, status: &Status) -> bool {
         // Half of the numbers are ahead of any number, the other half behind.
-        self.arm.is_none_or(|known| (1..128).contains(&status.counter.wrapping_sub(known.counter)))
+        self.ours.is_none_or(|known| (1..128).contains(&status.counter.wrapping_sub(known.counter)))
     }
 
-    fn opened(&mut self, now_us: u64) {
-        self.heard_us = now_us;
-        if self.stage == Stage::Opening {
-            // No round trip: an arm may have been asleep until now, or busy with another session.
-            self.enter(now_us, Stage::Enabling);
+    fn opened(&mut self, now_us: u64, nonce: u32, digest: u64) {
+        let request = self.open_request();
+        let context = Context::sealed(&request, nonce);
+        match self.stage {
+            Stage::Opening if digest == request.digest() => {
+                self.heard_us = now_us;
+                self.context = context;
+                // No round trip: an arm may have been asleep until now, or busy with another session.
+                self.enter(now_us, Stage::Enabling);
+            }
+            Stage::Opening => self.end_untouched(Fault { code: FaultCode::OpenedOther, tick: 0 }),
+            // One arm gives one answer.
+            _ if context != self.context => self.stop(now_us, FaultCode::ArmDuplicate),
+            _ => self.heard_us = now_us,
         }
     }
 
-    fn refused(&mut self, reason: &Refusal) {
+    /// An arm that is in a session does not say that it is in none. Ours does when it has lost the session, but says nothing
+    /// else then.
+    fn stranger(&mut self, now_us: u64) {
+        let heard_since = self.stranger_us.replace(now_us).is_none_or(|last_us| self.heard_us > last_us);
+        if !matches!(self.stage, Stage::Enabling | Stage::Streaming) || !heard_since {
+            return;
+        }
+        self.strangers = self.strangers.saturating_add(1);
+        if self.strangers >= STRANGERS {
+            self.stop(now_us, FaultCode::ArmDuplicate);
+        }
+    }
+
+    /// Of no session, or of another one: something to show until there is one, and nothing more.
+    fn foreign_status(&mut self, status: &Status) {
+        if self.stage == Stage::Opening {
+            self.arm = Some(*status);
+        }
+    }
+
+    fn refused(&mut self, now_us: u64, reason: &Refusal) {
         if self.stage != Stage::Opening {
             return;
         }
@@ -422,22 +483,21 @@ impl<'a> Executor<'a> {
             // A session whose executor is gone is closed by the arm before we give up.
             Refusal::Busy => {}
             Refusal::Closed => self.renumber(),
-            Refusal::Latched { .. } if self.config.reset => self.reset(),
+            // Asked for again at once, but not twice: an arm that moves is asked with the next request.
+            Refusal::Latched { nonce, .. } if self.config.reset => {
+                let news = self.reset_nonce != *nonce;
+                self.reset_nonce = *nonce;
+                if news {
+                    self.ask(now_us);
+                }
+            }
             _ => self.end_untouched(Fault { code: FaultCode::SessionRefused, tick: 0 }),
         }
     }
 
-    /// Another number that no other session can be taken for; asked for with the next request.
+    /// Another number, asked for with the next request.
     fn renumber(&mut self) {
-        let context = Context { session: self.config.session, plan_hash: self.plan_hash };
-        self.config.session = context.next().usable().session;
-    }
-
-    /// One of the two is what the arm needs, the other has no meaning to it in that state.
-    fn reset(&mut self) {
-        for command in [Command::FaultReset, Command::DisableVoltage] {
-            self.queue(ToArm::Control { session: NO_SESSION, command });
-        }
+        self.config.session = self.config.session.wrapping_add(1).max(1);
     }
 
     fn anchored(&mut self, now_us: u64, anchor: &Pose) {
@@ -516,34 +576,29 @@ impl<'a> Executor<'a> {
     }
 
     fn status(&mut self, now_us: u64, status: &Status) {
-        let ours = self.is_ours(status.session);
-        if ours {
-            self.heard_us = now_us;
-            match self.believed(now_us, status) {
-                Ok(believed) => self.progress(now_us, &believed),
-                Err(doubt) => return self.disbelieve(now_us, doubt),
-            }
+        self.heard_us = now_us;
+        let news = self.ours.is_none_or(|known| known.state != status.state);
+        match self.believed(now_us, status) {
+            Ok(believed) => self.progress(now_us, &believed),
+            Err(doubt) => return self.disbelieve(now_us, doubt),
         }
-        let news =
-            self.arm.is_none_or(|known| (known.state, known.session) != (status.state, status.session));
-        self.arm = Some(*status);
+        self.arm = self.ours;
         match self.stage {
             // Once operation is enabled the anchor is on its way.
             Stage::Enabling if news && status.state != State::OperationEnabled => {
                 self.answered(now_us);
                 self.ask(now_us);
             }
-            Stage::Streaming => self.watch(now_us, ours, status),
-            Stage::Leaving if !ours && status.state == State::ReadyToSwitchOn => {
+            Stage::Streaming => self.watch(now_us, status),
+            Stage::Leaving if status.state == State::ReadyToSwitchOn && status.standstill => {
                 self.stage = Stage::Done(Outcome::Completed);
             }
-            Stage::Stopping => self.watch_stop(now_us, ours, status),
+            Stage::Stopping => self.watch_stop(now_us, status),
             Stage::Opening | Stage::Enabling | Stage::Leaving | Stage::Done(_) => {}
         }
     }
 
-    /// Whether what the arm says of ticks is of this session, and counts. Before, it may be of another one of this number;
-    /// afterwards only whether the arm stands is waited for.
+    /// Whether what the arm says of ticks counts; while it stops only whether it stands is waited for.
     fn is_streamed(&self) -> bool {
         matches!(self.stage, Stage::Enabling | Stage::Streaming | Stage::Leaving)
     }
@@ -551,7 +606,7 @@ impl<'a> Executor<'a> {
     /// The status with a tick that is believed. While it stops, an arm that lies of its tick may yet say that it stands.
     fn believed(&mut self, now_us: u64, status: &Status) -> Result<Status, Doubt> {
         match (self.stage, self.belief.hear(now_us, status)) {
-            (Stage::Opening, _) | (_, Ok(())) => Ok(*status),
+            (_, Ok(())) => Ok(*status),
             (Stage::Stopping | Stage::Done(_), Err(_)) => {
                 Ok(Status { applied_tick: self.belief.tick(), have: 0, ..*status })
             }
@@ -579,8 +634,8 @@ impl<'a> Executor<'a> {
         round_trip_us.into_iter().for_each(|time_us| self.telemetry.round_trip.record(time_us));
     }
 
-    fn watch(&mut self, now_us: u64, ours: bool, status: &Status) {
-        if !ours || status.state != State::OperationEnabled {
+    fn watch(&mut self, now_us: u64, status: &Status) {
+        if status.state != State::OperationEnabled {
             return self.stop(now_us, FaultCode::StateUnexpected);
         }
         self.leave_at_end(now_us);
@@ -589,9 +644,8 @@ impl<'a> Executor<'a> {
     /// Goes on once the arm has reported both that it holds the last setpoint and where that is, in whatever order.
     fn leave_at_end(&mut self, now_us: u64) {
         let Some(end) = self.end_setpoint() else { return };
-        let holds = self.arm.is_some_and(|arm| {
-            self.is_ours(arm.session) && arm.phase == Some(Phase::Holding) && arm.applied_tick == end.tick
-        });
+        let holds =
+            self.ours.is_some_and(|arm| arm.phase == Some(Phase::Holding) && arm.applied_tick == end.tick);
         if self.stage != Stage::Streaming || !holds {
             return;
         }
@@ -609,15 +663,21 @@ impl<'a> Executor<'a> {
         self.player.end().rescaled(self.header.lsb, self.lsb).ok()
     }
 
-    fn watch_stop(&mut self, now_us: u64, ours: bool, status: &Status) {
-        let stopped = !matches!(status.state, State::OperationEnabled | State::FaultReactionActive);
-        match self.fault {
-            Some(fault) if stopped && status.standstill => self.end(fault, true),
+    /// Standstill is watched for a time: an arm that has said so once may have stood between two ticks, or another one spoken.
+    fn watch_stop(&mut self, now_us: u64, status: &Status) {
+        if !status.standstill {
             // It moves, but it still answers.
-            _ if ours && !status.standstill => {
-                self.give_up_at_us = now_us.saturating_add(self.config.handshake_us);
-            }
-            _ => {}
+            self.give_up_at_us = now_us.saturating_add(self.config.handshake_us);
+        }
+        let stopped = !matches!(status.state, State::OperationEnabled | State::FaultReactionActive);
+        if !(stopped && status.standstill) {
+            self.stands_since_us = None;
+            return;
+        }
+        let since_us = *self.stands_since_us.get_or_insert(now_us);
+        self.give_up_at_us = self.give_up_at_us.max(since_us.saturating_add(3 * STANDS_US));
+        if let Some(fault) = self.fault.filter(|_| now_us.saturating_sub(since_us) >= STANDS_US) {
+            self.end(fault, true);
         }
     }
 
@@ -707,7 +767,7 @@ impl<'a> Executor<'a> {
 
     /// An arm that is enabled and whose anchor has not arrived is asked again: it then repeats it.
     fn next_step_up(&self) -> Option<Command> {
-        let arm = self.arm.filter(|arm| self.is_ours(arm.session))?;
+        let arm = self.ours?;
         let step = WAY_UP.iter().find(|(from, _)| *from == arm.state).map(|(_, command)| *command);
         step.or((arm.state == State::OperationEnabled).then_some(Command::EnableOperation))
     }
@@ -732,6 +792,7 @@ impl<'a> Executor<'a> {
             lsb: self.lsb,
             limits,
             start_level: self.schedule.look_ahead(),
+            reset_nonce: self.reset_nonce,
         }
     }
 
@@ -788,7 +849,9 @@ impl<'a> Executor<'a> {
     fn check_time(&mut self, now_us: u64) {
         if now_us >= self.heartbeat_at_us && !matches!(self.stage, Stage::Done(_)) {
             self.heartbeat_at_us = now_us.saturating_add(HEARTBEAT_US);
-            self.queue(ToArm::Heartbeat { session: self.config.session });
+            if self.context != Context::NONE {
+                self.queue(ToArm::Heartbeat { session: self.context.session });
+            }
         }
         match self.stage {
             Stage::Done(_) => {}

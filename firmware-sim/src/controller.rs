@@ -18,14 +18,14 @@ use std::collections::VecDeque;
 
 use nalgebra::Vector3;
 use powderline_shared::arm::{ArmError, ArmModel};
-use powderline_shared::displacement::{Displacement, Setpoint, pose_at};
+use powderline_shared::displacement::{Displacement, Lsb, Setpoint, pose_at};
 use powderline_shared::fault::{Fault, FaultCode, Side};
 use powderline_shared::following::{Following, FollowingWatch};
 use powderline_shared::limits::{Limits, Motion, PeakUse, Violation};
 use powderline_shared::pose::Pose;
 use powderline_shared::wire::Context;
 use powderline_shared::wire::message::{
-    BRIDGED_TICKS, FromArm, HEARTBEAT_US, Heartbeat, NO_SESSION, OpenRequest, Refusal, Status, ToArm,
+    BRIDGED_TICKS, FromArm, HEARTBEAT_US, Heartbeat, OpenRequest, Refusal, Status, ToArm,
 };
 use powderline_shared::wire::state::{Command, Phase, State};
 
@@ -56,6 +56,9 @@ const LONGEST_SETTLING_US: u64 = 500_000;
 /// Ticks during which a bridged setpoint still shows in the jerk.
 const BRIDGE_ECHO_TICKS: u32 = 3;
 
+/// Nonces drawn for a session; one in a dozen makes a key that could be taken for another one.
+const MOST_DRAWS: u32 = 1_000;
+
 /// Ticks kept for whoever writes down the motion.
 const TICKS_KEPT: usize = 64;
 
@@ -73,6 +76,8 @@ pub struct ArmConfig {
     pub watchdog_us: u64,
     /// How far it may be from where it is told to be.
     pub following: Following,
+    /// What its nonces come from: a number that is another one at each power on.
+    pub nonce_seed: u64,
 }
 
 /// When a session that is not heard of is over, unless the configuration says otherwise, microseconds.
@@ -98,6 +103,7 @@ impl ArmConfig {
             arm: Arm::ideal(pose),
             watchdog_us: DEFAULT_WATCHDOG_US,
             following: Following::default(),
+            nonce_seed: 0,
         }
     }
 
@@ -116,6 +122,13 @@ pub struct Controller {
     own_limits: Limits,
     watchdog_us: u64,
     following: FollowingWatch,
+    nonces: Nonces,
+    /// What one count is worth on the wire, if it is at the end of one.
+    counts: Option<Lsb>,
+    /// What resets a latched stop.
+    challenge: Option<u32>,
+    /// How the session before ended.
+    farewell: Option<Status>,
     state: State,
     session: Option<Session>,
     arm: Arm,
@@ -163,9 +176,16 @@ impl ClosedSessions {
         self.next = self.next.wrapping_add(1).checked_rem(self.contexts.len()).unwrap_or(0);
     }
 
-    fn has(&self, context: &Context) -> bool {
-        let known = self.contexts.iter().filter(|closed| **closed != Context::NONE);
-        known.into_iter().any(|closed| closed.session == context.session || closed.resembles(context))
+    fn has(&self, session: u16) -> bool {
+        self.known().any(|closed| closed.session == session)
+    }
+
+    fn resemble(&self, context: &Context) -> bool {
+        self.known().any(|closed| closed.resembles(context))
+    }
+
+    fn known(&self) -> impl Iterator<Item = &Context> {
+        self.contexts.iter().filter(|closed| **closed != Context::NONE)
     }
 }
 
@@ -182,8 +202,25 @@ enum Activity {
     Stopping(StopProfile),
 }
 
-fn context_of(request: &OpenRequest) -> Context {
-    Context { session: request.session, plan_hash: request.plan_hash }
+/// Numbers that do not come again: SplitMix64 (G. L. Steele, D. Lea and C. H. Flood, OOPSLA 2014). They tell what was recorded
+/// from what is meant; who listens knows them.
+#[derive(Clone, Copy, Debug)]
+struct Nonces(u64);
+
+impl Nonces {
+    /// The next one, which is not 0.
+    fn next(&mut self) -> u32 {
+        loop {
+            self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+            let mixed = (self.0 ^ (self.0 >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+            let mixed = (mixed ^ (mixed >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+            let [_, _, _, _, a, b, c, d] = (mixed ^ (mixed >> 31)).to_le_bytes();
+            let nonce = u32::from_le_bytes([a, b, c, d]);
+            if nonce != 0 {
+                return nonce;
+            }
+        }
+    }
 }
 
 impl Controller {
@@ -194,6 +231,10 @@ impl Controller {
             own_limits: config.limits,
             watchdog_us: config.watchdog_us,
             following: FollowingWatch::new(config.following),
+            nonces: Nonces(config.nonce_seed),
+            counts: None,
+            challenge: None,
+            farewell: None,
             state: State::SwitchOnDisabled,
             session: None,
             arm: config.arm,
@@ -228,7 +269,7 @@ impl Controller {
                 self.heard_us = now_us;
                 self.command(command);
             }
-            ToArm::Control { session: NO_SESSION, command } => self.leave_latched(command),
+            ToArm::Control { session, .. } if self.is_over(session) => self.repeat_farewell(),
             ToArm::Setpoint { session, setpoint } if self.is_current(session) => {
                 self.heard_us = now_us;
                 self.setpoint(now_us, setpoint);
@@ -346,40 +387,84 @@ impl Controller {
 
     // --- session and states ---
 
+    /// Says what one count is worth on the wire that it is joined to; sessions of other counts are refused.
+    pub fn set_counts(&mut self, lsb: Lsb) {
+        self.counts = Some(lsb);
+    }
+
     fn open(&mut self, now_us: u64, request: &OpenRequest) {
-        let session = request.session;
-        if let Err(reason) = self.admit(request) {
-            self.send(FromArm::Refused { session, reason });
-            return;
+        let (session, digest) = (request.session, request.digest());
+        if self.answers_challenge(request) {
+            self.leave_operation(State::SwitchOnDisabled);
         }
+        // A repeated request is answered again, for the answer may have been lost; one that differs in anything is another.
+        let open = self.session.as_ref().filter(|open| open.request.digest() == digest);
+        let repeated = open.filter(|_| self.may_open()).map(|open| open.nonce);
+        let nonce = match repeated.map_or_else(|| self.admit(request), Ok) {
+            Ok(nonce) => nonce,
+            Err(reason) => return self.send(FromArm::Refused { session, reason }),
+        };
         self.heard_us = now_us;
-        self.session = Some(Session::new(request, &self.own_limits));
-        self.send(FromArm::Opened { session });
+        if repeated.is_none() {
+            self.session = Some(Session::new(request, &self.own_limits, nonce));
+        }
+        self.send(FromArm::Opened { session, nonce, digest });
         self.report();
     }
 
-    /// A repeated request is answered again, for the answer may have been lost; once operation is enabled it is too late.
-    fn admit(&self, request: &OpenRequest) -> Result<(), Refusal> {
-        let other = self.session.as_ref().is_some_and(|open| open.request.session != request.session);
-        match (self.fault, self.state) {
-            (Some(fault), _) => Err(Refusal::Latched { fault: fault.into() }),
-            (None, _) if self.closed.has(&context_of(request)) => Err(Refusal::Closed),
-            (None, State::SwitchOnDisabled | State::ReadyToSwitchOn | State::SwitchedOn) if !other => {
-                session::admit(request, &self.own_limits)
-            }
-            _ => Err(Refusal::Busy),
+    /// The nonce of the session that is opened for the request.
+    fn admit(&mut self, request: &OpenRequest) -> Result<u32, Refusal> {
+        let latched = self.fault.is_some() && self.is_current(request.session);
+        if self.closed.has(request.session) || latched {
+            return Err(Refusal::Closed);
         }
+        if let Some(fault) = self.fault {
+            let nonces = &mut self.nonces;
+            let nonce = *self.challenge.get_or_insert_with(|| nonces.next());
+            return Err(Refusal::Latched { fault: fault.into(), nonce });
+        }
+        if self.session.is_some() || !self.may_open() {
+            return Err(Refusal::Busy);
+        }
+        session::admit(request, &self.own_limits, self.counts)?;
+        Ok(self.fresh_nonce(request))
     }
 
-    /// Any session, or none, may take a standing arm out of a latched stop: who latched it may be gone.
-    fn leave_latched(&mut self, command: Command) {
-        match (self.state, command) {
-            (State::Fault, Command::FaultReset) | (State::QuickStopActive, Command::DisableVoltage)
-                if self.is_still() =>
-            {
-                self.leave_operation(State::SwitchOnDisabled);
+    /// Once operation is enabled it is too late.
+    fn may_open(&self) -> bool {
+        self.fault.is_none()
+            && matches!(self.state, State::SwitchOnDisabled | State::ReadyToSwitchOn | State::SwitchedOn)
+    }
+
+    /// One that makes a key of its own: unlike that of no session, and unlike those of the last sessions.
+    fn fresh_nonce(&mut self, request: &OpenRequest) -> u32 {
+        let mut nonce = self.nonces.next();
+        for _ in 0..MOST_DRAWS {
+            let context = Context::sealed(request, nonce);
+            if context.is_usable() && !self.closed.resemble(&context) {
+                break;
             }
-            _ => self.drop_one(),
+            nonce = self.nonces.next();
+        }
+        nonce
+    }
+
+    /// Who latched a stop may be gone: whoever has been told what is latched may take a standing arm out of it.
+    fn answers_challenge(&self, request: &OpenRequest) -> bool {
+        let latched = matches!(self.state, State::Fault | State::QuickStopActive) && self.is_still();
+        latched && self.challenge.is_some_and(|nonce| nonce == request.reset_nonce)
+    }
+
+    fn is_over(&self, session: u16) -> bool {
+        self.farewell.is_some_and(|farewell| farewell.session == session)
+    }
+
+    /// Whoever asks a session that is over for something has not heard that it is.
+    fn repeat_farewell(&mut self) {
+        self.drop_one();
+        if let Some(farewell) = self.farewell {
+            self.send(FromArm::Status(Status { counter: self.counter, ..farewell }));
+            self.counter = self.counter.wrapping_add(1);
         }
     }
 
@@ -441,16 +526,29 @@ impl Controller {
     /// Closes the session: the next motion needs a new one, with a new anchor. A session that could be enabled once more
     /// would be led by its own old messages, said again, from an anchor that they were not meant for.
     fn leave_operation(&mut self, state: State) {
+        self.state = state;
         self.close();
         self.fault = None;
         self.violation = None;
-        self.enter(state);
+        self.challenge = None;
+        self.report();
     }
 
+    /// The session is over, in the state that has just been entered. Its end is told so, in the session.
     fn close(&mut self) {
-        if let Some(session) = self.session.take() {
-            self.closed.add(context_of(&session.request));
-        }
+        let Some(session) = self.session.take() else { return };
+        self.closed.add(session.context);
+        self.farewell = Some(Status {
+            session: session.request.session,
+            state: self.state,
+            phase: None,
+            standstill: true,
+            applied_tick: session.anchored.map_or(0, |anchored| anchored.applied_tick),
+            have: 0,
+            counter: self.counter,
+        });
+        self.farewell.into_iter().for_each(|farewell| self.send(FromArm::Status(farewell)));
+        self.counter = self.counter.wrapping_add(1);
     }
 
     fn is_still(&self) -> bool {
@@ -600,8 +698,9 @@ impl Controller {
         if self.state == State::OperationEnabled {
             return self.stop(State::FaultReactionActive, FaultCode::ExecutorSilent);
         }
+        self.state = State::SwitchOnDisabled;
         self.close();
-        self.enter(State::SwitchOnDisabled);
+        self.report();
     }
 
     fn tick(&mut self, tick_us: u64) {
@@ -861,10 +960,16 @@ impl Controller {
         self.dropped
     }
 
-    /// The open session and its plan.
+    /// The open session.
     #[must_use]
     pub fn context(&self) -> Context {
-        self.session.as_ref().map_or(Context::NONE, |session| context_of(&session.request))
+        self.session.as_ref().map_or(Context::NONE, |session| session.context)
+    }
+
+    /// What the open session is about.
+    #[must_use]
+    pub fn request(&self) -> Option<&OpenRequest> {
+        self.session.as_ref().map(|session| &session.request)
     }
 
     fn session_number(&self) -> u16 {

@@ -21,7 +21,8 @@ pub struct Endpoint {
 impl Endpoint {
     /// Joins a controller to a wire.
     #[must_use]
-    pub fn new(controller: Controller, dialect: Dialect) -> Self {
+    pub fn new(mut controller: Controller, dialect: Dialect) -> Self {
+        controller.set_counts(dialect.lsb());
         Self {
             controller,
             encoder: Encoder::new(dialect),
@@ -88,7 +89,7 @@ impl Endpoint {
 
     fn context_of(&self, message: &FromArm) -> Context {
         let session = match message {
-            FromArm::Opened { session }
+            FromArm::Opened { session, .. }
             | FromArm::Refused { session, .. }
             | FromArm::Anchored { session, .. }
             | FromArm::Actual { session, .. }

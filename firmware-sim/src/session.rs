@@ -1,11 +1,11 @@
 //! What the controller knows about the executor's session, and which sessions it admits.
 
-use powderline_shared::displacement::pose_at;
+use powderline_shared::displacement::{Lsb, pose_at};
 use powderline_shared::limits::{Limit, LimitChecker, Limits, Violation};
 use powderline_shared::plan::PERIOD_US_MIN;
 use powderline_shared::pose::{Pose, norm};
 use powderline_shared::wire::Context;
-use powderline_shared::wire::message::{DEPTH, OpenRequest, PROTOCOL_VERSION, Refusal};
+use powderline_shared::wire::message::{DEPTH, NO_SESSION, OpenRequest, PROTOCOL_VERSION, Refusal};
 
 use crate::buffer::SetpointBuffer;
 
@@ -21,14 +21,24 @@ const MAX_NOISE_SHARE: f64 = 0.2;
 #[derive(Clone, Debug)]
 pub(crate) struct Session {
     pub(crate) request: OpenRequest,
+    /// What its frames are sealed with.
+    pub(crate) context: Context,
+    /// Of this opening alone.
+    pub(crate) nonce: u32,
     /// The tighter of the arm's own and the session's.
     pub(crate) limits: Limits,
     pub(crate) anchored: Option<Anchored>,
 }
 
 impl Session {
-    pub(crate) fn new(request: &OpenRequest, own_limits: &Limits) -> Self {
-        Self { request: *request, limits: own_limits.tighter(&request.limits), anchored: None }
+    pub(crate) fn new(request: &OpenRequest, own_limits: &Limits, nonce: u32) -> Self {
+        Self {
+            request: *request,
+            context: Context::sealed(request, nonce),
+            nonce,
+            limits: own_limits.tighter(&request.limits),
+            anchored: None,
+        }
     }
 
     /// Whether a limit may be broken only because a setpoint was lost shortly before.
@@ -93,16 +103,18 @@ impl Anchored {
 }
 
 /// Whether an arm that is idle opens the session.
-pub(crate) fn admit(request: &OpenRequest, own_limits: &Limits) -> Result<(), Refusal> {
+pub(crate) fn admit(request: &OpenRequest, own_limits: &Limits, counts: Option<Lsb>) -> Result<(), Refusal> {
     if request.version != PROTOCOL_VERSION {
         return Err(Refusal::Version { arm: PROTOCOL_VERSION });
     }
     if !(PERIOD_US_MIN..=LONGEST_PERIOD_US).contains(&request.period_us) {
         return Err(Refusal::Period);
     }
+    if counts.is_some_and(|counts| counts != request.lsb) {
+        return Err(Refusal::Counts);
+    }
     let limits = own_limits.tighter(&request.limits);
-    let context = Context { session: request.session, plan_hash: request.plan_hash };
-    let meaningful = context.is_usable()
+    let meaningful = request.session != NO_SESSION
         && request.lsb.is_valid()
         && request.end_tick > 0
         && (1..=DEPTH).contains(&u32::from(request.start_level))

@@ -48,7 +48,21 @@ fn request() -> OpenRequest {
         lsb: Lsb::default(),
         limits: limits(),
         start_level: START_LEVEL,
+        reset_nonce: 0,
     }
+}
+
+fn is_opened(bench: &Bench, of: u16) -> bool {
+    bench.messages.iter().any(|message| matches!(message, FromArm::Opened { session, .. } if *session == of))
+}
+
+/// What the arm has said that it can be reset by.
+fn latched_nonce(bench: &Bench) -> u32 {
+    let nonce = bench.messages.iter().rev().find_map(|message| match message {
+        FromArm::Refused { reason: Refusal::Latched { nonce, .. }, .. } => Some(*nonce),
+        _ => None,
+    });
+    nonce.unwrap()
 }
 
 fn smooth(s: f64) -> f64 {
@@ -296,19 +310,23 @@ fn sessions_that_do_not_fit_are_refused() {
 /// fifth of 200 rad/s^3 at 5.716 urad.
 #[test]
 fn an_lsb_that_would_stretch_the_arms_own_limits_by_more_than_a_fifth_is_refused() {
-    let opened = FromArm::Opened { session: SESSION };
     let refused = FromArm::Refused { session: SESSION, reason: Refusal::Coarse };
     let cases = [
-        (Lsb { translation_nm: 1_140, rotation_nrad: 100 }, opened),
-        (Lsb { translation_nm: 1_146, rotation_nrad: 100 }, refused),
-        (Lsb { translation_nm: 100, rotation_nrad: 5_710 }, opened),
-        (Lsb { translation_nm: 100, rotation_nrad: 5_720 }, refused),
+        (Lsb { translation_nm: 1_140, rotation_nrad: 100 }, None),
+        (Lsb { translation_nm: 1_146, rotation_nrad: 100 }, Some(refused)),
+        (Lsb { translation_nm: 100, rotation_nrad: 5_710 }, None),
+        (Lsb { translation_nm: 100, rotation_nrad: 5_720 }, Some(refused)),
     ];
     for (lsb, answer) in cases {
         // The session's own limits are what they may be; only the arm's count here.
         let mut bench = Bench::new();
         bench.tell(ToArm::Open(OpenRequest { lsb, ..request() }));
-        assert!(bench.messages.contains(&answer), "{lsb:?}: {:?}", bench.messages);
+        assert_eq!(is_opened(&bench, SESSION), answer.is_none(), "{lsb:?}");
+        assert!(
+            answer.is_none_or(|refused| bench.messages.contains(&refused)),
+            "{lsb:?}: {:?}",
+            bench.messages
+        );
     }
 }
 
@@ -667,15 +685,79 @@ fn what_is_closed_stays_closed_while_others_come_and_go() {
 }
 
 #[test]
-fn a_session_whose_frames_could_be_taken_for_a_closed_ones_is_not_opened() {
-    let context = |session| Context { session, plan_hash: request().plan_hash };
-    let other =
-        (1..u16::MAX).find(|session| *session != SESSION && context(*session).resembles(&context(SESSION)));
-    let session = other.unwrap();
+fn no_frame_of_a_session_passes_for_one_of_the_last_or_of_none() {
     let mut bench = Bench::new();
-    open_and_leave(&mut bench, request());
-    bench.tell(ToArm::Open(OpenRequest { session, ..request() }));
-    assert!(bench.messages.contains(&FromArm::Refused { session, reason: Refusal::Closed }));
+    let mut contexts = Vec::new();
+    for session in 1..2_000 {
+        bench.tell(ToArm::Open(OpenRequest { session, ..request() }));
+        let context = bench.arm.context();
+        assert!(context.session == session && context.is_usable(), "{context:?}");
+        let last = contexts.iter().rev().take(16);
+        assert!(last.into_iter().all(|before| !context.resembles(before)), "{context:?}");
+        contexts.push(context);
+        bench.alive = false;
+        (0..31).for_each(|_| bench.period());
+        assert_eq!(bench.arm.context(), Context::NONE);
+    }
+}
+
+#[test]
+fn a_request_that_differs_in_anything_does_not_replace_the_one_that_is_open() {
+    let mut bench = Bench::new();
+    bench.tell(ToArm::Open(request()));
+    let context = bench.arm.context();
+    bench.command(Command::Shutdown);
+    let tight = Limits { linear_velocity_m_s: 0.1, ..limits() };
+    for other in [
+        OpenRequest { lsb: Lsb { translation_nm: 1_000, rotation_nrad: 10_000 }, ..request() },
+        OpenRequest { plan_hash: 9, ..request() },
+        OpenRequest { period_us: 20_000, ..request() },
+        OpenRequest { end_tick: END + 1, ..request() },
+        OpenRequest { limits: tight, ..request() },
+        OpenRequest { start_level: 5, ..request() },
+    ] {
+        bench.messages.clear();
+        bench.tell(ToArm::Open(other));
+        assert!(bench.messages.contains(&FromArm::Refused { session: SESSION, reason: Refusal::Busy }));
+        assert_eq!((bench.arm.context(), bench.arm.state()), (context, State::ReadyToSwitchOn));
+    }
+    // The same once more is answered once more, and changes nothing.
+    bench.messages.clear();
+    bench.tell(ToArm::Open(request()));
+    assert!(is_opened(&bench, SESSION));
+    assert_eq!((bench.arm.context(), bench.arm.state()), (context, State::ReadyToSwitchOn));
+}
+
+#[test]
+fn counts_are_those_of_the_wire() {
+    for (lsb, answer) in
+        [(Lsb::default(), None), (Lsb { translation_nm: 99, ..Lsb::default() }, Some(Refusal::Counts))]
+    {
+        let mut bench = Bench::new();
+        bench.arm.set_counts(Lsb::default());
+        bench.tell(ToArm::Open(OpenRequest { lsb, ..request() }));
+        assert_eq!(is_opened(&bench, SESSION), answer.is_none());
+        let refused = answer.map(|reason| FromArm::Refused { session: SESSION, reason });
+        assert!(refused.is_none_or(|refused| bench.messages.contains(&refused)));
+    }
+}
+
+#[test]
+fn whoever_asks_a_session_that_is_over_hears_how_it_ended() {
+    let mut bench = Bench::enabled();
+    bench.stream(END, |tick| Some(setpoint(tick)));
+    bench.messages.clear();
+    bench.command(Command::Shutdown);
+    let farewells = |bench: &Bench| {
+        let of_session = |message: &&FromArm| {
+            matches!(message, FromArm::Status(status) if status.session == SESSION
+            && status.state == State::ReadyToSwitchOn && status.standstill && status.applied_tick == END)
+        };
+        bench.messages.iter().filter(of_session).count()
+    };
+    assert_eq!((farewells(&bench), bench.arm.context()), (1, Context::NONE));
+    Command::ALL.into_iter().for_each(|command| bench.command(command));
+    assert_eq!((farewells(&bench), bench.arm.state()), (1 + Command::ALL.len(), State::ReadyToSwitchOn));
 }
 
 #[test]
@@ -713,7 +795,7 @@ fn a_session_that_is_not_heard_of_is_over() {
         }
         assert_eq!((bench.arm.state(), bench.arm.context()), (State::SwitchOnDisabled, Context::NONE));
         bench.tell(ToArm::Open(OpenRequest { session: SESSION + 1, ..request() }));
-        assert!(bench.messages.contains(&FromArm::Opened { session: SESSION + 1 }));
+        assert!(is_opened(&bench, SESSION + 1));
     }
 }
 
@@ -743,7 +825,7 @@ fn holding_at_the_end_without_an_executor_is_a_fault_too() {
 }
 
 #[test]
-fn a_latched_stop_is_left_by_an_explicit_reset_at_standstill_only_and_by_any_session() {
+fn a_latched_stop_is_left_by_an_explicit_reset_at_standstill_only_and_by_any_session_that_knows_of_it() {
     let stops = [
         (ToArm::Stop, State::QuickStopActive, Command::DisableVoltage),
         (
@@ -757,27 +839,38 @@ fn a_latched_stop_is_left_by_an_explicit_reset_at_standstill_only_and_by_any_ses
         (1..=DEPTH).for_each(|tick| bench.set(setpoint(tick)));
         (0..10).for_each(|_| bench.period());
         bench.tell(stop);
-        let without_session = |command| ToArm::Control { session: NO_SESSION, command };
-        bench.tell(without_session(reset));
+        let ask = |reset_nonce| ToArm::Open(OpenRequest { session: SESSION + 1, reset_nonce, ..request() });
+        bench.tell(ask(0));
+        let nonce = latched_nonce(&bench);
+        bench.tell(ask(nonce));
         assert!(bench.arm.fault().is_some() && !bench.arm.status().standstill);
         bench.rest();
         assert_eq!(bench.arm.state(), latched);
-        bench.tell(ToArm::Open(OpenRequest { session: SESSION + 1, ..request() }));
-        let fault = bench.arm.fault().unwrap();
-        let refused =
-            FromArm::Refused { session: SESSION + 1, reason: Refusal::Latched { fault: fault.into() } };
-        assert!(bench.messages.contains(&refused));
-        for command in Command::ALL.into_iter().filter(|command| *command != reset) {
-            bench.tell(without_session(command));
+        // Nothing that anybody could have recorded, or made up, resets it.
+        for command in Command::ALL {
+            bench.tell(ToArm::Control { session: NO_SESSION, command });
             assert_eq!(bench.arm.state(), latched);
         }
-        bench.tell(without_session(reset));
+        for wrong in [0, 1, nonce ^ 1] {
+            bench.tell(ask(wrong));
+            assert_eq!(bench.arm.state(), latched);
+        }
+        bench.tell(ask(nonce));
         assert_eq!((bench.arm.state(), bench.arm.fault()), (State::SwitchOnDisabled, None));
-        // The old session is gone; a new one starts from where the arm is.
+        // The old session is gone; a new one starts from where the arm is, and what has reset this stop resets no other.
+        assert!(is_opened(&bench, SESSION + 1));
         bench.command(Command::Shutdown);
         assert_eq!(bench.arm.state(), State::SwitchOnDisabled);
-        bench.tell(ToArm::Open(OpenRequest { session: SESSION + 1, ..request() }));
-        assert!(bench.messages.contains(&FromArm::Opened { session: SESSION + 1 }));
+        let up = [Command::Shutdown, Command::SwitchOn, Command::EnableOperation];
+        up.iter().for_each(|command| bench.tell(ToArm::Control { session: SESSION + 1, command: *command }));
+        bench.tell(ToArm::Stop);
+        bench.tell(ask(nonce));
+        assert_eq!(bench.arm.state(), State::QuickStopActive);
+        // In the session itself, the command of the states does it.
+        let mut bench = Bench::enabled();
+        bench.tell(stop);
+        bench.command(reset);
+        assert_eq!((bench.arm.state(), bench.arm.fault()), (State::SwitchOnDisabled, None));
     }
 }
 

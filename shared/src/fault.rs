@@ -109,6 +109,8 @@ fault_codes! {
     EndElsewhere = 406, "The arm came to rest elsewhere than at the end of the plan.";
     ArmFaultUnknown = 407, "The arm reported a fault that this version does not know.";
     AnchorMeaningless = 408, "The arm reported an anchor that is no pose.";
+    ArmDuplicate = 409, "Another arm speaks on this wire.";
+    OpenedOther = 410, "The arm opened the session for something else than was asked for.";
 
     OperatorStop = 501, "A person stopped the motion.";
     SoftwareStop = 502, "A stop frame was sent to the arm.";
@@ -224,7 +226,7 @@ mod tests {
         let numbers = [
             101, 102, 103, 104, 105, 111, 112, 113, 114, 115, 121, 131, 132, 201, 202, 203, 204, 205, 206,
             207, 301, 302, 303, 304, 305, 306, 307, 311, 312, 313, 314, 315, 401, 402, 403, 404, 405, 406,
-            407, 408, 501, 502,
+            407, 408, 409, 410, 501, 502,
         ];
         assert!(FaultCode::ALL.iter().map(|code| code.number()).eq(numbers));
         for code in FaultCode::ALL {

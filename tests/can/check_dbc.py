@@ -141,9 +141,9 @@ def main():
 
 
 def check_golden(database):
-    fd = dict(sections("wire-v2-fd.txt"))
+    fd = dict(sections("wire-v3-fd.txt"))
     checked, seen = 0, set()
-    for title, frames in sections("wire-v2-classic.txt"):
+    for title, frames in sections("wire-v3-classic.txt"):
         signals = decoded(database, title, frames)
         fd_data = fd[title][0][1]
         if "setpoint" in title or "actual" in title:

@@ -7,7 +7,7 @@ say what the arm does. It expects a fresh arm, for instance `firmware-sim --on c
 1. opens a session, enables the arm, plays 2 cm and 0.1 rad in 60 ticks of 10 ms, sees it hold the very counts of the end,
    and shuts down;
 2. is refused the same session once more, opens the next one, whose anchor must be where the first one ended, stops
-   the arm in mid-motion by the stop frame, sees the stop latched and resets it without session.
+   the arm in mid-motion by the stop frame, sees the stop latched and resets it with the nonce that the arm has given out.
 
 Every frame of the arm must decode. Exits with 1 and one sentence at the first mismatch.
 """
@@ -29,7 +29,7 @@ SETPOINT_T, SETPOINT_R, ACTUAL_T, ACTUAL_R = 0x201, 0x301, 0x281, 0x381
 FROM_ARM, TO_ARM, ARM_HEARTBEAT, OWN_HEARTBEAT = 0x581, 0x601, 0x701, 0x77F
 
 # Controlwords.
-DISABLE_VOLTAGE, SHUTDOWN, SWITCH_ON, ENABLE_OPERATION = 0x0000, 0x0006, 0x0007, 0x000F
+SHUTDOWN, SWITCH_ON, ENABLE_OPERATION = 0x0006, 0x0007, 0x000F
 
 STATES = {
     0x00: "not ready to switch on",
@@ -42,10 +42,10 @@ STATES = {
     0x08: "fault",
 }
 PHASES = ("armed", "streaming", "completing", "holding")
-REASONS = ("Version", "Busy", "Closed", "Latched", "Period", "Meaningless", "Coarse")
+REASONS = ("Version", "Busy", "Closed", "Latched", "Period", "Meaningless", "Coarse", "Counts")
 SOFTWARE_STOP = 502
 
-VERSION, DEPTH = 2, 16
+VERSION, DEPTH = 3, 16
 TRANSLATION_NM, ROTATION_NRAD = 1_000, 10_000
 HEARTBEAT_S = RETRY_S = 0.1
 PATIENCE_S = 2.0
@@ -98,15 +98,15 @@ def nearest(reference, low, bits):
 
 @dataclass(frozen=True)
 class Session:
-    """Number and plan, or neither."""
+    """Number and seal, or neither."""
 
     number: int = 0
-    plan_hash: int = 0
+    seal: int = 0
 
     def key(self):
         if self.number == 0:
             return (0, 0, 0)
-        return tuple(struct.pack("<I", zlib.crc32(struct.pack("<HQ", self.number, self.plan_hash)))[:3])
+        return tuple(struct.pack("<I", zlib.crc32(struct.pack("<HQ", self.number, self.seal)))[:3])
 
     def key_of(self, identifier):
         place = {SETPOINT_T: 0, ACTUAL_T: 0, SETPOINT_R: 1, ACTUAL_R: 1}.get(identifier, 2)
@@ -116,18 +116,16 @@ class Session:
         return crc8(struct.pack("<HBI", identifier, self.key_of(identifier), tick) + payload)
 
     def sealed(self, identifier, payload):
-        """A frame without tick."""
-        return identifier, payload + bytes([self.crc(identifier, 0, payload)])
+        """A frame with four bytes of checksum."""
+        return identifier, payload + struct.pack("<I", zlib.crc32(struct.pack("<HQ", identifier, self.seal) + payload))
 
-    def usable(self):
-        """This session, or the next one that can be told from none."""
-        session = self
-        while 0 in session.key():
-            session = session.next()
-        return session
+    @staticmethod
+    def opened(number, digest, nonce):
+        return Session(number, fnv1a(struct.pack("<QI", digest, nonce)))
 
-    def next(self):
-        return Session((self.number + 1) % 2**16, self.plan_hash)
+
+def following_number(number):
+    return number % 0xFFFF + 1
 
 
 NONE = Session()
@@ -165,9 +163,9 @@ class Fields:
         return values
 
 
-def open_request(session, period_us):
-    numbers = (0, VERSION, session.number, session.plan_hash, period_us, TICKS, TRANSLATION_NM, ROTATION_NRAD)
-    return b"".join(map(varint, numbers)) + struct.pack("<12d", *LIMITS) + varint(START_LEVEL)
+def open_request(number, plan_hash, period_us, reset=0):
+    numbers = (0, VERSION, number, plan_hash, period_us, TICKS, TRANSLATION_NM, ROTATION_NRAD)
+    return b"".join(map(varint, numbers)) + struct.pack("<12d", *LIMITS) + varint(START_LEVEL) + varint(reset)
 
 
 def segments(body):
@@ -219,9 +217,11 @@ class Status:
 
 @dataclass
 class Heard:
-    """The arm's words, by an end that is in a session."""
+    """The arm's words, by an end that has asked for a session, and is in it once it is opened."""
 
-    session: Session
+    #: Number and body of the request.
+    asked: tuple = (0, b"")
+    session: Session = NONE
     status: Status | None = None
     opened: bool = False
     refused: tuple | None = None
@@ -255,6 +255,10 @@ class Heard:
         if session.crc(identifier, tick % 2**32, payload) != crc:
             raise Mismatch(f"frame {identifier:#05x} with {payload.hex()} has a wrong checksum for tick {tick}")
 
+    def is_foreign(self, of_session):
+        """Of a session, while this end is in none: it cannot be checked."""
+        return of_session and self.session == NONE
+
     def whose(self, of_session):
         return self.session if of_session else NONE
 
@@ -268,9 +272,13 @@ class Heard:
         state, marks = STATES.get(word & 0x7F), word & 0x4100
         if state is None or word & 0x8A80 or marks not in (0, 0x4100):
             raise Mismatch(f"{word:#06x} is no statusword")
+        if self.is_foreign(marks != 0):
+            return
         session = self.whose(marks != 0)
         tick = self.full_tick(session, low)
         self.check(session, identifier, tick, data[:-1], crc)
+        if session != self.session:
+            return  # In a session, what is said of none counts for nothing.
         if self.status and not 0 < (counter - self.status.counter) % 256 < 128:
             return
         phase = PHASES[word >> 12 & 3] if state == "operation enabled" else None
@@ -281,12 +289,16 @@ class Heard:
         error, register, code, low, crc = struct.unpack("<HBHHB", data)
         if error not in (0xFF00, 0xFF03) or register != 0x81:
             raise Mismatch(f"{error:#06x}, {register:#04x} is no error code and register of a fault frame")
+        if self.is_foreign(error == 0xFF03):
+            return
         session = self.whose(error == 0xFF03)
         tick = self.full_tick(session, low)
         self.check(session, identifier, tick, data[:-1], crc)
         self.fault = (code, tick)
 
     def take_half(self, identifier, data):
+        if self.is_foreign(True):
+            return
         *low, low_tick, crc = struct.unpack("<HHHBB", data)
         latest = max(*self.sent, self.actual[0], self.status.tick if self.status else 0)
         tick = nearest(latest, low_tick, 8)
@@ -304,6 +316,8 @@ class Heard:
 
     def take_heartbeat(self, identifier, data):
         state, number, lost, _, crc = struct.unpack("<BHHHB", data)
+        if self.is_foreign(number != 0):
+            return
         if state != 5 or number not in (0, self.session.number):
             raise Mismatch(f"the arm's heartbeat says state {state} and session {number:#06x}")
         self.check(self.whose(number != 0), identifier, 0, data[:-1], crc)
@@ -321,11 +335,18 @@ class Heard:
     def take_record(self, body):
         fields = Fields(body)
         variant, number = fields.varint(), fields.varint()
-        if variant == 0 and number == self.session.number:
-            self.opened = True
+        if variant == 0 and number == self.asked[0]:
+            nonce, digest = fields.varint(), fields.varint()
+            expect(digest, fnv1a(self.asked[1]), "the digest of what was opened")
+            session = Session.opened(number, digest, nonce)
+            if 0 in session.key() or (self.opened and session != self.session):
+                raise Mismatch(f"the arm opens session {number:#06x} with nonce {nonce:#010x}")
+            if not self.opened:
+                self.status = None
+            self.session, self.opened = session, True
         elif variant == 1:
             reason = REASONS[fields.varint()]
-            details = {"Latched": 2, "Version": 1}.get(reason, 0)
+            details = {"Latched": 3, "Version": 1}.get(reason, 0)
             self.refused = (number, reason, tuple(fields.varint() for _ in range(details)))
         elif variant == 2 and number == self.session.number:
             self.anchor = fields.f64s(7)
@@ -341,9 +362,9 @@ class Heard:
 class Client:
     """One end of a bus; whatever is waited for, it goes on listening and sending its heartbeat."""
 
-    def __init__(self, bus, period_us):
-        self.bus, self.period_us = bus, period_us
-        self.heard = Heard(NONE)
+    def __init__(self, bus, period_us, plan_hash):
+        self.bus, self.period_us, self.plan_hash = bus, period_us, plan_hash
+        self.heard = Heard()
         self.heartbeat_at_s = math.inf
         #: Tick to when it was sent last.
         self.sent_at_s = {}
@@ -355,8 +376,8 @@ class Client:
         for identifier, data in frames:
             self.bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False), timeout=0.1)
 
-    def control(self, word, session=None):
-        session = self.heard.session if session is None else session
+    def control(self, word):
+        session = self.heard.session
         self.send(session.sealed(CONTROL, struct.pack("<HH", word, session.number)))
 
     def setpoint(self, tick):
@@ -398,24 +419,22 @@ class Client:
         """A condition: the arm is in this state and this session."""
         return lambda heard: heard.status and (heard.status.state, heard.status.session) == (name, number)
 
-    def ask_to_open(self, session):
+    def ask_to_open(self, number, reset=0):
         """Asks for a session until there is an answer: opened, or why not."""
-        before = self.heard.status
-        self.heard = Heard(session)
-        # Reports are counted over all sessions.
-        self.heard.status = before
-        request = segments(open_request(session, self.period_us))
+        body = open_request(number, self.plan_hash, self.period_us, reset)
+        self.heard = Heard((number, body))
+        request = segments(body)
 
         def answered(heard):
-            return heard.opened or (heard.refused and heard.refused[0] == session.number)
+            return heard.opened or (heard.refused and heard.refused[0] == number)
 
         self.wait_for("an answer to Open", answered, lambda: self.send(*request))
         return None if self.heard.opened else self.heard.refused[1:]
 
-    def open(self, session):
-        refused = self.ask_to_open(session)
+    def open(self, number, reset=0):
+        refused = self.ask_to_open(number, reset)
         if refused:
-            raise Mismatch(f"session {session.number:#06x} is refused: {refused}")
+            raise Mismatch(f"session {number:#06x} is refused: {refused}")
         self.heartbeat_at_s = time.monotonic()
 
     def enable(self):
@@ -521,12 +540,12 @@ def check_same_pose(found, expected):
 # --- the two sessions ---
 
 
-def play(client, session):
+def play(client, number):
     """The whole plan, from Open to shutdown; the pose where it must have ended."""
-    client.open(session)
+    client.open(number)
     anchor = client.enable()
     check_anchor(anchor)
-    print(f"Session {session.number:#06x}: anchored at {', '.join(f'{x:.4f}' for x in anchor[:3])} m.")
+    print(f"Session {number:#06x}: anchored at {', '.join(f'{x:.4f}' for x in anchor[:3])} m.")
 
     def holds(heard):
         status = heard.status
@@ -536,32 +555,29 @@ def play(client, session):
     expect(client.heard.status.tick, TICKS, "the tick of the arm that holds")
     expect(client.heard.actual, (TICKS, END), "the actual displacement of the arm that holds")
     print(f"It holds the end's very counts; setpoints sent again: {client.resent}, lost: {client.heard.lost}.")
-    client.wait_for("the session to be closed", client.state("ready to switch on", 0), lambda: client.control(SHUTDOWN))
+    closed = client.state("ready to switch on", number)
+    client.wait_for("the session to be closed", closed, lambda: client.control(SHUTDOWN))
+    expect(client.heard.status.standstill, True, "standstill when the session is closed")
     client.heartbeat_at_s = math.inf
     return displaced(anchor, END)
 
 
-def check_closed(client, session):
+def check_closed(client, number):
     """What is over is not opened again."""
-    expect(client.ask_to_open(session), ("Closed", ()), "the answer to Open of a session that is over")
+    expect(client.ask_to_open(number), ("Closed", ()), "the answer to Open of a session that is over")
 
 
-def stop_in_motion(client, session, start):
-    """Begins the plan, stops it by the stop frame, resets it without session."""
-    while refused := client.ask_to_open(session):
-        # By chance it may resemble the one before.
-        expect(refused[0], "Closed", "the refusal of a new session")
-        session = session.next().usable()
+def stop_in_motion(client, number, start):
+    """Begins the plan, stops it by the stop frame, resets it by the nonce of the arm."""
+    client.open(number)
     client.heartbeat_at_s = time.monotonic()
     check_same_pose(client.enable(), start)
     client.stream(lambda heard: heard.status.tick >= STOP_AT_TICK, PATIENCE_S + TICKS * client.period_us / 1e6)
     expect(client.heard.fault, None, "the fault before the stop")
     expect(client.heard.status.standstill, False, "standstill in mid-motion")
     client.send((STOP, b"STOP"))
-    stopping = client.state("quick stop active", session.number)
+    stopping = client.state("quick stop active", number)
     client.wait_for("quick stop active", stopping)
-    # Refused while it moves: a reset that was sent too soon changes nothing.
-    client.control(DISABLE_VOLTAGE, NONE)
     client.wait_for(
         "standstill, with a fault frame",
         lambda heard: stopping(heard) and heard.status.standstill and heard.fault,
@@ -571,25 +587,25 @@ def stop_in_motion(client, session, start):
     if not STOP_AT_TICK <= tick < TICKS:
         raise Mismatch(f"the arm was stopped at tick {tick}")
     print(f"Stopped by the stop frame at tick {tick}, {math.hypot(*reached[1][:3]) / 1e3:.2f} mm from the anchor.")
-    check_latched(client, session, client.heard.fault)
-    client.wait_for(
-        "the reset without session",
-        client.state("switch on disabled", 0),
-        lambda: client.control(DISABLE_VOLTAGE, NONE),
-    )
+    nonce = check_latched(client, number, client.heard.fault)
+    client.open(following_number(number), reset=nonce)
+    client.wait_for("the reset", client.state("switch on disabled", following_number(number)))
     client.heartbeat_at_s = math.inf
 
 
-def check_latched(client, session, fault):
-    """It stays latched, and no other session is opened."""
+def check_latched(client, number, fault):
+    """It stays latched, and no other session is opened; what it can be reset by."""
     client.heartbeat_at_s = math.inf
     still_at_s = time.monotonic() + 0.5
     client.wait_for("half a second", lambda heard: time.monotonic() >= still_at_s)
     expect(client.heard.status.state, "quick stop active", "the state half a second after the stop")
-    request = segments(open_request(session.next().usable(), client.period_us))
-    client.heard.refused = None
-    client.wait_for("a refusal", lambda heard: heard.refused, lambda: client.send(*request))
-    expect(client.heard.refused[1:], ("Latched", fault), "the answer to Open while a stop is latched")
+    for reset in (0, 1):
+        request = segments(open_request(following_number(number), client.plan_hash, client.period_us, reset))
+        client.heard.refused = None
+        client.wait_for("a refusal", lambda heard: heard.refused, lambda: client.send(*request))
+        _, reason, (*found, nonce) = client.heard.refused
+        expect((reason, tuple(found)), ("Latched", fault), "the answer to Open while a stop is latched")
+    return nonce
 
 
 def main():
@@ -599,13 +615,13 @@ def main():
     arguments.add_argument("--session", type=int, default=random.randint(1, 0xFFFF), help="number (default: random)")
     arguments = arguments.parse_args()
     plan = b"".join(struct.pack("<6i", *minimum_jerk(tick)) for tick in range(1, TICKS + 1))
-    session = Session(arguments.session, fnv1a(plan)).usable()
+    number = arguments.session
     try:
         with can.Bus(interface="socketcan", channel=arguments.interface) as bus:
-            client = Client(bus, arguments.period_us)
-            end = play(client, session)
-            check_closed(client, session)
-            stop_in_motion(client, session.next().usable(), end)
+            client = Client(bus, arguments.period_us, fnv1a(plan))
+            end = play(client, number)
+            check_closed(client, number)
+            stop_in_motion(client, following_number(number), end)
     except Mismatch as mismatch:
         sentence = f"{mismatch}."
         sys.exit(sentence[0].upper() + sentence[1:])

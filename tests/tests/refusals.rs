@@ -60,9 +60,8 @@ fn no_program_waits_for_a_plan_that_never_comes() {
     {
         run(EXECUTE, &[path]).refused(3, about);
         run(FIRMWARE_SIM, &["--on", "pty", "--at", path]).refused(1, about);
-        for command in ["inspect", "export"] {
-            run(OPTIMISE, &[command, path]).refused(2, about);
-        }
+        run(OPTIMISE, &["inspect", path]).refused(2, about);
+        run(OPTIMISE, &["export", "--format", "csv", path]).refused(2, about);
         for command in ["simulate", "report", "render"] {
             run(OPTIMISE, &[command, "--plan", path]).refused(2, about);
         }

@@ -111,7 +111,8 @@ fn a_whole_session_allocates_nothing_in_the_executor() {
 fn nor_does_one_that_loses_frames() {
     let bytes = plan_bytes(&header(), &one_move());
     for dialect in Dialect::ALL {
-        let session = play(&bytes, dialect, |sent| sent % 9 == 0, None);
+        // Not each ninth: a classic request has 18 segments, of which it would always lose the same two.
+        let session = play(&bytes, dialect, |sent| sent % 7 == 0, None);
         assert_eq!(session.outcome, Some(Outcome::Completed));
         assert!(session.resent > 5, "{}", session.resent);
         assert_eq!(session.executor, 0, "{dialect:?}");

@@ -199,7 +199,9 @@ fn whoever_has_something_to_say_is_to_be_polled_at_once() {
     let bytes = plan_bytes(&header(), &one_move());
     let plan = PlanReader::new(&bytes).unwrap();
     let mut executor = Executor::new(0, &plan, Config::default());
-    executor.handle_message(50_000, &FromArm::Opened { session: 1 });
+    let Action::Send(ToArm::Open(request)) = executor.poll(0) else { panic!("nothing to open") };
+    let opened = FromArm::Opened { session: 1, nonce: 1, digest: request.digest() };
+    executor.handle_message(50_000, &opened);
     executor.handle_stop(50_000);
     assert!(executor.poll_at().unwrap() <= 50_000);
     assert!(matches!(
@@ -420,6 +422,7 @@ fn stream_until_silent(plan: &PlanReader<'_>, arm: &mut Controller) {
         lsb: header.lsb,
         limits: header.limits,
         start_level: 4,
+        reset_nonce: 0,
     };
     arm.handle_message(0, &ToArm::Open(request));
     for command in [Command::Shutdown, Command::SwitchOn, Command::EnableOperation] {

@@ -1,6 +1,7 @@
 //! The simulated arm controller, as a program.
 
 use std::fs::{self, File};
+use std::hash::{BuildHasher, Hasher, RandomState};
 use std::io::{self, BufWriter, Write};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -24,7 +25,6 @@ use powderline_shared::plan::Mounting;
 use powderline_shared::plan::file::{check_plan, read_plan_file};
 use powderline_shared::pose::Pose;
 use powderline_shared::trajectory::{Sample, TrajectoryHeader};
-use powderline_shared::wire::Context as WireContext;
 use powderline_shared::wire::frame::Dialect;
 use serde_json::{Value, json};
 
@@ -204,7 +204,9 @@ fn serve_arm(arguments: &Serve) -> anyhow::Result<()> {
             })?
         }
     };
-    let arm = ArmConfig { watchdog_us: 1_000 * arguments.watchdog, ..arm };
+    // Another one at each start, so that nothing that was said to an arm before is taken for said to this one.
+    let nonce_seed = RandomState::new().build_hasher().finish();
+    let arm = ArmConfig { watchdog_us: 1_000 * arguments.watchdog, nonce_seed, ..arm };
     // Whatever is granted helps; a controller that is held up all the same says so and stops.
     let _ = realtime::prepare((arguments.priority > 0).then_some(arguments.priority));
     let options = Options { on, arm, once: arguments.once };
@@ -237,7 +239,7 @@ impl Announcer for Person {
         }
     }
 
-    fn executed(&mut self, context: &WireContext, period_us: u32, poses: &[Pose]) -> anyhow::Result<()> {
+    fn executed(&mut self, plan_hash: u64, period_us: u32, poses: &[Pose]) -> anyhow::Result<()> {
         let last = poses.last().map(|pose| pose.position_m).unwrap_or_default();
         let (ticks, x, y, z) = (poses.len(), last.x, last.y, last.z);
         self.say(&format!(
@@ -246,7 +248,7 @@ impl Announcer for Person {
         ));
         if let Some(motions) = &mut self.motions {
             motions.push(json!({
-                "plan_hash": format!("{:016x}", context.plan_hash),
+                "plan_hash": format!("{plan_hash:016x}"),
                 "period_us": period_us,
                 "ticks": ticks,
                 "end_position_m": [x, y, z],
@@ -254,7 +256,7 @@ impl Announcer for Person {
             }));
         }
         let Some(path) = &self.executed else { return Ok(()) };
-        write_executed(path, context, period_us, poses)
+        write_executed(path, plan_hash, period_us, poses)
             .with_context(|| format!("{}: the motion cannot be written", path.display()))?;
         self.say(&format!("The motion is in {}.", path.display()));
         Ok(())
@@ -262,10 +264,10 @@ impl Announcer for Person {
 }
 
 /// Under another name first: a reader finds a whole motion or none.
-fn write_executed(path: &Path, context: &WireContext, period_us: u32, poses: &[Pose]) -> io::Result<()> {
+fn write_executed(path: &Path, plan_hash: u64, period_us: u32, poses: &[Pose]) -> io::Result<()> {
     let unfinished = path.with_extension("unfinished");
     let mut file = BufWriter::new(File::create(&unfinished)?);
-    writeln!(file, "{}", TrajectoryHeader { plan_hash: context.plan_hash, period_us })?;
+    writeln!(file, "{}", TrajectoryHeader { plan_hash, period_us })?;
     for (tick, pose) in (0..).zip(poses) {
         writeln!(file, "{}", Sample { tick, pose: *pose })?;
     }

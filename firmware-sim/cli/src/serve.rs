@@ -53,11 +53,11 @@ pub struct Options {
 pub trait Announcer {
     /// One line.
     fn say(&mut self, line: &str);
-    /// A motion is over: the hash of its plan, its period, and the pose at each tick, the anchor first.
+    /// A motion is over: the name of its plan, its period, and the pose at each tick, the anchor first.
     ///
     /// # Errors
     /// If it cannot be written down.
-    fn executed(&mut self, context: &Context, period_us: u32, poses: &[Pose]) -> anyhow::Result<()>;
+    fn executed(&mut self, plan_hash: u64, period_us: u32, poses: &[Pose]) -> anyhow::Result<()>;
 }
 
 /// Serves until a person ends it.
@@ -100,8 +100,16 @@ pub fn serve(options: &Options, announcer: &mut impl Announcer) -> anyhow::Resul
 struct Told {
     state: Option<State>,
     phase: Option<Phase>,
-    context: Option<Context>,
+    session: Option<Opening>,
     fault: Option<Fault>,
+}
+
+/// A session as it was opened.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Opening {
+    session: u16,
+    plan_hash: u64,
+    context: Context,
 }
 
 struct Server<'o> {
@@ -217,13 +225,17 @@ impl Server<'_> {
         let now = Told {
             state: Some(status.state),
             phase: status.phase,
-            context: Some(controller.context()).filter(|context| *context != Context::NONE),
+            session: controller.request().map(|request| Opening {
+                session: request.session,
+                plan_hash: request.plan_hash,
+                context: controller.context(),
+            }),
             fault: controller.fault(),
         };
         let (before, period_us) = (self.told, controller.period_us());
         self.told = now;
-        if let Some(context) = now.context.filter(|_| before.context != now.context) {
-            let (session, hash) = (context.session, context.plan_hash);
+        if let Some(opening) = now.session.filter(|_| before.session != now.session) {
+            let (session, hash) = (opening.session, opening.plan_hash);
             announcer.say(&format!("Session {session:#06x}: plan {hash:016x}, {period_us} us a tick."));
         }
         if let Some(fault) = now.fault.filter(|_| before.fault != now.fault) {
@@ -239,8 +251,8 @@ impl Server<'_> {
             announcer.say(&format!("State: {}{phase}.", status.state.name()));
         }
         if status.standstill && !self.motion.is_empty() {
-            let context = now.context.or(before.context).unwrap_or(Context::NONE);
-            announcer.executed(&context, period_us, &self.motion)?;
+            let plan_hash = now.session.or(before.session).map_or(0, |opening| opening.plan_hash);
+            announcer.executed(plan_hash, period_us, &self.motion)?;
             self.motion.clear();
         }
         Ok(())

@@ -4,30 +4,43 @@
 //! is damaged; so the checksum covers what both ends know anyway.
 //!
 //! A CRC is linear: whether the frames of one session pass for those of another does not depend on the frames. Eight bits
-//! that cover the session number itself would take all frames of every 256th foreign session. So the two halves of a
-//! setpoint cover different bytes of a key made from session and plan, a session is usable only if its key cannot be taken
-//! for that of no session, and an arm opens none that could be taken for one that is over.
+//! that cover the session itself would take all frames of every 256th foreign session. So the two halves of a setpoint cover
+//! different bytes of a key, what enables and keeps an arm has 32 bits on every wire, and an arm chooses its nonce so that the
+//! key is not that of no session, nor one that could be taken for one of the last sessions.
 
 use crc::{CRC_8_AUTOSAR, CRC_32_ISO_HDLC, Crc, NoTable};
 
-use super::{ids, message::NO_SESSION};
+use super::{
+    ids,
+    message::{NO_SESSION, OpenRequest},
+};
+use crate::plan::Fnv1a64;
 
 /// CRC-8/AUTOSAR: polynomial 0x2F, initial value and final exclusive-or 0xFF.
 static CRC8: Crc<u8, NoTable> = Crc::<u8, NoTable>::new(&CRC_8_AUTOSAR);
 static CRC32: Crc<u32, NoTable> = Crc::<u32, NoTable>::new(&CRC_32_ISO_HDLC);
 
-/// Session and plan that both ends know.
+/// What both ends know of a session, and nobody else who has not heard it being opened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Context {
     /// Number of the session, or [`NO_SESSION`].
     pub session: u16,
-    /// Content hash of its plan; does not count without a session.
-    pub plan_hash: u64,
+    /// Of all that was agreed on and of the arm's nonce; does not count without a session.
+    pub seal: u64,
 }
 
 impl Context {
     /// No session.
-    pub const NONE: Self = Self { session: NO_SESSION, plan_hash: 0 };
+    pub const NONE: Self = Self { session: NO_SESSION, seal: 0 };
+
+    /// The session that an arm opens for a request, with a nonce of its own: FNV-1a over digest and nonce.
+    #[must_use]
+    pub fn sealed(request: &OpenRequest, nonce: u32) -> Self {
+        let mut seal = Fnv1a64::default();
+        seal.update(&request.digest().to_le_bytes());
+        seal.update(&nonce.to_le_bytes());
+        Self { session: request.session, seal: seal.value() }
+    }
 
     /// One byte each for translation, for rotation, and for everything else; zero without a session.
     #[must_use]
@@ -37,7 +50,7 @@ impl Context {
         }
         let mut digest = CRC32.digest();
         digest.update(&self.session.to_le_bytes());
-        digest.update(&self.plan_hash.to_le_bytes());
+        digest.update(&self.seal.to_le_bytes());
         let [translation, rotation, rest, _] = digest.finalize().to_le_bytes();
         [translation, rotation, rest]
     }
@@ -55,24 +68,9 @@ impl Context {
         (t, r) == (other_t, other_r) || rest == other_rest
     }
 
-    /// The first usable context of the same plan, beginning with this session's number.
-    #[must_use]
-    pub fn usable(mut self) -> Self {
-        while !self.is_usable() {
-            self = self.next();
-        }
-        self
-    }
-
-    /// The next session number with the same plan.
-    #[must_use]
-    pub const fn next(self) -> Self {
-        Self { session: self.session.wrapping_add(1), ..self }
-    }
-
     /// What the other end must know of `session` if this end is in `self`.
     pub(super) fn of(&self, session: u16) -> Self {
-        if session == self.session { self.normalised() } else { Self { session, plan_hash: 0 } }
+        if session == self.session { self.normalised() } else { Self { session, seal: 0 } }
     }
 
     pub(super) fn normalised(&self) -> Self {
@@ -99,11 +97,11 @@ fn key_of(id: u16, context: &Context) -> u8 {
     }
 }
 
-/// Checksum of an FD frame; session and tick are part of `covered`.
-pub(super) fn crc32(id: u16, plan_hash: u64, covered: &[u8]) -> u32 {
+/// Checksum of an FD frame, and of what enables an arm on every wire; session and tick are part of `covered`.
+pub(super) fn crc32(id: u16, seal: u64, covered: &[u8]) -> u32 {
     let mut digest = CRC32.digest();
     digest.update(&id.to_le_bytes());
-    digest.update(&plan_hash.to_le_bytes());
+    digest.update(&seal.to_le_bytes());
     digest.update(covered);
     digest.finalize()
 }
@@ -125,12 +123,12 @@ mod tests {
 
     #[test]
     fn everything_unsent_counts() {
-        let context = Context { session: 3, plan_hash: 5 };
+        let context = Context { session: 3, seal: 5 };
         let sums = [
             crc8(0x201, &context, 7, b"x"),
             crc8(0x301, &context, 7, b"x"),
             crc8(0x201, &Context { session: 4, ..context }, 7, b"x"),
-            crc8(0x201, &Context { plan_hash: 6, ..context }, 7, b"x"),
+            crc8(0x201, &Context { seal: 6, ..context }, 7, b"x"),
             crc8(0x201, &context, 7 + 256, b"x"),
             crc8(0x201, &context, 7, b"y"),
         ];
@@ -141,7 +139,7 @@ mod tests {
 
     #[test]
     fn sessions_are_told_apart_or_said_to_be_alike() {
-        let context = |session| Context { session, plan_hash: 0x1234_5678_9abc_def0 };
+        let context = |session| Context { session, seal: 0x1234_5678_9abc_def0 };
         let ids = [ids::SETPOINT_T, ids::SETPOINT_R, ids::STATUS];
         let same =
             |a: &Context, b: &Context| ids.map(|id| crc8(id, a, 5, b"data") == crc8(id, b, 5, b"data"));
@@ -154,16 +152,15 @@ mod tests {
         for session in 1..2_000 {
             let none = same(&context(session), &Context::NONE);
             assert_eq!(context(session).is_usable(), none == [false; 3]);
-            assert!(context(session).usable().is_usable());
         }
-        assert!(!Context::NONE.is_usable() && context(u16::MAX).next().usable().session != NO_SESSION);
+        assert!(!Context::NONE.is_usable());
     }
 
     #[test]
     fn no_session_has_no_plan() {
-        assert_eq!(Context { session: NO_SESSION, plan_hash: 9 }.of(NO_SESSION), Context::NONE);
-        let context = Context { session: 3, plan_hash: 5 };
+        assert_eq!(Context { session: NO_SESSION, seal: 9 }.of(NO_SESSION), Context::NONE);
+        let context = Context { session: 3, seal: 5 };
         assert_eq!([context.of(3), context.of(0)], [context, Context::NONE]);
-        assert_eq!(context.of(4), Context { session: 4, plan_hash: 0 });
+        assert_eq!(context.of(4), Context { session: 4, seal: 0 });
     }
 }

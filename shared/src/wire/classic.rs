@@ -1,6 +1,7 @@
-//! The cyclic frames of classic CAN: at most 8 bytes, the last of them the checksum.
+//! The cyclic frames of classic CAN: at most 8 bytes, the last of them the checksum, or the last four of what enables an arm and
+//! keeps it so.
 
-use super::checksum::{Context, crc8};
+use super::checksum::{Context, crc8, crc32};
 use super::fields::{Put, Take, low8, low16, nearest_with_low8, nearest_with_low16};
 use super::frame::Frame;
 use super::history::{Half, Part};
@@ -24,6 +25,26 @@ const ERROR_REGISTER: u8 = 0x81;
 fn sealed(id: u16, context: &Context, tick: u32, payload: Put) -> Frame {
     let crc = crc8(id, context, tick, payload.as_slice());
     payload.u8(crc).into_frame(id)
+}
+
+/// Appends four bytes of checksum.
+fn sealed_well(id: u16, context: &Context, payload: Put) -> Frame {
+    let crc = crc32(id, context.seal, payload.as_slice());
+    payload.u32(crc).into_frame(id)
+}
+
+/// The bytes before a checksum of four bytes of a frame that has the length it must have, if it is one that an accepted
+/// session makes.
+fn opened_well<const N: usize>(
+    frame: &Frame,
+    accepted: impl Fn(u16) -> Option<Context>,
+    session_of: impl Fn(&[u8; N]) -> u16,
+) -> Result<[u8; N], Rejected> {
+    let parts = frame.data.split_first_chunk::<N>();
+    let (payload, crc) = parts.filter(|(_, crc)| crc.len() == 4).ok_or_else(|| Rejected::length(frame))?;
+    let context = accepted(session_of(payload));
+    let right = context.is_some_and(|context| crc32(frame.id, context.seal, payload).to_le_bytes() == *crc);
+    if right { Ok(*payload) } else { Err(Rejected::Checksum { id: frame.id }) }
 }
 
 /// The bytes before the checksum of a frame that has the length it must have.
@@ -83,11 +104,11 @@ pub(super) fn half(
 }
 
 pub(super) fn control(context: &Context, word: u16) -> Frame {
-    sealed(ids::CONTROL, context, 0, Put::new().u16(word).u16(context.session))
+    sealed_well(ids::CONTROL, context, Put::new().u16(word).u16(context.session))
 }
 
 pub(super) fn heartbeat_to_arm(context: &Context) -> Frame {
-    sealed(ids::HEARTBEAT_TO_ARM, context, 0, Put::new().u8(OPERATIONAL).u16(context.session))
+    sealed_well(ids::HEARTBEAT_TO_ARM, context, Put::new().u8(OPERATIONAL).u16(context.session))
 }
 
 pub(super) fn heartbeat_from_arm(context: &Context, heartbeat: &Heartbeat) -> Frame {
@@ -183,10 +204,9 @@ pub(super) fn read_control(
     frame: &Frame,
     accepted: impl Fn(u16) -> Option<Context>,
 ) -> Result<ToArm, Rejected> {
-    let (payload, crc) = parts(frame, 5)?;
-    let mut take = Take(payload);
-    let (word, session) = complete((|| Some((take.u16()?, take.u16()?)))(), frame)?;
-    check(frame, payload, crc, accepted(session))?;
+    let payload = opened_well::<4>(frame, accepted, |[_, _, low, high]| u16::from_le_bytes([*low, *high]))?;
+    let [low, high, session_low, session_high] = payload;
+    let (word, session) = (u16::from_le_bytes([low, high]), u16::from_le_bytes([session_low, session_high]));
     let command = words::command(word).ok_or(Rejected::Word { id: frame.id, word })?;
     Ok(ToArm::Control { session, command })
 }
@@ -195,12 +215,10 @@ pub(super) fn read_heartbeat_to_arm(
     frame: &Frame,
     accepted: impl Fn(u16) -> Option<Context>,
 ) -> Result<ToArm, Rejected> {
-    let (payload, crc) = parts(frame, 4)?;
-    let mut take = Take(payload);
-    let (state, session) = complete((|| Some((take.u8()?, take.u16()?)))(), frame)?;
-    check(frame, payload, crc, accepted(session))?;
+    let [state, low, high] =
+        opened_well::<3>(frame, accepted, |[_, low, high]| u16::from_le_bytes([*low, *high]))?;
     check_operational(frame, state)?;
-    Ok(ToArm::Heartbeat { session })
+    Ok(ToArm::Heartbeat { session: u16::from_le_bytes([low, high]) })
 }
 
 pub(super) fn read_heartbeat_from_arm(

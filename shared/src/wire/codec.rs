@@ -116,7 +116,9 @@ impl Encoder {
     #[must_use]
     pub fn from_arm(&self, context: &Context, message: &FromArm) -> Frames {
         match (message, self.dialect) {
-            (FromArm::Opened { session }, _) => self.answer(&FromArmRecord::Opened { session: *session }),
+            (FromArm::Opened { session, nonce, digest }, _) => {
+                self.answer(&FromArmRecord::Opened { session: *session, nonce: *nonce, digest: *digest })
+            }
             (FromArm::Refused { session, reason }, _) => {
                 self.answer(&FromArmRecord::Refused { session: *session, reason: *reason })
             }
@@ -182,6 +184,12 @@ fn own_or_none(own: Context, session: u16) -> Option<Context> {
     [own, Context::NONE].into_iter().find(|context| context.session == session)
 }
 
+/// The context of a session that was sent in the clear, at an arm: its own, or the one that is over, whose end may not have heard
+/// of that.
+fn own_or_over(own: Context, over: Context, session: u16) -> Option<Context> {
+    [own, over].into_iter().find(|context| context.session == session && session != NO_SESSION)
+}
+
 /// The context of a session that was sent in the clear, at an end that listens to its own session only.
 fn own_only(own: Context, session: u16) -> Option<Context> {
     (own.session == session).then_some(own)
@@ -196,6 +204,8 @@ fn one<M>(message: M) -> Decoded<M> {
 pub struct ToArmDecoder {
     dialect: Dialect,
     context: Context,
+    /// The session before, of which commands are heard yet: they are answered, and change nothing.
+    over: Context,
     /// The decoded setpoints.
     track: Track,
     halves: Halves,
@@ -210,6 +220,7 @@ impl ToArmDecoder {
         Self {
             dialect,
             context: Context::NONE,
+            over: Context::NONE,
             track: Track::default(),
             halves: Halves::default(),
             had: Had::default(),
@@ -223,7 +234,8 @@ impl ToArmDecoder {
         let context = context.normalised();
         if context != self.context {
             let reassembly = core::mem::take(&mut self.reassembly);
-            *self = Self { context, reassembly, ..Self::new(self.dialect) };
+            let over = if self.context == Context::NONE { self.over } else { self.context };
+            *self = Self { context, over, reassembly, ..Self::new(self.dialect) };
         }
     }
 
@@ -233,7 +245,7 @@ impl ToArmDecoder {
     /// Why the frame says nothing. The decoder goes on as if it had not come; but a record that is complete and damaged is
     /// given up.
     pub fn handle_frame(&mut self, frame: &Frame) -> Result<Decoded<ToArm>, Rejected> {
-        let own = self.context;
+        let (own, over) = (self.context, self.over);
         match (frame.id, self.dialect) {
             (ids::STOP, _) => stop(frame).map(one),
             (ids::HANDSHAKE_TO_ARM, dialect) => {
@@ -244,10 +256,10 @@ impl ToArmDecoder {
             (ids::SETPOINT_R, Dialect::Classic) => self.half(frame, Part::Rotation),
             (ids::SETPOINT_T, Dialect::Fd) => self.setpoint(frame),
             (ids::CONTROL, Dialect::Classic) => {
-                classic::read_control(frame, |session| own_or_none(own, session)).map(one)
+                classic::read_control(frame, |session| own_or_over(own, over, session)).map(one)
             }
             (ids::CONTROL, Dialect::Fd) => {
-                fd::read_control(frame, |session| own_or_none(own, session)).map(one)
+                fd::read_control(frame, |session| own_or_over(own, over, session)).map(one)
             }
             (ids::HEARTBEAT_TO_ARM, Dialect::Classic) => {
                 classic::read_heartbeat_to_arm(frame, |session| own_only(own, session)).map(one)

@@ -31,7 +31,7 @@ const HEARTBEAT_FROM_ARM: Kind = Kind { id: ids::HEARTBEAT_FROM_ARM, number: 7, 
 
 fn sealed(kind: Kind, context: &Context, tick: u32, flags: u8, body: &Put) -> Frame {
     let covered = Put::new().u32(tick).u16(context.session).u8(kind.number).u8(flags).bytes(body.as_slice());
-    let crc = crc32(kind.id, context.plan_hash, covered.as_slice());
+    let crc = crc32(kind.id, context.seal, covered.as_slice());
     Put::new().u32(crc).bytes(covered.as_slice()).into_frame(kind.id)
 }
 
@@ -73,7 +73,7 @@ fn open(
     })();
     let (crc, covered, tick, session, number, flags) =
         fields.filter(|_| frame.data.len() == kind.length).ok_or_else(|| Rejected::length(frame))?;
-    let right = |context: Context| crc32(kind.id, context.plan_hash, covered) == crc;
+    let right = |context: Context| crc32(kind.id, context.seal, covered) == crc;
     if !accepted(session).is_some_and(right) {
         return Err(Rejected::Checksum { id: frame.id });
     }

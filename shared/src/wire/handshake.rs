@@ -15,7 +15,7 @@ use super::fields::Take;
 use super::frame::{Dialect, Frame, append, fd_length};
 use super::message::{FromArm, OpenRequest, Refusal, ToArm};
 use super::rejected::Rejected;
-use crate::plan::StartPose;
+use crate::plan::{Fnv1a64, StartPose};
 use crate::pose::Pose;
 
 /// Most bytes of a record.
@@ -41,7 +41,7 @@ pub(super) enum ToArmRecord {
 #[derive(Serialize, Deserialize)]
 pub(super) enum FromArmRecord {
     /// See [`FromArm::Opened`].
-    Opened { session: u16 },
+    Opened { session: u16, nonce: u32, digest: u64 },
     /// See [`FromArm::Refused`].
     Refused { session: u16, reason: Refusal },
     /// See [`FromArm::Anchored`].
@@ -55,7 +55,7 @@ impl FromArmRecord {
 
     pub(super) fn into_message(self) -> FromArm {
         match self {
-            Self::Opened { session } => FromArm::Opened { session },
+            Self::Opened { session, nonce, digest } => FromArm::Opened { session, nonce, digest },
             Self::Refused { session, reason } => FromArm::Refused { session, reason },
             Self::Anchored { session, pose } => FromArm::Anchored { session, pose: pose.pose() },
         }
@@ -67,6 +67,16 @@ impl ToArmRecord {
         let Self::Open(request) = self;
         ToArm::Open(request)
     }
+}
+
+/// FNV-1a over the body of the record that asks for a session. (The largest body that exists fits, which a test checks.)
+pub(super) fn digest(request: &OpenRequest) -> u64 {
+    let mut buffer = [0; MAX_BODY];
+    let mut digest = Fnv1a64::default();
+    if let Ok(body) = postcard::to_slice(&ToArmRecord::Open(*request), &mut buffer) {
+        digest.update(body);
+    }
+    digest.value()
 }
 
 /// The frames of one record, cut as they are asked for.
@@ -273,15 +283,18 @@ mod tests {
             lsb: Lsb { translation_nm: u32::MAX, rotation_nrad: u32::MAX },
             limits,
             start_level: u16::MAX,
+            reset_nonce: u32::MAX,
         };
         let open = Segments::new(ids::HANDSHAKE_TO_ARM, Dialect::Classic, &ToArmRecord::Open(request));
-        assert_eq!(open.record.len(), 6 + 136);
+        assert_eq!(open.record.len(), 6 + 141);
         assert_eq!(open.count(), 21);
         let fault = Fault { code: FaultCode::OperatorStop, tick: u32::MAX };
-        let refused =
-            FromArmRecord::Refused { session: u16::MAX, reason: Refusal::Latched { fault: fault.into() } };
+        let refused = FromArmRecord::Refused {
+            session: u16::MAX,
+            reason: Refusal::Latched { fault: fault.into(), nonce: u32::MAX },
+        };
         let anchored = FromArmRecord::anchored(u16::MAX, &Pose::identity());
-        for (record, length) in [(refused, 12), (anchored, 60)] {
+        for (record, length) in [(refused, 17), (anchored, 60)] {
             let segments = Segments::new(ids::HANDSHAKE_FROM_ARM, Dialect::Fd, &record);
             assert_eq!(segments.record.len(), 6 + length);
         }

@@ -43,7 +43,7 @@ struct Traffic {
     per_heartbeat: &'static [u8],
 }
 
-const CLASSIC_TO_ARM: Traffic = Traffic { per_tick: &[8, 8], per_heartbeat: &[4] };
+const CLASSIC_TO_ARM: Traffic = Traffic { per_tick: &[8, 8], per_heartbeat: &[7] };
 const CLASSIC_FROM_ARM: Traffic = Traffic { per_tick: &[8, 8, 8], per_heartbeat: &[8, 8, 8, 8, 8] };
 const FD_TO_ARM: Traffic = Traffic { per_tick: &[48], per_heartbeat: &[12] };
 const FD_FROM_ARM: Traffic = Traffic { per_tick: &[20, 48], per_heartbeat: &[16, 20, 48, 16] };
@@ -190,7 +190,7 @@ mod tests {
         let fault =
             FromArm::Fault { session: 1, fault: Fault { code: FaultCode::OperatorStop, tick: 1 }.into() };
         let heartbeat = FromArm::Heartbeat(Heartbeat { session: 1, lost: 0, dropped: 0 });
-        let context = Context { session: 1, plan_hash: 1 };
+        let context = Context { session: 1, seal: 1 };
         for (dialect, to_arm, from_arm) in
             [(Dialect::Classic, CLASSIC_TO_ARM, CLASSIC_FROM_ARM), (Dialect::Fd, FD_TO_ARM, FD_FROM_ARM)]
         {
@@ -217,11 +217,11 @@ mod tests {
 
     #[test]
     fn loads_of_common_buses() {
-        // By hand, classic, 100 Hz: 5 frames of 135 bits per tick and 95 + 5 * 135 bits per heartbeat, 75,200 bit/s.
-        assert_load(CLASSIC_500K, 10_000, 15.04);
-        assert_load(CLASSIC_1M, 10_000, 7.52);
-        assert_load(CLASSIC_500K, 1_000, 136.54);
-        assert_load(CLASSIC_1M, 1_000, 68.27);
+        // By hand, classic, 100 Hz: 5 frames of 135 bits per tick and 125 + 5 * 135 bits per heartbeat, 75,500 bit/s.
+        assert_load(CLASSIC_500K, 10_000, 15.10);
+        assert_load(CLASSIC_1M, 10_000, 7.55);
+        assert_load(CLASSIC_500K, 1_000, 136.60);
+        assert_load(CLASSIC_1M, 1_000, 68.30);
         // FD: frames of 48 and 20 bytes take at most 137.6 us and 81.6 us.
         assert_load(FD_1M_5M, 10_000, 4.00);
         assert_load(FD_1M_5M, 1_000, 36.11);

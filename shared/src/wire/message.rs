@@ -21,6 +21,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::handshake;
 use super::state::{Command, Phase, State};
 use crate::displacement::{Lsb, Setpoint};
 use crate::fault::Reported;
@@ -28,7 +29,7 @@ use crate::limits::Limits;
 use crate::pose::Pose;
 
 /// Version of the messages; both ends must have the same.
-pub const PROTOCOL_VERSION: u16 = 2;
+pub const PROTOCOL_VERSION: u16 = 3;
 
 /// Session number that stands for no session.
 pub const NO_SESSION: u16 = 0;
@@ -49,7 +50,7 @@ pub enum ToArm {
     Open(OpenRequest),
     /// Asks for a state.
     Control {
-        /// Session it belongs to; [`NO_SESSION`] will do to leave a latched stop.
+        /// Session it belongs to.
         session: u16,
         /// What is asked.
         command: Command,
@@ -89,6 +90,16 @@ pub struct OpenRequest {
     pub limits: Limits,
     /// Setpoints that must be there before the arm starts its clock.
     pub start_level: u16,
+    /// What the arm has given out in [`Refusal::Latched`], to reset it: somebody has looked at it and says so. Otherwise 0.
+    pub reset_nonce: u32,
+}
+
+impl OpenRequest {
+    /// A digest of all that is asked for: FNV-1a over the body of its record.
+    #[must_use]
+    pub fn digest(&self) -> u64 {
+        handshake::digest(self)
+    }
 }
 
 /// From arm to executor.
@@ -98,6 +109,10 @@ pub enum FromArm {
     Opened {
         /// Its number.
         session: u16,
+        /// The arm's own, of this opening alone: all that follows is sealed with it.
+        nonce: u32,
+        /// Of the request that it accepted, [`OpenRequest::digest`].
+        digest: u64,
     },
     /// The session is not opened.
     Refused {
@@ -143,12 +158,14 @@ pub enum Refusal {
     },
     /// Another session is open.
     Busy,
-    /// A session of this number was closed not long ago.
+    /// A session of this number was closed not long ago, or is latched.
     Closed,
     /// A stop or a fault is latched.
     Latched {
         /// Which.
         fault: Reported,
+        /// Whoever resets it has to give this back, [`OpenRequest::reset_nonce`].
+        nonce: u32,
     },
     /// The control period is outside the arm's range.
     Period,
@@ -156,6 +173,8 @@ pub enum Refusal {
     Meaningless,
     /// One count is worth so much that rounding to counts would go far beyond the arm's own limits.
     Coarse,
+    /// One count is not worth what it is on this wire.
+    Counts,
 }
 
 impl core::fmt::Display for Refusal {
@@ -166,11 +185,12 @@ impl core::fmt::Display for Refusal {
             }
             Self::Busy => f.write_str("the arm is in another session"),
             Self::Closed => f.write_str("the arm has closed this session; another one needs another number"),
-            Self::Latched { fault } => {
+            Self::Latched { fault, .. } => {
                 write!(f, "the arm has stopped and needs to be reset by a person first ({fault})")
             }
             Self::Period => f.write_str("the arm cannot keep the plan's control period"),
             Self::Meaningless => f.write_str("the session's numbers have no meaning to the arm"),
+            Self::Counts => f.write_str("one count is worth something else on this wire"),
             Self::Coarse => f.write_str(
                 "one count on this wire is too coarse for the arm's limits at this control period",
             ),

@@ -1,10 +1,11 @@
 //! Setpoints and reports under loss, repetition and reordering; sessions that are not this one.
 
-use powderline_shared::displacement::Setpoint;
+use powderline_shared::displacement::{Lsb, Setpoint};
+use powderline_shared::limits::Limits;
 use powderline_shared::wire::Context;
 use powderline_shared::wire::codec::{Encoder, Rejected, ToArmDecoder};
 use powderline_shared::wire::frame::{Dialect, Frame};
-use powderline_shared::wire::message::{FromArm, NO_SESSION, ToArm};
+use powderline_shared::wire::message::{FromArm, NO_SESSION, OpenRequest, ToArm};
 use powderline_shared::wire::state::Command;
 use proptest::prelude::*;
 
@@ -166,11 +167,11 @@ fn a_new_session_of_the_same_number_starts_at_its_anchor() {
 
 /// Contexts that must understand nothing of [`CONTEXT`]; two have byte 1 of the key in common with it.
 fn foreign() -> [Context; 4] {
-    let Context { session, plan_hash } = CONTEXT;
+    let Context { session, seal } = CONTEXT;
     [
-        Context { session: session + 1, plan_hash },
-        Context { session, plan_hash: plan_hash ^ 1 },
-        Context { session: session ^ 0x8000, plan_hash: !plan_hash },
+        Context { session: session + 1, seal },
+        Context { session, seal: seal ^ 1 },
+        Context { session: session ^ 0x8000, seal: !seal },
         Context::NONE,
     ]
 }
@@ -241,16 +242,63 @@ fn session_of(message: &FromArm) -> Option<u16> {
 }
 
 #[test]
-fn anybody_may_ask_without_session_but_not_for_a_motion() {
+fn anybody_may_stop_an_arm_and_nothing_more() {
     for dialect in Dialect::ALL {
         let mut decoder = arm(dialect);
-        let frames = frames_to_arm(dialect, &[control(NO_SESSION), ToArm::Stop]);
-        let found = heard(&frames, |frame| decoder.handle_frame(frame));
-        assert_eq!(found, [control(NO_SESSION), ToArm::Stop]);
-        let message = ToArm::Setpoint { session: NO_SESSION, setpoint: Setpoint { tick: 1, counts: [0; 6] } };
-        for frame in frames_to_arm(dialect, &[message, ToArm::Heartbeat { session: NO_SESSION }]) {
+        let found = heard(&frames_to_arm(dialect, &[ToArm::Stop]), |frame| decoder.handle_frame(frame));
+        assert_eq!(found, [ToArm::Stop]);
+        let setpoint = Setpoint { tick: 1, counts: [0; 6] };
+        let messages = [
+            control(NO_SESSION),
+            ToArm::Setpoint { session: NO_SESSION, setpoint },
+            ToArm::Heartbeat { session: NO_SESSION },
+        ];
+        for frame in frames_to_arm(dialect, &messages) {
             assert_eq!(decoder.handle_frame(&frame), Err(Rejected::Checksum { id: frame.id }));
         }
+    }
+}
+
+#[test]
+fn the_sessions_seal_is_that_of_its_request_and_nonce() {
+    let request = samples::open_request(Dialect::Classic);
+    assert_eq!(Context::sealed(&request, samples::NONCE), CONTEXT);
+    // Every field of it, and the nonce.
+    let OpenRequest { lsb, limits, .. } = request;
+    let others = [
+        OpenRequest { version: 9, ..request },
+        OpenRequest { session: 9, ..request },
+        OpenRequest { plan_hash: 9, ..request },
+        OpenRequest { period_us: 9, ..request },
+        OpenRequest { end_tick: 9, ..request },
+        OpenRequest { lsb: Lsb { translation_nm: 9, ..lsb }, ..request },
+        OpenRequest { limits: Limits { linear_jerk_m_s3: 9.0, ..limits }, ..request },
+        OpenRequest { start_level: 9, ..request },
+        OpenRequest { reset_nonce: 9, ..request },
+    ];
+    for other in others {
+        assert_ne!(other.digest(), request.digest());
+        assert_ne!(Context::sealed(&other, samples::NONCE).seal, CONTEXT.seal);
+    }
+    assert_ne!(Context::sealed(&request, samples::NONCE + 1).seal, CONTEXT.seal);
+}
+
+#[test]
+fn a_command_of_the_session_that_is_over_is_heard_and_nothing_else_of_it() {
+    for dialect in Dialect::ALL {
+        let mut decoder = arm(dialect);
+        for context in [Context::NONE, Context { session: 9, seal: 9 }] {
+            decoder.set_context(context);
+            let frames = frames_to_arm(dialect, &[control(SESSION)]);
+            assert_eq!(heard(&frames, |frame| decoder.handle_frame(frame)), [control(SESSION)]);
+            let messages = [setpoint(1, [5; 6]), ToArm::Heartbeat { session: SESSION }];
+            for frame in frames_to_arm(dialect, &messages) {
+                assert!(decoder.handle_frame(&frame).is_err(), "{dialect:?}");
+            }
+        }
+        decoder.set_context(Context { session: 10, seal: 10 });
+        let frames = frames_to_arm(dialect, &[control(SESSION)]);
+        assert!(frames.iter().all(|frame| decoder.handle_frame(frame).is_err()));
     }
 }
 

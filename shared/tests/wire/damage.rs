@@ -124,7 +124,7 @@ fn resealed_fd(frame: &Frame, change: impl Fn(&mut [u8])) -> Frame {
     let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
     let mut digest = crc.digest();
     digest.update(&frame.id.to_le_bytes());
-    digest.update(&samples::CONTEXT.plan_hash.to_le_bytes());
+    digest.update(&samples::CONTEXT.seal.to_le_bytes());
     digest.update(&data[4..]);
     let crc = digest.finalize();
     data[..4].copy_from_slice(&crc.to_le_bytes());
@@ -147,6 +147,21 @@ fn resealed_classic(frame: &Frame, tick: u32, change: impl Fn(&mut [u8])) -> Fra
     Frame::new(frame.id, &data).unwrap()
 }
 
+/// The same for a classic frame with four bytes of checksum.
+fn resealed_well(frame: &Frame, change: impl Fn(&mut [u8])) -> Frame {
+    let mut data = frame.data.to_vec();
+    change(&mut data);
+    let payload = data.len() - 4;
+    let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
+    let mut digest = crc.digest();
+    digest.update(&frame.id.to_le_bytes());
+    digest.update(&samples::CONTEXT.seal.to_le_bytes());
+    digest.update(&data[..payload]);
+    let crc = digest.finalize();
+    data[payload..].copy_from_slice(&crc.to_le_bytes());
+    Frame::new(frame.id, &data).unwrap()
+}
+
 fn sample_to_arm(dialect: Dialect, name: &str) -> Frame {
     let (_, message) = samples::to_arm(dialect).into_iter().find(|(found, _)| found == name).unwrap();
     frames_to_arm(dialect, &[message]).remove(0)
@@ -161,14 +176,14 @@ fn sample_from_arm(dialect: Dialect, name: &str) -> Frame {
 fn an_unknown_word_is_named_though_its_checksum_is_right() {
     use Dialect::{Classic, Fd};
     let control = sample_to_arm(Classic, "control Shutdown");
-    let found = arm(Classic).handle_frame(&resealed_classic(&control, 0, |data| data[0] = 0x1F));
+    let found = arm(Classic).handle_frame(&resealed_well(&control, |data| data[0] = 0x1F));
     assert_eq!(found, Err(Rejected::Word { id: 0x401, word: 0x001F }));
     let found =
         arm(Fd).handle_frame(&resealed_fd(&sample_to_arm(Fd, "control Shutdown"), |data| data[12] = 0x1F));
     assert_eq!(found, Err(Rejected::Word { id: 0x401, word: 0x001F }));
 
     let heartbeat = sample_to_arm(Classic, "heartbeat");
-    let found = arm(Classic).handle_frame(&resealed_classic(&heartbeat, 0, |data| data[0] = 0x7F));
+    let found = arm(Classic).handle_frame(&resealed_well(&heartbeat, |data| data[0] = 0x7F));
     assert_eq!(found, Err(Rejected::Word { id: 0x77F, word: 0x7F }));
 
     let status = sample_from_arm(Classic, "status Streaming");

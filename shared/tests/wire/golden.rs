@@ -10,8 +10,8 @@ use powderline_shared::wire::message::PROTOCOL_VERSION;
 
 use crate::samples::{self, CONTEXT};
 
-const CLASSIC: &str = include_str!("../golden/wire-v2-classic.txt");
-const FD: &str = include_str!("../golden/wire-v2-fd.txt");
+const CLASSIC: &str = include_str!("../golden/wire-v3-classic.txt");
+const FD: &str = include_str!("../golden/wire-v3-fd.txt");
 
 pub(crate) fn file(dialect: Dialect) -> &'static str {
     match dialect {
@@ -36,8 +36,8 @@ fn section(text: &mut String, dialect: Dialect, name: &str, frames: impl Iterato
 
 fn written(dialect: Dialect) -> String {
     let mut text = format!(
-        "# Frames of protocol version {PROTOCOL_VERSION}, {dialect:?}; session {:#06x}, plan hash {:#018x}.\n",
-        CONTEXT.session, CONTEXT.plan_hash
+        "# Frames of protocol version {PROTOCOL_VERSION}, {dialect:?}; session {:#06x}, seal {:#018x}.\n",
+        CONTEXT.session, CONTEXT.seal
     );
     let mut encoder = Encoder::new(dialect);
     for (name, message) in samples::to_arm(dialect) {

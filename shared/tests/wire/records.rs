@@ -244,7 +244,10 @@ fn a_body_that_is_no_request_is_refused_though_its_checksum_is_right() {
 
 #[test]
 fn padding_is_zeros_and_no_longer_than_needed() {
-    let message = FromArm::Opened { session: samples::SESSION };
+    let message = FromArm::Refused {
+        session: samples::SESSION,
+        reason: powderline_shared::wire::message::Refusal::Busy,
+    };
     let frame = samples::frames_from_arm(Dialect::Fd, &[message]).remove(0);
     assert_eq!(frame.data.len(), 12);
     let take =

@@ -38,8 +38,8 @@ fn dialects() -> impl Strategy<Value = Dialect> {
 }
 
 fn contexts() -> impl Strategy<Value = Context> {
-    (any::<u16>(), any::<u64>()).prop_map(|(session, plan_hash)| {
-        if session == NO_SESSION { Context::NONE } else { Context { session, plan_hash } }
+    (any::<u16>(), any::<u64>()).prop_map(|(session, seal)| {
+        if session == NO_SESSION { Context::NONE } else { Context { session, seal } }
     })
 }
 
@@ -50,8 +50,15 @@ fn faults() -> impl Strategy<Value = Reported> {
 fn refusals() -> impl Strategy<Value = Refusal> {
     prop_oneof![
         any::<u16>().prop_map(|arm| Refusal::Version { arm }),
-        faults().prop_map(|fault| Refusal::Latched { fault }),
-        select(vec![Refusal::Busy, Refusal::Closed, Refusal::Period, Refusal::Meaningless, Refusal::Coarse]),
+        (faults(), any::<u32>()).prop_map(|(fault, nonce)| Refusal::Latched { fault, nonce }),
+        select(vec![
+            Refusal::Busy,
+            Refusal::Closed,
+            Refusal::Period,
+            Refusal::Meaningless,
+            Refusal::Coarse,
+            Refusal::Counts
+        ]),
     ]
 }
 
@@ -78,7 +85,17 @@ fn requests() -> impl Strategy<Value = OpenRequest> {
         let ([version, session, start_level], [period_us, end_tick, translation_nm, rotation_nrad]) =
             (small, large);
         let lsb = Lsb { translation_nm, rotation_nrad };
-        OpenRequest { version, session, plan_hash, period_us, end_tick, lsb, limits, start_level }
+        OpenRequest {
+            version,
+            session,
+            plan_hash,
+            period_us,
+            end_tick,
+            lsb,
+            limits,
+            start_level,
+            reset_nonce: start_level.into(),
+        }
     })
 }
 
@@ -137,7 +154,7 @@ proptest! {
         let message = ToArm::Open(request);
         prop_assert_eq!(to_arm_and_back(dialect, context, message), [message]);
         for message in [
-            FromArm::Opened { session },
+            FromArm::Opened { session, nonce: request.period_us, digest: request.plan_hash },
             FromArm::Refused { session, reason },
             FromArm::Anchored { session, pose },
         ] {
@@ -149,7 +166,8 @@ proptest! {
     fn commands_and_heartbeats_survive(dialect in dialects(), context in contexts(), command in commands(),
                                        own: bool, lost: u16, dropped: u16) {
         let session = if own { context.session } else { NO_SESSION };
-        let message = ToArm::Control { session, command };
+        prop_assume!(context != Context::NONE);
+        let message = ToArm::Control { session: context.session, command };
         prop_assert_eq!(to_arm_and_back(dialect, context, message), [message]);
         let message = ToArm::Heartbeat { session: context.session };
         prop_assert_eq!(to_arm_and_back(dialect, context, message), [message]);

@@ -13,7 +13,10 @@ use powderline_shared::wire::message::{
 };
 use powderline_shared::wire::state::{Command, Phase, State};
 
-pub(crate) const CONTEXT: Context = Context { session: 0x1234, plan_hash: 0x0123_4567_89ab_cdef };
+/// What the arm has opened for the classic [`open_request`], with this nonce.
+pub(crate) const CONTEXT: Context = Context { session: 0x1234, seal: 0xcef0_4bf9_5369_9a72 };
+pub(crate) const NONCE: u32 = 0x5eed_0001;
+pub(crate) const PLAN_HASH: u64 = 0x0123_4567_89ab_cdef;
 pub(crate) const SESSION: u16 = CONTEXT.session;
 
 /// Messages to the arm in an order in which they can be decoded, with their names.
@@ -21,10 +24,6 @@ pub(crate) fn to_arm(dialect: Dialect) -> Vec<(String, ToArm)> {
     let mut all = vec![("open".into(), ToArm::Open(open_request(dialect)))];
     for command in Command::ALL {
         all.push((format!("control {command:?}"), ToArm::Control { session: SESSION, command }));
-    }
-    for command in [Command::FaultReset, Command::DisableVoltage] {
-        let name = format!("control {command:?} without session");
-        all.push((name, ToArm::Control { session: NO_SESSION, command }));
     }
     for setpoint in setpoints() {
         let name = format!("setpoint tick {}", setpoint.tick);
@@ -38,15 +37,17 @@ pub(crate) fn to_arm(dialect: Dialect) -> Vec<(String, ToArm)> {
 /// Messages from the arm in an order in which they can be decoded, with their names.
 pub(crate) fn from_arm() -> Vec<(String, FromArm)> {
     let fault = Fault { code: FaultCode::SetpointMissing, tick: 70_000 };
-    let mut all = vec![("opened".into(), FromArm::Opened { session: SESSION })];
+    let digest = open_request(Dialect::Classic).digest();
+    let mut all = vec![("opened".into(), FromArm::Opened { session: SESSION, nonce: NONCE, digest })];
     for reason in [
-        Refusal::Version { arm: 3 },
+        Refusal::Version { arm: 4 },
         Refusal::Busy,
         Refusal::Closed,
-        Refusal::Latched { fault: fault.into() },
+        Refusal::Latched { fault: fault.into(), nonce: 0x5eed_0002 },
         Refusal::Period,
         Refusal::Meaningless,
         Refusal::Coarse,
+        Refusal::Counts,
     ] {
         all.push((format!("refused {reason:?}"), FromArm::Refused { session: SESSION, reason }));
     }
@@ -111,11 +112,11 @@ fn statuses() -> Vec<(String, Status)> {
     all
 }
 
-fn open_request(dialect: Dialect) -> OpenRequest {
+pub(crate) fn open_request(dialect: Dialect) -> OpenRequest {
     OpenRequest {
         version: PROTOCOL_VERSION,
         session: SESSION,
-        plan_hash: CONTEXT.plan_hash,
+        plan_hash: PLAN_HASH,
         period_us: 10_000,
         end_tick: 600,
         lsb: dialect.lsb(),
@@ -130,6 +131,7 @@ fn open_request(dialect: Dialect) -> OpenRequest {
             angular_jerk_rad_s3: 200.0,
         },
         start_level: 4,
+        reset_nonce: 0,
     }
 }
 

@@ -8,13 +8,13 @@ use powderline_shared::wire::ids;
 use std::path::PathBuf;
 
 /// Session of all targets, and of the golden frames.
-pub const CONTEXT: Context = Context { session: 0x1234, plan_hash: 0x0123_4567_89ab_cdef };
+pub const CONTEXT: Context = Context { session: 0x1234, seal: 0x0123_4567_89ab_cdef };
 
 /// The plan whose bytes are pinned.
 pub const GOLDEN_PLAN: &[u8] = include_bytes!("../../../shared/tests/golden/plan-v3.plan");
 
-const GOLDEN_CLASSIC: &str = include_str!("../../../shared/tests/golden/wire-v2-classic.txt");
-const GOLDEN_FD: &str = include_str!("../../../shared/tests/golden/wire-v2-fd.txt");
+const GOLDEN_CLASSIC: &str = include_str!("../../../shared/tests/golden/wire-v3-classic.txt");
+const GOLDEN_FD: &str = include_str!("../../../shared/tests/golden/wire-v3-fd.txt");
 
 const IDS: [u16; 12] = [
     ids::STOP,
@@ -101,8 +101,8 @@ pub fn sealed_fd(frame: &Frame) -> Frame {
     if sealed.data.len() < 12 {
         return sealed;
     }
-    let plan_hash = if sealed.data[8..10] == [0, 0] { 0 } else { CONTEXT.plan_hash };
-    let covered = [&frame.id.to_le_bytes()[..], &plan_hash.to_le_bytes(), &frame.data[4..]].concat();
+    let seal = if sealed.data[8..10] == [0, 0] { 0 } else { CONTEXT.seal };
+    let covered = [&frame.id.to_le_bytes()[..], &seal.to_le_bytes(), &frame.data[4..]].concat();
     sealed.data[..4].copy_from_slice(&crc32(&covered).to_le_bytes());
     sealed
 }

@@ -52,6 +52,8 @@ pub struct Witness {
     last: Look,
     sent: HashMap<u16, Vec<Setpoint>>,
     anchors: HashMap<u16, Pose>,
+    /// Where sessions that are over have left the arm: their end may hear of it late.
+    left: HashMap<u16, Pose>,
     heard_us: u64,
     stood_us: u64,
     /// What may never happen, and did.
@@ -101,6 +103,7 @@ impl Witness {
             last: Look::at(arm),
             sent: HashMap::new(),
             anchors: HashMap::new(),
+            left: HashMap::new(),
             heard_us: 0,
             stood_us: 0,
             breaches: Vec::new(),
@@ -139,6 +142,9 @@ impl Witness {
         let last = self.last;
         if let Some(anchor) = arm.anchor() {
             self.anchors.insert(now.session, anchor);
+        }
+        if now.session != last.session {
+            self.left.insert(last.session, last.pose);
         }
         let may_move = |state| {
             matches!(state, State::OperationEnabled | State::QuickStopActive | State::FaultReactionActive)
@@ -265,7 +271,8 @@ impl Witness {
             return f64::INFINITY;
         };
         // Component by component, as setpoints are rounded; the logarithm of the difference of two rotations is not that.
-        let found = anchor.displacement_to(&arm.pose()).components();
+        let pose = self.left.get(&session).copied().unwrap_or(arm.pose());
+        let found = anchor.displacement_to(&pose).components();
         let lsb = Axis::ALL.map(|axis| self.lsb.of(axis));
         let off = found.into_iter().zip(end.cumulative(plan_lsb).components()).zip(lsb);
         let worst = off.fold(0.0_f64, |worst, ((found, end), lsb)| worst.max((found - end).abs() / lsb));

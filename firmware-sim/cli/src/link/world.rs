@@ -10,8 +10,7 @@ use powderline_shared::plan::PlanReader;
 use powderline_shared::wire::Context;
 use powderline_shared::wire::codec::Encoder;
 use powderline_shared::wire::frame::{Dialect, Frame};
-use powderline_shared::wire::message::{NO_SESSION, ToArm};
-use powderline_shared::wire::state::{Command, State};
+use powderline_shared::wire::message::ToArm;
 
 use super::bus::{Arrival, Bus, BusCounts, Line, Side};
 use super::dice::Dice;
@@ -332,7 +331,7 @@ impl<'p> World<'p> {
             active = true;
         }
         let action = endpoint.poll(local_us);
-        let (session, sent) = (endpoint.executor().context().session, endpoint.executor().last_sent());
+        let (session, sent) = (endpoint.executor().session(), endpoint.executor().last_sent());
         sent.into_iter().for_each(|setpoint| self.witness.setpoint_sent(session, setpoint));
         match action {
             FrameAction::Send(frame) => {
@@ -369,7 +368,7 @@ impl<'p> World<'p> {
         let Some(endpoint) = node.endpoint.take() else { return };
         node.inbox.clear();
         let plan = self.plans.get(node.plan).copied();
-        let session = endpoint.executor().context().session;
+        let session = endpoint.executor().session();
         let arm = self.arm.controller();
         match (outcome, plan) {
             (Some(Outcome::Completed), Some(plan)) => {
@@ -481,7 +480,8 @@ impl<'p> World<'p> {
         }
         self.arm_off_until_us = None;
         let pose = self.arm.controller().pose();
-        let mut controller = Controller::new(ArmConfig::ideal(pose));
+        let nonce_seed = self.dice.number();
+        let mut controller = Controller::new(ArmConfig { nonce_seed, ..ArmConfig::ideal(pose) });
         // Whatever its clock shows, nothing has happened yet.
         controller.let_pass(self.arm_clock.local_us(self.now_us));
         self.arm = ArmEndpoint::new(controller, self.faults.dialect);
@@ -558,22 +558,6 @@ impl<'p> World<'p> {
     fn find_way_out(&mut self) {
         self.bus.clear();
         let mut arm_us = self.arm_us();
-        let encoder = Encoder::new(self.faults.dialect);
-        let mut encoder = encoder;
-        for command in [Command::FaultReset, Command::DisableVoltage] {
-            let message = ToArm::Control { session: NO_SESSION, command };
-            for frame in encoder.to_arm(&Context::NONE, &message) {
-                self.arm.handle_frame(arm_us, &frame);
-            }
-        }
-        while self.arm.poll(arm_us).is_some() {}
-        let ready = matches!(self.arm.controller().state(), State::SwitchOnDisabled | State::ReadyToSwitchOn);
-        if !ready {
-            let state = self.arm.controller().state().name();
-            return self
-                .witness
-                .breach(self.now_us, format!("no reset takes the arm out of the state {state}"));
-        }
         let stay = motion::Move { translation_m: [0.0; 3], rotation_rad: [0.0; 3], steps: 3 };
         let bytes = motion::plan_bytes(
             &self.arm.controller().pose(),
@@ -583,7 +567,7 @@ impl<'p> World<'p> {
         );
         let Ok(plan) = PlanReader::new(&bytes) else { return };
         let session = u16::try_from(self.dice.between(1, u64::from(u16::MAX))).unwrap_or(1);
-        let config = Config { session, ..Config::default() };
+        let config = Config { session, reset: true, ..Config::default() };
         let mut executor = ExecutorEndpoint::new(arm_us, &plan, self.faults.dialect, config);
         let until_us = arm_us.saturating_add(LONGEST_RUN_US);
         let outcome = loop {

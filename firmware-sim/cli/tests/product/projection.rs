@@ -9,7 +9,7 @@ use std::fmt::{Debug, Write};
 use std::hash::{DefaultHasher, Hasher};
 
 /// Fields that are left out.
-const LEFT_OUT: [&str; 32] = [
+const LEFT_OUT: [&str; 38] = [
     // Constant, or said by other fields already.
     "own_limits",
     "limits",
@@ -19,6 +19,13 @@ const LEFT_OUT: [&str; 32] = [
     "guard",
     "checker",
     "doubt",
+    "digest",
+    // Numbers that are drawn anew each time; that nothing else is taken for them, the wire's own tests show.
+    "seal",
+    "nonce",
+    "nonces",
+    "challenge",
+    "reset_nonce",
     "following",
     // Real numbers: where the arm is and how fast it moves. Kept is its phase of motion: which setpoint it has taken, how
     // many it has bridged, how many ticks it has braked, and of how many.
@@ -56,7 +63,8 @@ const DEADLINES: [&str; 6] =
     ["give_up_at_us", "heartbeat_at_us", "next_tick_us", "resend_at_us", "retry_at_us", "stop_ends_at_us"];
 
 /// Fields that are moments past, microseconds.
-const EVENTS: [&str; 5] = ["at_us", "heard_us", "progress_us", "reported_us", "resting_since_us"];
+const EVENTS: [&str; 7] =
+    ["at_us", "heard_us", "progress_us", "reported_us", "resting_since_us", "stands_since_us", "stranger_us"];
 
 /// Now, and the grid of time, microseconds.
 #[derive(Clone, Copy, Debug)]

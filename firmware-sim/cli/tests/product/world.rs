@@ -183,6 +183,8 @@ pub(crate) struct World<'p> {
     said: Arc<Vec<ToArm>>,
     /// The session that was enabled last, and where.
     anchored: Option<(u16, Pose)>,
+    /// Sessions that are over, where they were anchored, and where they left the arm: their end may hear of it late.
+    left: Vec<(u16, Pose, Pose)>,
     /// Sessions whose executor has said, at its end, that the arm stands.
     at_rest: Vec<u16>,
     /// Not part of the state: what came of the step that led here.
@@ -212,6 +214,7 @@ impl<'p> World<'p> {
             started: 0,
             said: Arc::default(),
             anchored: None,
+            left: Vec::new(),
             at_rest: Vec::new(),
             report: Report::default(),
         };
@@ -242,7 +245,7 @@ impl<'p> World<'p> {
         });
         counters.flat_map(|counter| {
             self.executors().map(move |(_, executor)| {
-                let known = executor.arm_status();
+                let known = executor.session_status();
                 known.is_none_or(|known| (1..128).contains(&counter.wrapping_sub(known.counter)))
             })
         })
@@ -490,7 +493,7 @@ impl<'p> World<'p> {
             match executor.poll(now_us) {
                 Action::Send(message) => said.push(message),
                 Action::Wait => break None,
-                Action::Finished(outcome) => break Some((executor.context().session, outcome)),
+                Action::Finished(outcome) => break Some((executor.session(), outcome)),
             }
         };
         let restless = ending.is_none() && executor.poll_at().is_none_or(|at_us| at_us <= now_us);

@@ -7,7 +7,7 @@ use powderline_firmware_sim_cli::link::witness::silence_bound_us;
 use powderline_shared::displacement::{Axis, pose_at};
 use powderline_shared::fault::{Fault, FaultCode};
 use powderline_shared::pose::{Pose, norm};
-use powderline_shared::wire::message::{FromArm, NO_SESSION, ToArm};
+use powderline_shared::wire::message::{FromArm, NO_SESSION, OpenRequest, ToArm};
 use powderline_shared::wire::state::{Command, State};
 
 use super::{AXES, HANDSHAKE_US, World, slot_of};
@@ -72,7 +72,7 @@ impl World<'_> {
         self.watch_motion(before, &after);
         self.watch_latched(before, &after, message);
         self.watch_obedience(before, &after, message);
-        self.watch_sessions(before, &after);
+        self.watch_sessions(before, &after, message);
     }
 
     fn watch_motion(&mut self, before: &Look, after: &Look) {
@@ -130,10 +130,13 @@ impl World<'_> {
             Some(ToArm::Control { command: Command::DisableVoltage, .. }) => {
                 before.state == State::QuickStopActive
             }
+            Some(ToArm::Open(request)) => is_reset(request) && before.state != State::FaultReactionActive,
             _ => false,
         };
-        let closed =
-            after.fault.is_none() && after.state == State::SwitchOnDisabled && after.session == NO_SESSION;
+        let opened = matches!(message, Some(ToArm::Open(request)) if request.session == after.session);
+        let closed = after.fault.is_none()
+            && after.state == State::SwitchOnDisabled
+            && (after.session == NO_SESSION || opened);
         if !(asked && closed && before.standstill) {
             self.breach(format!(
                 "latched {:?} in the state {} became {:?} in the state {} through {message:?}",
@@ -155,10 +158,15 @@ impl World<'_> {
         }
     }
 
-    fn watch_sessions(&mut self, before: &Look, after: &Look) {
+    /// Only whoever resets a latched stop may take the place of the session that latched it.
+    fn watch_sessions(&mut self, before: &Look, after: &Look, message: Option<&ToArm>) {
         let replaced = before.session != NO_SESSION && after.session != before.session;
-        if replaced && (after.session != NO_SESSION || !before.standstill) {
+        let reset = before.is_latched() && matches!(message, Some(ToArm::Open(request)) if is_reset(request));
+        if replaced && ((after.session != NO_SESSION && !reset) || !before.standstill) {
             self.breach(format!("session {:#06x} gave way to {:#06x}", before.session, after.session));
+        }
+        if after.session != before.session {
+            self.left.extend(before.anchor.map(|anchor| (before.session, anchor, before.pose)));
         }
         let Some(anchor) = after.anchor.filter(|_| before.anchor.is_none() || replaced) else { return };
         if self.anchored.is_some_and(|(last, _)| last == after.session) {
@@ -189,13 +197,15 @@ impl World<'_> {
 
     fn watch_completion(&mut self, slot: usize, session: u16, pose: &Pose) {
         let last = self.anchored;
-        let Some((_, anchor)) = last.filter(|(last, _)| *last == session) else {
+        let present = last.filter(|(last, _)| *last == session).map(|(_, anchor)| (anchor, *pose));
+        let past = self.left.iter().rev().find(|(left, ..)| *left == session);
+        let Some((anchor, pose)) = past.map(|(_, anchor, pose)| (*anchor, *pose)).or(present) else {
             return self
                 .breach(format!("session {session:#06x} completed, but the last one enabled was {last:?}"));
         };
         let plan = self.scene.plan(slot);
         let end = pose_at(&anchor, plan.end_setpoint(), plan.header().lsb);
-        if *pose != end || !is_at_start(&anchor) {
+        if pose != end || !is_at_start(&anchor) {
             self.breach(format!("session {session:#06x} completed at {pose:?} from {anchor:?}"));
         }
     }
@@ -218,12 +228,6 @@ impl World<'_> {
         if !status.standstill || status.state == State::OperationEnabled {
             return Err(format!("left alone, the arm is in {status:?}"));
         }
-        for command in [Command::FaultReset, Command::DisableVoltage] {
-            arm.handle_message(now_us, &ToArm::Control { session: NO_SESSION, command });
-        }
-        if !matches!(arm.state(), State::SwitchOnDisabled | State::ReadyToSwitchOn) {
-            return Err(format!("no reset takes the arm out of the state {}", arm.state().name()));
-        }
         drop(drain(&mut arm, now_us));
         self.perform(&mut arm, now_us)
     }
@@ -231,7 +235,7 @@ impl World<'_> {
     fn perform(&self, arm: &mut Controller, mut now_us: u64) -> Result<(), String> {
         let at_start = is_at_start(&arm.pose());
         let plan = self.scene.plan(0);
-        let config = Config { session: LAST_SESSION, ..Config::default() };
+        let config = Config { session: LAST_SESSION, reset: true, ..Config::default() };
         let mut executor = Executor::new(now_us, &plan, config);
         let until_us = now_us + LAST_WORDS_US;
         let outcome = loop {
@@ -276,6 +280,10 @@ impl World<'_> {
             }
         }
     }
+}
+
+fn is_reset(request: &OpenRequest) -> bool {
+    request.reset_nonce != 0
 }
 
 fn is_at_start(pose: &Pose) -> bool {

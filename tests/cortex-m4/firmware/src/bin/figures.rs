@@ -146,6 +146,9 @@ impl Costs {
     }
 }
 
+/// Of the one session.
+const NONCE: u32 = 1;
+
 /// An arm that believes everything and is where it is told to be: it costs next to nothing and says what a real one would
 /// say in good order.
 struct Echo {
@@ -192,9 +195,10 @@ impl Echo {
         match *message {
             ToArm::Open(request) => {
                 self.session = request.session;
-                self.context = Context { session: request.session, plan_hash: request.plan_hash };
+                self.context = Context::sealed(&request, NONCE);
                 self.decoder.set_context(self.context);
-                self.say(FromArm::Opened { session: request.session });
+                let (session, digest) = (request.session, request.digest());
+                self.say(FromArm::Opened { session, nonce: NONCE, digest });
                 self.say_status();
             }
             ToArm::Control { command, .. } => self.control(command),
@@ -216,7 +220,6 @@ impl Echo {
             State::OperationEnabled => {
                 self.say(FromArm::Anchored { session: self.session, pose: self.start })
             }
-            State::ReadyToSwitchOn if self.reached.tick == self.end_tick => self.session = NO_SESSION,
             _ => {}
         }
         self.say_status();
