@@ -140,8 +140,8 @@ fn kinetic<T: Real>(state: &State<T>) -> f64 {
     state.particles.occupied().map(of).sum()
 }
 
-/// The velocities of this cloud are finer than the grid; what is left of their energy after 10 ms, and so what stress does to
-/// them meanwhile, depends on the number of substeps, unless it decays by time.
+/// A wave of shear four cells long, of which the grid cannot hold all; what is left of its energy after 10 ms depends on the number of
+/// substeps, unless what the grid cannot hold decays by time.
 #[test]
 fn what_is_lost_in_a_time_does_not_depend_on_the_substeps() {
     let left = |substeps: u32, transfer: Option<Transfer>| {
@@ -149,11 +149,13 @@ fn what_is_lost_in_a_time_does_not_depend_on_the_substeps() {
         scene.powder.transfer = transfer;
         scene.time.substeps = substeps;
         let (mut model, mut state) = cloud_in::<f64>(&scene);
-        // Without stress, and slow, so that the particles stay where they are.
+        // Without stress; and so slow that the particles stay where they are.
         (model.stress_dx, model.viscous_loss) = (0.0, 0.0);
         for group in &mut state.particles.groups {
-            group.c = [Lanes::ZERO; 9];
-            group.v.iter_mut().for_each(|row| row.iter_mut().for_each(|v| *v *= 1e-3));
+            (group.c, group.v) = ([Lanes::ZERO; 9], [Lanes::ZERO; 3]);
+            for (v, x) in group.v[1].iter_mut().zip(group.x[0].iter()) {
+                *v = 1e-4 * libm::sin(2.0 * std::f64::consts::PI * x / (4.0 * scene.domain.cell_m));
+            }
         }
         let before = kinetic(&state);
         advance(&model, &far_away(), &mut state, substeps as usize);
@@ -164,5 +166,5 @@ fn what_is_lost_in_a_time_does_not_depend_on_the_substeps() {
     let [coarse_back, fine_back] = of(Some(Transfer { residue_time_s: RESIDUE_S }));
     println!("left without: {coarse:.4}, {fine:.4}; given back: {coarse_back:.4}, {fine_back:.4}");
     assert!((fine_back / coarse_back - 1.0).abs() < 0.02, "{coarse_back} {fine_back}");
-    assert!(coarse < 0.8 * coarse_back && fine < 0.97 * coarse, "{coarse} {fine}");
+    assert!(coarse < 0.5 * coarse_back && fine < 0.9 * coarse, "{coarse} {fine}");
 }
