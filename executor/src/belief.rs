@@ -8,7 +8,7 @@
 //! * is at most 1 + (t - t0) / h, with t0 the moment at which the setpoint left that started its clock, and h the control
 //!   period: it may be late for many reasons, but early for none.
 //!
-//! Two clocks differ: an arm's may run faster than ours by one part in [`DRIFT_SHARE`], and what both round to whole ticks is
+//! Two clocks differ: an arm's may run faster than ours by one part in `DRIFT_SHARE`, and what both round to whole ticks is
 //! forgiven.
 
 use core::fmt;

@@ -13,7 +13,7 @@
 //! | symbol | meaning | in code |
 //! |---|---|---|
 //! | x_i | position of grain i at a cut, a moment of the motion | `positions` |
-//! | l_i | what grain i costs at the end, see [`super::loss::values`] | `values` |
+//! | l_i | what grain i costs at the end, `values` in `rollout/loss.rs` | `values` |
 //! | V(x) | what a grain costs on average that is at x at the cut: E\[l \| x\] | |
 //! | h | radius of a neighbourhood | [`Restarts::radius_m`] |
 //! | s_i | slope of V at x_i | `slopes` |
