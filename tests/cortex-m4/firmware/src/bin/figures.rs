@@ -216,11 +216,8 @@ impl Echo {
         if let Some(line) = transition(self.state, Event::Command(command)) {
             self.state = line.to;
         }
-        match self.state {
-            State::OperationEnabled => {
-                self.say(FromArm::Anchored { session: self.session, pose: self.start })
-            }
-            _ => {}
+        if self.state == State::OperationEnabled {
+            self.say(FromArm::Anchored { session: self.session, pose: self.start });
         }
         self.say_status();
     }
