@@ -339,7 +339,7 @@ const SINGLE_FIELDS: &[Case] = &[
     (
         "cohesion_pa = 0.0",
         "cohesion_pa = 0.0\ntransfer = { residue_time_ms = 50 }",
-        ": powder.transfer at line 25: unknown field `residue_time_ms`, expected `residue_time_s`; did you mean `residue_time_s`?",
+        ": powder.transfer.residue_time_ms at line 25: unknown field `residue_time_ms`, expected `residue_time_s`; did you mean `residue_time_s`?",
     ),
     (
         "viscosity_pa_s = 0.08",
