@@ -462,8 +462,8 @@ fn a_program_has_a_line_for_each_tick_and_no_exponents() {
     let motion = with_arm();
     let arm = arm_of(&motion);
     let whole = program(CYCLE_US, 1.0, None, None);
-    let (_, rest) = whole.split_once("plays the motion").expect("a motion");
-    let (motion_alone, _) = rest.split_once("back to").expect("a way back");
+    let (_, rest) = whole.split_once("Powderline: plays the motion").expect("a motion");
+    let (motion_alone, _) = rest.split_once("Powderline: back to").expect("a way back");
     let ticks: Vec<&str> =
         motion_alone.lines().filter(|line| line.starts_with("  powderline_tick(")).collect();
     assert_eq!(ticks.len(), 100);
