@@ -1,6 +1,7 @@
 //! `optimise report` and `render` with the stand-in, whose powder is two particles.
 
 use super::*;
+use powderline_simulator::scene::Arm;
 
 fn page(folder: &str) -> String {
     String::from_utf8(bytes(folder, "report.html")).unwrap()
@@ -113,10 +114,10 @@ fn what_cannot_be_drawn_is_refused() {
     assert_sentence(&interrupted, 130, "stopped");
 }
 
-/// The scene `bench-small` with its base elsewhere.
-fn with_base(place: &Place, y_m: f64) -> String {
+/// The scene `bench-small` with another arm.
+fn with_arm(place: &Place, change: impl Fn(&mut Arm)) -> String {
     let mut scene = Scene::load("bench-small").unwrap();
-    scene.arm.as_mut().unwrap().base_position_m[1] = y_m;
+    change(scene.arm.as_mut().unwrap());
     let file = place.text("moved.toml");
     fs::write(&file, scene.to_toml()).unwrap();
     file
@@ -154,15 +155,16 @@ fn the_arm_is_drawn_unless_it_cannot_or_is_not_wanted() {
     assert!(report["arm"].is_null() && report["remark"].is_null());
     assert!(drawn != without && drawn != whole && whole != without);
     // Out of reach: said, and drawn as without an arm.
-    let (report, err, away) = render(&with_base(&place, -2.0), &[]);
+    let (report, err, away) = render(&with_arm(&place, |arm| arm.base_position_m[1] = -2.0), &[]);
     let remark = report["remark"].as_str().unwrap();
     assert!(
         report["arm"].is_null() && remark.starts_with("No arm is drawn, for the UR3e cannot make"),
         "{remark}"
     );
     assert!(err.contains(remark) && away == without, "{err}");
-    // Too near to the bench: drawn, and said.
-    let (report, _, _) = render(&with_base(&place, -0.3), &[]);
+    // Nearer to something than it should be: drawn as it is, and said.
+    let (report, _, near) = render(&with_arm(&place, |arm| arm.clearance_m = 0.5), &[]);
     let remark = report["remark"].as_str().unwrap();
-    assert!(remark.contains("UR3e") && remark.contains("make this motion"), "{remark}");
+    assert!(remark.starts_with("The UR3e is drawn, though it could not make this motion"), "{remark}");
+    assert!(report["arm"] == "ur3e" && near == drawn);
 }
