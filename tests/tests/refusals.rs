@@ -62,7 +62,8 @@ fn no_program_waits_for_a_plan_that_never_comes() {
         run(FIRMWARE_SIM, &["--on", "pty", "--at", path]).refused(1, about);
         run(OPTIMISE, &["inspect", path]).refused(2, about);
         run(OPTIMISE, &["export", "--format", "csv", path]).refused(2, about);
-        for command in ["simulate", "report", "render"] {
+        run(OPTIMISE, &["report", path]).refused(2, about);
+        for command in ["simulate", "render"] {
             run(OPTIMISE, &[command, "--plan", path]).refused(2, about);
         }
     }
