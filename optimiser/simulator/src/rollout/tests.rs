@@ -251,11 +251,10 @@ fn controls_agree_with_differences(mut scene: Scene) {
         };
         let adjoint: f64 = slopes.iter().enumerate().map(along).sum();
         let error = |h: &f64| ((loss_at(*h) - loss_at(-h)) / (2.0 * h) / adjoint - 1.0).abs();
-        let errors: Vec<f64> = [1e-7, 1e-8, 1e-9, 1e-10].iter().map(error).collect();
+        // Kinks are nearer the longer a particle remembers its velocity; below 1e-9 there is rounding, more or less of it.
+        let errors: Vec<f64> = [1e-7, 1e-8, 1e-9, 3e-10, 1e-10].iter().map(error).collect();
         println!("{half:?}: adjoint {adjoint:e}, errors {errors:?}");
-        // Velocities that remember longer meet more kinks: 2e-5 was found there.
-        let bound = if scene.powder.transfer.is_some() { 1e-4 } else { 1e-5 };
-        assert!(errors.iter().any(|error| *error < bound), "{half:?}: {adjoint:e} {errors:?}");
+        assert!(errors.iter().any(|error| *error < 1e-5), "{half:?}: {adjoint:e} {errors:?}");
     }
 }
 
