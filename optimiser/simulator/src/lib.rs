@@ -64,6 +64,7 @@
 //! | transfers, affine velocities | `mpm/p2g.rs`, `mpm/g2p.rs` | Hu et al. 2018, MLS-MPM |
 //! | splines and their slopes | `mpm/stencil.rs` | Steffen et al. 2008 |
 //! | elasticity, yield surface, volume correction, cohesion | `mpm/material.rs` | Klar et al. 2016; Matsuoka and Nakai 1974; Tampubolon et al. 2017 |
+//! | friction at rest and flowing | `mpm/material.rs` | MiDi 2004, inertial number |
 //! | volume held to the grid's density | `mpm/density.rs` | after Dunatunga and Kamrin 2015 |
 //! | velocity residue, given back | `mpm/residue.rs` | after Fei et al. 2021, AFLIP |
 //! | contact, friction | `mpm/contact.rs`, `mpm/grid_update.rs` | Coulomb; Stomakhin et al. 2013 |

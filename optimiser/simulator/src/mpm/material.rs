@@ -14,8 +14,11 @@
 //! | `Y(l)` | `narrowing` | slope in triaxial compression over the slope at that Lode angle; 1 on Drucker-Prager's cone |
 //! | `t_c` | `apex` | trace at the cone's apex: 0 without cohesion |
 //! | `t_t` | `cut` | trace at which powder parts: `t_c`, or less where tension is cut off |
+//! | `w` | `shear` | `k 2 D:D` of the last velocity gradient's deviatoric symmetric part `D`, `k = (d/I_h)^2 rho_s/K`: `w/P` is the square of the inertial number over `I_h` |
+//! | `P` | `depth` | how far inside the cone's apex: `S t_c - min(t, S t_t)`; the pressure over the bulk modulus `K` |
+//! | `c P (1 + B r)` | | what the deviator may be in compression, `r = P/(P + w)`: with two angles `c` is the slope of flowing powder, and `B` what powder at rest has more; else `B = 0` |
 //! | `S(q)` | `bond` | part of apex and cut-off that is left of opened powder, `(1 - x)^2 (1 + 2 x)` with `x = q/0.05` in [0, 1]; 1 without a cut-off |
-//! | `k` | `keep` | part of the deviator that is kept: 1 elastic, `c (S t_c - min(t, S t_t))/(Y n)` on the cone, 0 at its apex |
+//! | `k` | `keep` | part of the deviator that is kept: 1 elastic, `c P (1 + B r)/(Y n)` on the cone, 0 at its apex |
 //! | `eps'` | `mean`, `k e` | after the return: `min(t, S t_t)/3 I + k e` |
 //! | `q'` | | `max(0, t - S t_t)` |
 //! | `tau` | `tau` | Kirchhoff stress `2 mu eps' + lambda tr(eps') I`, Pa |
@@ -26,6 +29,11 @@
 //! same angle in compression and in extension, and up to 4 degrees more in plane strain, as sands have it. Both cones are
 //! returned to along the deviator, which keeps its direction and so its Lode angle: `Y` is known beforehand.
 //!
+//! Two angles (`flow` in a scene): sand that flows has less friction than sand that is about to. With one angle a column of sand
+//! either runs out as far as it should or stands as high as it should; with two, both. The passage is smooth in the inertial number
+//! `I = d sqrt(2 D:D) sqrt(rho_s/p)` (MiDi 2004, "On dense granular flows"), at rest included. What flowing and resting powder have of
+//! the friction angle's slope was found on columns, see [`AT_REST`].
+//!
 //! Isotropy lets `b^e = F F^T` stand for `F`, and the return is along `eps`: so nothing here needs the singular value
 //! decomposition of the paper, nor eigenvectors. What is needed are a logarithm and an exponential of symmetric matrices,
 //! `E' = exp(2 mean) exp(2 k e) - I`, and of traceless ones those are short series ([`super::matrix_polynomial`]) as long as the shear is
@@ -34,8 +42,10 @@
 
 use crate::mpm::matrix_polynomial::{CayleyHamilton, downwards, horner, horner_with_slopes};
 use crate::real::Real;
-use crate::scene::{Powder, YieldSurface};
-use crate::small::{Mat3, Sym3, blend, determinant, full, inner, plus_diagonal, scale_sym, three, trace};
+use crate::scene::{Flow, Powder, YieldSurface};
+use crate::small::{
+    Mat3, Sym3, blend, determinant, dot, full, inner, plus_diagonal, scale_sym, three, trace,
+};
 
 /// Constants of the return map.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -44,8 +54,12 @@ pub(crate) struct Material<T> {
     pub(crate) lambda: T,
     /// Shear modulus, Pa.
     pub(crate) mu: T,
-    /// Cone slope `c`, in triaxial compression.
+    /// Cone slope `c`, in triaxial compression; of flowing powder, if powder at rest has another.
     pub(crate) slope: T,
+    /// `B`
+    at_rest: T,
+    /// `k`, s^2
+    shear_scale: T,
     /// `Y(l)` by powers of `l`, lowest first.
     narrowing: [T; NARROWING_TERMS],
     /// Trace of the Hencky strain at the cone's apex.
@@ -67,6 +81,54 @@ impl<T: Real> Material<T> {
             powder.yield_surface,
         )
         .with_tensile_strength(powder.tensile_strength_pa)
+        .with_flow(powder.flow)
+    }
+
+    /// With two angles.
+    pub(crate) fn with_flow(self, flow: Option<Flow>) -> Self {
+        let Some(Flow { grain_diameter_m, grain_density_kg_m3 }) = flow else { return self };
+        let bulk = self.lambda.to_f64() + 2.0 * self.mu.to_f64() / 3.0;
+        let time_per_root = grain_diameter_m / INERTIAL_NUMBER;
+        Self {
+            slope: T::from_f64(FLOWING) * self.slope,
+            at_rest: T::from_f64(AT_REST / FLOWING - 1.0),
+            shear_scale: T::from_f64(time_per_root * time_per_root * grain_density_kg_m3 / bulk),
+            ..self
+        }
+    }
+
+    /// `w` of a velocity gradient (1/s), and half its derivative by it over `k`, `2 D`.
+    #[inline(always)]
+    pub(crate) fn shear(&self, c: &Mat3<T>) -> (T, Mat3<T>) {
+        let spread = T::from_f64(2.0 / 3.0) * (c[0][0] + c[1][1] + c[2][2]);
+        let twice = three!(i => three!(j => {
+            let sum = c[i][j] + c[j][i];
+            if i == j { sum - spread } else { sum }
+        }));
+        let square = dot(twice[0], twice[0]) + dot(twice[1], twice[1]) + dot(twice[2], twice[2]);
+        (T::from_f64(0.5) * self.shear_scale * square, twice)
+    }
+
+    /// Adjoint of [`Self::shear`].
+    #[inline(always)]
+    pub(crate) fn shear_adjoint(&self, twice: &Mat3<T>, bar: T) -> Mat3<T> {
+        let scale = (self.shear_scale + self.shear_scale) * bar;
+        three!(i => three!(j => scale * twice[i][j]))
+    }
+
+    /// What the deviator may be before it is narrowed, over the slope, `P (1 + B r)`, and its derivatives by depth and shear.
+    #[inline(always)]
+    pub(crate) fn strength(&self, depth: T, shear: T) -> (T, [T; 2]) {
+        let ratio = depth / (depth + shear + T::from_f64(NO_SHEAR));
+        let more = self.at_rest * ratio;
+        let by_depth = T::ONE + more * (T::ONE + T::ONE - ratio);
+        (depth + more * depth, [by_depth, -(more * ratio)])
+    }
+
+    /// Whether powder at rest has another friction than powder that flows.
+    #[inline(always)]
+    pub(crate) fn has_two_angles(&self) -> bool {
+        self.at_rest > T::ZERO
     }
 
     /// Parts at a mean tension (Pa), and has less of it and of cohesion the farther it has opened; at none given, at the cone's
@@ -111,6 +173,8 @@ impl<T: Real> Material<T> {
             lambda: T::from_f64(lambda),
             mu: T::from_f64(mu),
             slope: T::from_f64(alpha * 3.0 * bulk / (2.0 * mu)),
+            at_rest: T::ZERO,
+            shear_scale: T::ZERO,
             apex: T::from_f64(tension / bulk),
             cut: T::from_f64(tension / bulk),
             inverse_opening: T::ZERO,
@@ -133,6 +197,15 @@ impl<T: Real> Material<T> {
         (value, slope)
     }
 }
+
+/// Slope of powder at rest, and of flowing powder, over that of the friction angle: for 30 degrees those of 36.3 and 25. Found on
+/// columns that collapse, one and two radii high.
+pub(crate) const AT_REST: f64 = 1.23;
+const FLOWING: f64 = 0.82;
+/// Inertial number at which powder has the mean of both.
+const INERTIAL_NUMBER: f64 = 0.1;
+/// What the shear of powder at its apex counts for at least: there no deviator is left, however that comes.
+const NO_SHEAR: f64 = 1e-12;
 
 /// Volume correction at which no bond is left.
 const OPENING: f64 = 0.05;
@@ -283,13 +356,21 @@ struct Return<T> {
     narrowing: (T, T),
     /// `S` and its derivative.
     bond: (T, T),
+    /// Derivatives of [`Material::strength`].
+    strength: [T; 2],
     parted: bool,
     elastic: bool,
 }
 
 /// The return, with `f` the numbers of `ln(I + B) = f0 I + f1 B + f2 B^2`.
 #[inline(always)]
-fn yielded<T: Real>(m: &Material<T>, a: T, b: &CayleyHamilton<T>, f: [T; 3], q: T) -> Return<T> {
+fn yielded<T: Real>(
+    m: &Material<T>,
+    a: T,
+    b: &CayleyHamilton<T>,
+    f: [T; 3],
+    [q, shear]: [T; 2],
+) -> Return<T> {
     let (third, half) = (T::from_f64(1.0 / 3.0), T::from_f64(0.5));
     let trace_ln = T::from_f64(3.0) * f[0] + (f[2] + f[2]) * b.m2;
     let t = T::from_f64(1.5) * a.ln_1p() + q + half * trace_ln;
@@ -303,19 +384,25 @@ fn yielded<T: Real>(m: &Material<T>, a: T, b: &CayleyHamilton<T>, f: [T; 3], q: 
     let (apex, cut) = (bond.0 * m.apex, bond.0 * m.cut);
     let parted = t >= cut;
     let trace = if parted { cut } else { t };
-    let room = m.slope * (apex - trace) / narrowing.0;
+    let (strength, slopes) = m.strength(apex - trace, shear);
+    let room = m.slope * strength / narrowing.0;
     let elastic = n <= room;
     let keep = if elastic { T::ONE } else { room * inverse_n };
-    Return { e, inverse_n, t, keep, mean: third * trace, lode, narrowing, bond, parted, elastic }
+    let mean = third * trace;
+    Return { e, inverse_n, t, keep, mean, lode, narrowing, bond, strength: slopes, parted, elastic }
 }
 
 /// Kirchhoff stress (Pa), strain and volume correction after the return to the yield surface; of a trial strain that
-/// [`is_mild`].
+/// [`is_mild`]. What comes beside it are volume correction and shear.
 #[inline(always)]
-pub(crate) fn return_map<T: Real>(m: &Material<T>, trial: Sym3<T>, q: T) -> (Sym3<T>, Sym3<T>, T) {
+pub(crate) fn return_map<T: Real>(
+    m: &Material<T>,
+    trial: Sym3<T>,
+    [q, shear]: [T; 2],
+) -> (Sym3<T>, Sym3<T>, T) {
     let (a, _, b) = spread(trial);
     let b = CayleyHamilton::of(b);
-    let r = yielded(m, a, &b, horner(&T::LN_1P_SERIES, b.m2, b.m3), q);
+    let r = yielded(m, a, &b, horner(&T::LN_1P_SERIES, b.m2, b.m3), [q, shear]);
     let two_mu = m.mu + m.mu;
     let pressure = (two_mu + T::from_f64(3.0) * m.lambda) * r.mean;
     let tau = plus_diagonal(scale_sym(two_mu * r.keep, r.e), pressure);
@@ -337,21 +424,21 @@ pub(crate) struct ReturnBar<T> {
     pub(crate) volume: T,
 }
 
-/// Cotangents of [`return_map`]: of the trial strain and of `q`.
+/// Cotangents of [`return_map`]: of the trial strain, and of volume correction and shear.
 #[inline(always)]
 pub(crate) fn return_map_adjoint<T: Real>(
     m: &Material<T>,
     trial: Sym3<T>,
-    q: T,
+    [q, shear]: [T; 2],
     bar: &ReturnBar<T>,
-) -> (Sym3<T>, T) {
+) -> (Sym3<T>, [T; 2]) {
     let ReturnBar { tau: tau_bar, strain: strain_bar, q: q_bar, volume: volume_bar } = *bar;
     let (third, half, two) = (T::from_f64(1.0 / 3.0), T::from_f64(0.5), T::from_f64(2.0));
     let two_mu = m.mu + m.mu;
     let (a, inverse, b) = spread(trial);
     let b = CayleyHamilton::of(b);
     let (f, f_slopes) = horner_with_slopes(&T::LN_1P_SERIES, b.m2, b.m3);
-    let r = yielded(m, a, &b, f, q);
+    let r = yielded(m, a, &b, f, [q, shear]);
     let x = CayleyHamilton::of(scale_sym(r.keep + r.keep, r.e));
     let (h, h_slopes) = horner_with_slopes(&T::EXP_M1_SERIES, x.m2, x.m3);
 
@@ -367,13 +454,14 @@ pub(crate) fn return_map_adjoint<T: Real>(
     // Back through the return.
     let along = (inner(kept_bar, r.e) * r.inverse_n).only_if(!r.elastic);
     let (narrowing, narrowing_slope) = r.narrowing;
-    // On the cone k n = c (S t_c - min(t, S t_t))/Y(l), where dl/de is -3 sqrt(6) e^2/n^3 - 3 l e/n^2, but for its trace.
+    // On the cone k n = c P (1 + B r)/Y(l), where dl/de is -3 sqrt(6) e^2/n^3 - 3 l e/n^2, but for its trace.
     let turning = -(r.keep * along * narrowing_slope / narrowing) * r.inverse_n;
     let e2 = CayleyHamilton::of(r.e).b2;
     let shrinking = r.keep * along * r.inverse_n + T::from_f64(3.0) * r.lode * turning;
     let e_bar = blend(r.keep, kept_bar, -shrinking, r.e);
     let e_bar = blend(T::ONE, e_bar, T::from_f64(LODE_FACTOR) * turning * r.inverse_n, e2);
     let room_bar = m.slope * along / narrowing;
+    let [room_bar, shear_bar] = [r.strength[0] * room_bar, r.strength[1] * room_bar];
     let trace_bar = third * mean_bar - room_bar;
     let t_bar = volume_bar + if r.parted { q_bar } else { trace_bar };
     // What bonds are left: of the apex, and of the cut-off where that is met.
@@ -385,5 +473,5 @@ pub(crate) fn return_map_adjoint<T: Real>(
     let b_bar = b.combine_adjoint(f, f_slopes, ln_bar);
     let a_bar = inverse * (T::from_f64(1.5) * t_bar - inner(b_bar, b.b));
     let b_bar = scale_sym(inverse, b_bar);
-    (plus_diagonal(b_bar, third * (a_bar - trace(b_bar))), t_bar + q_in_bar)
+    (plus_diagonal(b_bar, third * (a_bar - trace(b_bar))), [t_bar + q_in_bar, shear_bar])
 }

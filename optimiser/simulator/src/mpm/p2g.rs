@@ -181,11 +181,12 @@ fn send<T: Real, const MILD: bool>(
 ) {
     for l in 0..LANES {
         let c = mat_of(&input.c, l);
-        let (trial, q) = (trial.of(l), input.q[0][l]);
+        let (trial, (shear, _)) = (trial.of(l), model.material.shear(&c));
+        let beside = [input.q[0][l], shear];
         let (tau, strain, q) = if MILD {
-            material::return_map(&model.material, trial, q)
+            material::return_map(&model.material, trial, beside)
         } else {
-            principal::return_map(&model.material, trial, q)
+            principal::return_map(&model.material, trial, beside)
         };
         for i in 0..6 {
             out.strain[i][l] = strain[i];
@@ -333,20 +334,23 @@ fn send_adjoint<T: Real, const MILD: bool>(
 ) {
     let half = T::from_f64(0.5);
     for l in 0..LANES {
-        let l_of = dt_times(model.dt, &mat_of(&input.c, l));
+        let c = mat_of(&input.c, l);
+        let l_of = dt_times(model.dt, &c);
+        let (shear, twice_rate) = model.material.shear(&c);
         let a_bar = mat_of(a_dx_bar, l);
         let to_tau = |i: usize, j: usize| -(model.stress_dx * half * (a_bar[i][j] + a_bar[j][i]));
         let tau_bar = [to_tau(0, 0), to_tau(1, 1), to_tau(2, 2), to_tau(0, 1), to_tau(0, 2), to_tau(1, 2)];
         let strain = input.strain_of(l);
-        let (trial, q) = (trial.of(l), input.q[0][l]);
+        let (trial, beside) = (trial.of(l), [input.q[0][l], shear]);
         // Where [`super::g2p::TileToParticlesAdjoint`] leaves it.
         let volume = bar.c[0][l];
         let returned = ReturnBar { tau: tau_bar, strain: bar.strain_of(l), q: bar.q[0][l], volume };
-        let (trial_bar, q_bar) = if MILD {
-            material::return_map_adjoint(&model.material, trial, q, &returned)
+        let (trial_bar, [q_bar, shear_bar]) = if MILD {
+            material::return_map_adjoint(&model.material, trial, beside, &returned)
         } else {
-            principal::return_map_adjoint(&model.material, trial, q, &returned)
+            principal::return_map_adjoint(&model.material, trial, beside, &returned)
         };
+        let through_shear = model.material.shear_adjoint(&twice_rate, shear_bar);
         let (strain_bar, l_bar) = trial_strain_adjoint(strain, &l_of, trial_bar);
         for i in 0..6 {
             bar.strain[i][l] = strain_bar[i];
@@ -357,6 +361,9 @@ fn send_adjoint<T: Real, const MILD: bool>(
         for i in 0..3 {
             for j in 0..3 {
                 c_bar[i][j] = model.mass_dx * a_bar[i][j] + model.dt * l_bar[i][j];
+                if model.material.has_two_angles() {
+                    c_bar[i][j] += through_shear[i][j];
+                }
             }
         }
         set_mat(&mut bar.c, l, c_bar);

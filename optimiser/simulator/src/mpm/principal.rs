@@ -81,12 +81,14 @@ struct Principal<T> {
     narrowing: (T, T),
     /// `S` and its derivative.
     bond: (T, T),
+    /// Derivatives of [`Material::strength`].
+    strength: [T; 2],
     parted: bool,
     elastic: bool,
 }
 
 #[inline(always)]
-fn principal<T: Real>(m: &Material<T>, trial: Sym3<T>, q: T) -> Principal<T> {
+fn principal<T: Real>(m: &Material<T>, trial: Sym3<T>, [q, shear]: [T; 2]) -> Principal<T> {
     let third = T::from_f64(1.0 / 3.0);
     let (w, u) = eigen(trial);
     let half = T::from_f64(0.5);
@@ -105,18 +107,21 @@ fn principal<T: Real>(m: &Material<T>, trial: Sym3<T>, q: T) -> Principal<T> {
     let (apex, cut) = (bond.0 * m.apex, bond.0 * m.cut);
     let parted = t >= cut;
     let trace = if parted { cut } else { t };
-    let room = m.slope * (apex - trace) / narrowing.0;
+    let (strength, slopes) = m.strength(apex - trace, shear);
+    let room = m.slope * strength / narrowing.0;
     let elastic = n <= room;
     let keep = if elastic { T::ONE } else { room * inverse };
     let mean = third * trace;
     let eps_new = [mean + keep * e[0], mean + keep * e[1], mean + keep * e[2]];
-    Principal { w, u, eps, eps_new, d, t, keep, lode, narrowing, bond, parted, elastic }
+    let strength = slopes;
+    Principal { w, u, eps, eps_new, d, t, keep, lode, narrowing, bond, strength, parted, elastic }
 }
 
-/// Kirchhoff stress (Pa), strain and volume correction after the return to the yield surface.
+/// Kirchhoff stress (Pa), strain and volume correction after the return to the yield surface. What comes `beside` the trial strain
+/// are volume correction and shear.
 #[inline(always)]
-pub(crate) fn return_map<T: Real>(m: &Material<T>, trial: Sym3<T>, q: T) -> (Sym3<T>, Sym3<T>, T) {
-    let p = principal(m, trial, q);
+pub(crate) fn return_map<T: Real>(m: &Material<T>, trial: Sym3<T>, beside: [T; 2]) -> (Sym3<T>, Sym3<T>, T) {
+    let p = principal(m, trial, beside);
     let pressure = m.lambda * (p.eps_new[0] + p.eps_new[1] + p.eps_new[2]);
     let two_mu = m.mu + m.mu;
     let tau = three!(i => two_mu * p.eps_new[i] + pressure);
@@ -124,18 +129,18 @@ pub(crate) fn return_map<T: Real>(m: &Material<T>, trial: Sym3<T>, q: T) -> (Sym
     (compose(&p.u, tau), compose(&p.u, grown), (p.t - p.bond.0 * m.cut).only_if(p.parted))
 }
 
-/// Cotangents of [`return_map`]: of the trial strain and of `q`.
+/// Cotangents of [`return_map`]: of the trial strain, and of volume correction and shear.
 #[inline(always)]
 pub(crate) fn return_map_adjoint<T: Real>(
     m: &Material<T>,
     trial: Sym3<T>,
-    q: T,
+    beside: [T; 2],
     bar: &ReturnBar<T>,
-) -> (Sym3<T>, T) {
+) -> (Sym3<T>, [T; 2]) {
     let ReturnBar { tau: tau_bar, strain: strain_bar, q: q_bar, volume: volume_bar } = *bar;
     let third = T::from_f64(1.0 / 3.0);
     let two = T::from_f64(2.0);
-    let p = principal(m, trial, q);
+    let p = principal(m, trial, beside);
     let ut = transpose(&p.u);
     let tb = mul(&mul(&ut, &full(tau_bar)), &p.u);
     let bb = mul(&mul(&ut, &full(strain_bar)), &p.u);
@@ -151,6 +156,7 @@ pub(crate) fn return_map_adjoint<T: Real>(
     let turning = -(p.keep * along * narrowing_slope / narrowing);
     let sixth = T::from_f64(1.0 / 6.0);
     let room_bar = (m.slope * along / narrowing).only_if(!p.elastic);
+    let [room_bar, shear_bar] = [p.strength[0] * room_bar, p.strength[1] * room_bar];
     let trace_bar = mean - room_bar;
     let t_bar = volume_bar + if p.parted { q_bar } else { trace_bar };
     let eps_bar = three!(i => {
@@ -175,7 +181,7 @@ pub(crate) fn return_map_adjoint<T: Real>(
     let g = [[diagonal[0], g01, g02], [g01, diagonal[1], g12], [g02, g12, diagonal[2]]];
     let out = mul(&mul(&p.u, &g), &ut);
     let q_in = third * (eps_bar[0] + eps_bar[1] + eps_bar[2]) + q_in_bar;
-    ([out[0][0], out[1][1], out[2][2], out[0][1], out[0][2], out[1][2]], q_in)
+    ([out[0][0], out[1][1], out[2][2], out[0][1], out[0][2], out[1][2]], [q_in, shear_bar])
 }
 
 /// `expm1(x)/x`, 1 at 0.

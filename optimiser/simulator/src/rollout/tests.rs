@@ -10,7 +10,7 @@ use crate::rollout::{
     SimulatorSettings, Snapshot, gradcheck, outcome,
 };
 use crate::scene::{
-    Aim, Cuboid, Infeasible, Scene, Tool, ToolShape, Transfer, VolumeCorrection, YieldSurface,
+    Aim, Cuboid, Flow, Infeasible, Scene, Tool, ToolShape, Transfer, VolumeCorrection, YieldSurface,
 };
 use crate::skill::{SkillMap, Theta};
 
@@ -24,6 +24,7 @@ fn benches() -> [Scene; 3] {
     other.powder.volume_correction = VolumeCorrection::Grid;
     let mut gets_back = other.clone();
     gets_back.powder.transfer = Some(Transfer { residue_time_s: 0.05 });
+    gets_back.powder.flow = Some(Flow { grain_diameter_m: 5e-4, grain_density_kg_m3: 1667.0 });
     [scene, other, gets_back]
 }
 

@@ -82,12 +82,13 @@ pub(super) fn packed_cylinder(
     points
 }
 
-/// The return map as a substep takes it: Kirchhoff stress (Pa), strain and volume correction.
+/// The return map as a substep of slow powder takes it: Kirchhoff stress (Pa), strain and volume correction.
 pub(super) fn returned<T: Real>(material: &Material<T>, trial: Sym3<T>, q: T) -> (Sym3<T>, Sym3<T>, T) {
+    let slowly = [q, T::ZERO];
     if material::is_mild(trial) {
-        material::return_map(material, trial, q)
+        material::return_map(material, trial, slowly)
     } else {
-        principal::return_map(material, trial, q)
+        principal::return_map(material, trial, slowly)
     }
 }
 

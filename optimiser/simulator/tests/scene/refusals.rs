@@ -34,7 +34,7 @@ const STRUCTURE: &[Case] = &[
     (
         "youngs_modulus_pa = 1.0e4",
         "youngs_modulus = 1.0e4",
-        ": powder.youngs_modulus at line 18: unknown field `youngs_modulus`, expected one of `fill_min_m`, `fill_max_m`, `fill_shape`, `particles_per_cell`, `seed`, `youngs_modulus_pa`, `poissons_ratio`, `density_kg_m3`, `friction_angle_deg`, `yield`, `volume_correction`, `transfer`, `cohesion_pa`, `tensile_strength_pa`, `viscosity_pa_s`; did you mean `youngs_modulus_pa`?",
+        ": powder.youngs_modulus at line 18: unknown field `youngs_modulus`, expected one of `fill_min_m`, `fill_max_m`, `fill_shape`, `particles_per_cell`, `seed`, `youngs_modulus_pa`, `poissons_ratio`, `density_kg_m3`, `friction_angle_deg`, `flow`, `yield`, `volume_correction`, `transfer`, `cohesion_pa`, `tensile_strength_pa`, `viscosity_pa_s`; did you mean `youngs_modulus_pa`?",
     ),
     (
         "yield = \"drucker_prager\"",
@@ -154,7 +154,7 @@ const STRUCTURE: &[Case] = &[
     (
         "cohesion_pa = 0.0",
         "cell_m = 0.004",
-        ": powder.cell_m at line 24: unknown field `cell_m`, expected one of `fill_min_m`, `fill_max_m`, `fill_shape`, `particles_per_cell`, `seed`, `youngs_modulus_pa`, `poissons_ratio`, `density_kg_m3`, `friction_angle_deg`, `yield`, `volume_correction`, `transfer`, `cohesion_pa`, `tensile_strength_pa`, `viscosity_pa_s`; that key belongs into [domain]",
+        ": powder.cell_m at line 24: unknown field `cell_m`, expected one of `fill_min_m`, `fill_max_m`, `fill_shape`, `particles_per_cell`, `seed`, `youngs_modulus_pa`, `poissons_ratio`, `density_kg_m3`, `friction_angle_deg`, `flow`, `yield`, `volume_correction`, `transfer`, `cohesion_pa`, `tensile_strength_pa`, `viscosity_pa_s`; that key belongs into [domain]",
     ),
     (
         "difference_half_step = 0.1",
@@ -330,6 +330,21 @@ const SINGLE_FIELDS: &[Case] = &[
         "cohesion_pa = 0.0",
         "cohesion_pa = 7.0\ntensile_strength_pa = -1.0",
         ": powder.tensile_strength_pa is -1, but it must be from 0 to 1e7",
+    ),
+    (
+        "cohesion_pa = 0.0",
+        "cohesion_pa = 0.0\nflow = { grain_diameter_m = 0.5, grain_density_kg_m3 = 1667.0 }",
+        ": powder.flow.grain_diameter_m is 0.5, but it must be from 1e-6 to 0.01; did you mean metres, that is 0.0005?",
+    ),
+    (
+        "cohesion_pa = 0.0",
+        "cohesion_pa = 0.0\nflow = { grain_diameter_m = 0.0005, grain_density_kg_m3 = 0.0 }",
+        ": powder.flow.grain_density_kg_m3 is 0, but it must be from 10 to 25000",
+    ),
+    (
+        "cohesion_pa = 0.0",
+        "cohesion_pa = 0.0\nflow = { grain_diameter_m = 0.0005, grain_density_kg_m3 = 1667.0 }",
+        ": powder.friction_angle_deg is 35, but with powder.flow the powder is steeper at rest, and that steep it carries tension in triaxial extension; at most 30.4 would be right",
     ),
     (
         "cohesion_pa = 0.0",

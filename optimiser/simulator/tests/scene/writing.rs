@@ -1,7 +1,7 @@
 //! Writing and identifying scenes.
 
 use powderline_simulator::scene::{
-    Aim, Amount, ContainerShape, EMBEDDED_SCENES, FillShape, Gate, GateOpening, GateShape, Observation,
+    Aim, Amount, ContainerShape, EMBEDDED_SCENES, FillShape, Flow, Gate, GateOpening, GateShape, Observation,
     Quantity, Scene, ToolShape, Transfer, VolumeCorrection, YieldSurface,
 };
 use proptest::prelude::*;
@@ -24,6 +24,8 @@ fn arbitrary_scene() -> impl Strategy<Value = Scene> {
             if round {
                 scene.powder.yield_surface = YieldSurface::MatsuokaNakai;
                 scene.powder.volume_correction = VolumeCorrection::Grid;
+                scene.powder.flow =
+                    Some(Flow { grain_diameter_m: 5e-4 + 1e-4 * small, grain_density_kg_m3: 1600.0 });
                 scene.powder.transfer = Some(Transfer { residue_time_s: 0.05 + 0.1 * small });
             }
             if scoop {

@@ -274,7 +274,7 @@ fn settle(scene: &Scene, positions: &[[f64; 3]], substeps: usize) -> Vec<Settled
     let mut out = vec![Settled { x: [0.0; 3], stress: [0.0; 6] }; positions.len()];
     for (g, l, id) in state.particles.occupied() {
         let group = &state.particles.groups[g];
-        let (stress, _, _) = return_map(&model.material, group.strain_of(l), 0.0);
+        let (stress, _, _) = return_map(&model.material, group.strain_of(l), [0.0; 2]);
         out[id as usize] = Settled { x: vec_of(&group.x, l), stress };
     }
     out

@@ -8,7 +8,7 @@ use crate::mpm::material::{
 };
 use crate::mpm::principal::{self, eigen};
 use crate::real::Real;
-use crate::scene::{Cuboid, YieldSurface};
+use crate::scene::{Cuboid, Flow, YieldSurface};
 use crate::shape::{
     AlignedBox, Bowl, Capsule, HalfSpace, OrientedBox, Shape, SignedDistance, Tube, with_solid,
 };
@@ -26,14 +26,17 @@ fn weighted(tau: Sym3<f64>, strain: Sym3<f64>, q: f64, a: &Sym3<f64>, b: &Sym3<f
     inner(&tau, a) + inner(&strain, b) + c * q
 }
 
-type Map = fn(&Material<f64>, Sym3<f64>, f64) -> (Sym3<f64>, Sym3<f64>, f64);
-type Adjoint = fn(&Material<f64>, Sym3<f64>, f64, &ReturnBar<f64>) -> (Sym3<f64>, f64);
+type Map = fn(&Material<f64>, Sym3<f64>, [f64; 2]) -> (Sym3<f64>, Sym3<f64>, f64);
+type Adjoint = fn(&Material<f64>, Sym3<f64>, [f64; 2], &ReturnBar<f64>) -> (Sym3<f64>, [f64; 2]);
 
 /// The return map by series and the one by eigenvectors.
 const MAPS: [(Map, Adjoint); 2] = [
     (material::return_map, material::return_map_adjoint),
     (principal::return_map, principal::return_map_adjoint),
 ];
+
+/// With one angle and with two.
+const FLOWS: [Option<Flow>; 2] = [None, Some(Flow { grain_diameter_m: 5e-4, grain_density_kg_m3: 1667.0 })];
 
 const SURFACES: [YieldSurface; 2] = [YieldSurface::DruckerPrager, YieldSurface::MatsuokaNakai];
 
@@ -79,8 +82,8 @@ fn branches() -> [(&'static str, Sym3<f64>, f64); 3] {
 #[test]
 fn return_map_has_taylor_slope_two_on_every_branch() {
     for (cohesion, surface) in [0.0, 0.004].into_iter().flat_map(|c| SURFACES.map(|s| (c, s))) {
-        for strength in [None, Some(0.3 * cohesion)] {
-            let m = sand(cohesion, surface).with_tensile_strength(strength);
+        for (strength, flow) in [None, Some(0.3 * cohesion)].into_iter().flat_map(|s| FLOWS.map(|f| (s, f))) {
+            let m = sand(cohesion, surface).with_tensile_strength(strength).with_flow(flow);
             for ((name, strain, q), (return_map, return_map_adjoint)) in
                 branches().into_iter().flat_map(|branch| MAPS.map(|map| (branch, map)))
             {
@@ -89,18 +92,21 @@ fn return_map_has_taylor_slope_two_on_every_branch() {
                 let (a, b, c): (Sym3<f64>, Sym3<f64>, f64) = (dice.many(1.0), dice.many(1.0), dice.roll());
                 let d = dice.roll();
                 let f = |x: &[f64]| {
-                    let (tau, e, q) = return_map(&m, [x[0], x[1], x[2], x[3], x[4], x[5]], x[6]);
+                    let (tau, e, q) = return_map(&m, [x[0], x[1], x[2], x[3], x[4], x[5]], [x[6], x[7]]);
                     weighted(tau, e, q, &a, &b, c) + d * (q + elastic_volume(e))
                 };
                 let bar = ReturnBar { tau: a, strain: b, q: c, volume: d };
-                let (bar, q_bar) = return_map_adjoint(&m, strain, q, &bar);
+                // As much as the depth: there the slope is half way.
+                let shear = 0.03;
+                let (bar, [q_bar, shear_bar]) = return_map_adjoint(&m, strain, [q, shear], &bar);
                 let s = stored(bar);
-                let gradient = [s[0], s[1], s[2], s[3], s[4], s[5], q_bar];
-                let x = [strain[0], strain[1], strain[2], strain[3], strain[4], strain[5], q];
+                let gradient = [s[0], s[1], s[2], s[3], s[4], s[5], q_bar, shear_bar];
+                let x = [strain[0], strain[1], strain[2], strain[3], strain[4], strain[5], q, shear];
+                assert!(flow.is_none() || name != "cone" || shear_bar != 0.0);
                 // At the apex without cohesion the map is linear: the remainder is rounding.
                 let at_apex = name == "apex";
                 if at_apex {
-                    for k in 0..7 {
+                    for k in 0..8 {
                         let moved = |h: f64| {
                             let mut x = x;
                             x[k] += h;
@@ -110,7 +116,7 @@ fn return_map_has_taylor_slope_two_on_every_branch() {
                         assert!((slope - gradient[k]).abs() < 1e-8, "apex {k}: {slope} {}", gradient[k]);
                     }
                 }
-                assert_slope_two(name, taylor_slope(7, 3, 1e-4, &f, &x, &gradient));
+                assert_slope_two(name, taylor_slope(8, 3, 1e-4, &f, &x, &gradient));
             }
         }
     }
@@ -119,7 +125,8 @@ fn return_map_has_taylor_slope_two_on_every_branch() {
 /// Largest differences between the two return maps and their adjoints, relative to the strain, over random strains; and how
 /// many of them were on the cone and at the apex.
 fn differences<T: Real>(size: f64, cohesion: f64, surface: YieldSurface) -> ([f64; 2], [usize; 2]) {
-    let m = sand::<T>(cohesion, surface);
+    let two_angles = FLOWS[usize::from(surface == YieldSurface::MatsuokaNakai)];
+    let m = sand::<T>(cohesion, surface).with_flow(two_angles);
     let mut dice = Dice::new(31);
     let (mut worst, mut seen) = ([0.0_f64; 2], [0; 2]);
     let narrow = |s: Sym3<f64>| s.map(T::from_f64);
@@ -132,11 +139,12 @@ fn differences<T: Real>(size: f64, cohesion: f64, surface: YieldSurface) -> ([f6
             continue;
         }
         let (a, b, c) = (narrow(dice.many(1.0)), narrow(dice.many(1.0)), T::from_f64(dice.roll()));
-        let (tau, new, q_new) = material::return_map(&m, strain, q);
-        let (want_tau, want_new, want_q) = principal::return_map(&m, strain, q);
+        let beside = [q, T::from_f64(size * f64::from(case % 5) / 5.0)];
+        let (tau, new, q_new) = material::return_map(&m, strain, beside);
+        let (want_tau, want_new, want_q) = principal::return_map(&m, strain, beside);
         let bar = ReturnBar { tau: a, strain: b, q: c, volume: T::from_f64(dice.roll()) };
-        let (want_bar, want_q_bar) = principal::return_map_adjoint(&m, strain, q, &bar);
-        let (bar, q_bar) = material::return_map_adjoint(&m, strain, q, &bar);
+        let (want_bar, want_beside) = principal::return_map_adjoint(&m, strain, beside, &bar);
+        let (bar, beside_bar) = material::return_map_adjoint(&m, strain, beside, &bar);
         seen[0] += usize::from(inner(tau, tau).to_f64() > 0.0 && new != strain);
         seen[1] += usize::from(q_new != T::ZERO);
         let off = |x: &[T], y: &[T]| -> f64 {
@@ -144,7 +152,7 @@ fn differences<T: Real>(size: f64, cohesion: f64, surface: YieldSurface) -> ([f6
         };
         let strains = [off(&tau, &want_tau), off(&new, &want_new), off(&[q_new], &[want_q])];
         worst[0] = strains.into_iter().fold(worst[0], |worst, off| worst.max(off / size));
-        worst[1] = worst[1].max(off(&bar, &want_bar)).max(off(&[q_bar], &[want_q_bar]));
+        worst[1] = worst[1].max(off(&bar, &want_bar)).max(off(&beside_bar, &want_beside));
     }
     (worst, seen)
 }
@@ -192,11 +200,11 @@ fn adjoint_holds_at_equal_stretches(surface: YieldSurface) {
     {
         let (a, b): (Sym3<f64>, Sym3<f64>) = (dice.many(1.0), dice.many(1.0));
         let f = |x: &[f64; 6]| {
-            let (tau, e, q) = return_map(&m, *x, 0.0);
+            let (tau, e, q) = return_map(&m, *x, [0.0; 2]);
             weighted(tau, e, q, &a, &b, 0.0)
         };
         let bar = ReturnBar { tau: a, strain: b, q: 0.0, volume: 0.0 };
-        let gradient = stored(return_map_adjoint(&m, strain, 0.0, &bar).0);
+        let gradient = stored(return_map_adjoint(&m, strain, [0.0; 2], &bar).0);
         for k in 0..6 {
             let at = |h: f64| {
                 let mut x = strain;
@@ -205,6 +213,44 @@ fn adjoint_holds_at_equal_stretches(surface: YieldSurface) {
             };
             let slope = (at(1e-6) - at(-1e-6)) / 2e-6;
             assert!((slope - gradient[k]).abs() < 1e-8, "{strain:?} {k}: {slope} {}", gradient[k]);
+        }
+    }
+}
+
+#[test]
+fn shear_has_taylor_slope_two_and_knows_neither_spin_nor_expansion() {
+    let m = sand::<f64>(0.0, YieldSurface::MatsuokaNakai).with_flow(FLOWS[1]);
+    let matrix = |x: &[f64]| -> Mat3<f64> { [[x[0], x[1], x[2]], [x[3], x[4], x[5]], [x[6], x[7], x[8]]] };
+    // One that is of order one.
+    let rate = 1.0 / m.shear(&matrix(&[0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])).0.sqrt();
+    let f = |x: &[f64]| m.shear(&matrix(x).map(|row| row.map(|x| rate * x))).0;
+    assert!((f(&[0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]) - 1.0).abs() < 1e-12);
+    assert_eq!(f(&[2.0, 1.0, -3.0, -1.0, 2.0, 0.5, 3.0, -0.5, 2.0]), 0.0);
+    let x: [f64; 9] = Dice::new(23).many(1.0);
+    let c = matrix(&x).map(|row| row.map(|x| rate * x));
+    let gradient =
+        m.shear_adjoint(&m.shear(&c).1, 1.0).as_flattened().iter().map(|x| rate * x).collect::<Vec<_>>();
+    assert_slope_two("shear", taylor_slope(9, 4, 1e-3, &f, &x, &gradient));
+}
+
+/// Sheared at one pressure, powder has 1.23 of its key's slope at rest, 0.82 when it flows fast, and the mean of both at an inertial
+/// number of 0.1, however stiff it is.
+#[test]
+fn friction_goes_from_rest_to_flow_with_the_inertial_number() {
+    let (pressure, diameter, density) = (200.0, 5e-4, 1667.0);
+    for modulus in [1e4, 1e6] {
+        let slope = |flow: Option<Flow>, inertial: f64| {
+            let m = Material::<f64>::new(modulus, 0.2, 0.5, 0.0, YieldSurface::MatsuokaNakai).with_flow(flow);
+            let rate = inertial / diameter * (pressure / density as f64).sqrt();
+            let (shear, _) = m.shear(&[[0.0, 0.0, rate], [0.0; 3], [0.0; 3]]);
+            let depth = pressure / (m.lambda + 2.0 * m.mu / 3.0);
+            m.slope * m.strength(depth, shear).0 / depth
+        };
+        let key = slope(None, 0.0);
+        for (inertial, want) in [(0.0, 1.23), (1e-3, 1.23), (0.1, 1.025), (30.0, 0.82)] {
+            let found = slope(FLOWS[1], inertial) / key;
+            assert!((found - want).abs() < 1e-3, "{modulus} Pa, I = {inertial}: {found}, not {want}");
+            assert_eq!(slope(None, inertial), key);
         }
     }
 }
@@ -236,7 +282,7 @@ fn tension_is_cut_off_and_lost_where_powder_opens() {
             let l = [[rate, 0.0, 0.0], [0.0, 0.3 * rate, 0.0], [0.0, 0.0, 0.3 * rate]];
             let mut tensions = Vec::new();
             for _ in 0..steps {
-                let (tau, new, q_new) = material::return_map(&m, trial_strain(strain, &l), q);
+                let (tau, new, q_new) = material::return_map(&m, trial_strain(strain, &l), [q, 0.0]);
                 (strain, q) = (new, q_new);
                 tensions.push(trace(tau) / 3.0);
             }
@@ -264,7 +310,7 @@ fn matsuoka_and_nakais_invariants_are_those_of_the_friction_angle() {
         let (mut dice, mut seen) = (Dice::new(17), 0);
         for (return_map, _) in (0..500).flat_map(|_| MAPS) {
             let trial = plus_diagonal(dice.many::<6>(0.02), -0.01);
-            let (tau, strain, q) = return_map(&m, trial, 0.0);
+            let (tau, strain, q) = return_map(&m, trial, [0.0; 2]);
             // What was elastic, or has no stress left, is not on the surface.
             if q > 0.0 || (0..6).all(|i| (strain[i] - trial[i]).abs() < 1e-9) {
                 continue;
@@ -297,7 +343,7 @@ fn the_strain_form_agrees_with_deformation_gradient_and_svd() {
             let l: Mat3<f64> = std::array::from_fn(|i| {
                 std::array::from_fn(|j| 3e-3 * dice.roll() + if i == j { squeeze } else { 0.0 })
             });
-            let (tau, new, q_new) = return_map(&m, trial_strain(strain, &l), q);
+            let (tau, new, q_new) = return_map(&m, trial_strain(strain, &l), [q, 0.0]);
             (strain, q) = (new, q_new);
 
             let l = Matrix3::from_fn(|i, j| l[i][j]);

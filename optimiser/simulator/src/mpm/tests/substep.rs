@@ -23,7 +23,7 @@ use crate::mpm::tests::{
     to_tiles,
 };
 use crate::real::Real;
-use crate::scene::{Transfer, VolumeCorrection, YieldSurface};
+use crate::scene::{Flow, Transfer, VolumeCorrection, YieldSurface};
 use crate::shape::SignedDistance;
 use crate::small::{Mat3, Vec3, mul_vec, sub, tr_mul_vec};
 
@@ -133,26 +133,35 @@ fn stir(state: &mut State<f64>, dice: &mut Dice) {
     }
 }
 
-/// What can be another in a powder: its yield surface, its volume correction, whether it gets its velocity residue back.
-type Law = (YieldSurface, VolumeCorrection, Option<Transfer>);
+/// What can be another in a powder: its yield surface, its volume correction, whether it gets its velocity residue back, whether it
+/// has two angles.
+type Law = (YieldSurface, VolumeCorrection, Option<Transfer>, Option<Flow>);
+
+const GIVEN_BACK: Option<Transfer> = Some(Transfer { residue_time_s: 0.01 });
+/// Grains so large that at the rates here the slope is between both.
+const TWO_ANGLES: Option<Flow> = Some(Flow { grain_diameter_m: 2e-2, grain_density_kg_m3: 1667.0 });
 
 /// Powders of every law.
-const POWDERS: [Law; 5] = [
-    (YieldSurface::DruckerPrager, VolumeCorrection::Strain, None),
-    (YieldSurface::MatsuokaNakai, VolumeCorrection::Strain, None),
-    (YieldSurface::DruckerPrager, VolumeCorrection::Grid, None),
-    (YieldSurface::DruckerPrager, VolumeCorrection::Strain, Some(Transfer { residue_time_s: 0.01 })),
-    (YieldSurface::MatsuokaNakai, VolumeCorrection::Grid, Some(Transfer { residue_time_s: 0.01 })),
+const POWDERS: [Law; 6] = [
+    (YieldSurface::DruckerPrager, VolumeCorrection::Strain, None, None),
+    (YieldSurface::MatsuokaNakai, VolumeCorrection::Strain, None, None),
+    (YieldSurface::DruckerPrager, VolumeCorrection::Grid, None, None),
+    (YieldSurface::DruckerPrager, VolumeCorrection::Strain, GIVEN_BACK, None),
+    (YieldSurface::MatsuokaNakai, VolumeCorrection::Strain, None, TWO_ANGLES),
+    (YieldSurface::MatsuokaNakai, VolumeCorrection::Grid, GIVEN_BACK, TWO_ANGLES),
 ];
 
 /// A bowl that pushes down and forward into stirred powder on the floor, tilted, turning. Where volume is held to the grid's density,
 /// every seventh particle believes to be looser than it is; the others lie looser than they believe.
-fn scooping_of((yield_surface, volume_correction, transfer): Law) -> (Model<f64>, State<f64>, Bodies<f64>) {
+fn scooping_of(
+    (yield_surface, volume_correction, transfer, flow): Law,
+) -> (Model<f64>, State<f64>, Bodies<f64>) {
     let mut dice = Dice::new(71);
     let mut scene = empty_bench([0.064; 3]);
     scene.powder.yield_surface = yield_surface;
     scene.powder.volume_correction = volume_correction;
     scene.powder.transfer = transfer;
+    scene.powder.flow = flow;
     let model = Model::<f64>::new(&scene);
     let tool = BodyState {
         velocity: [0.12, 0.03, -0.1],

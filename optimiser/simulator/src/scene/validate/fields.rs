@@ -3,7 +3,7 @@
 use super::checker::{Checked, Checker, Range, container_paths, gate_paths};
 use crate::scene::figures::plain;
 use crate::scene::{
-    Arm, Container, ContainerShape, Cuboid, Domain, Gate, GateOpening, GateShape, Limits, MAX_CUBOIDS,
+    Arm, Container, ContainerShape, Cuboid, Domain, Flow, Gate, GateOpening, GateShape, Limits, MAX_CUBOIDS,
     Objective, Observation, Optimiser, Powder, Quantity, Scene, Skill, Time, Tool, ToolShape, Transfer,
 };
 use powderline_shared::plan::{PERIOD_US_MAX, PERIOD_US_MIN};
@@ -49,6 +49,14 @@ fn powder(checker: &Checker<'_>, powder: &Powder) -> Checked {
     checker.number("powder.poissons_ratio", powder.poissons_ratio, Range::closed(0.0, 0.49))?;
     checker.number("powder.density_kg_m3", powder.density_kg_m3, Range::closed(10.0, 25_000.0))?;
     checker.number("powder.friction_angle_deg", powder.friction_angle_deg, Range::closed(0.0, 60.0))?;
+    if let Some(Flow { grain_diameter_m, grain_density_kg_m3 }) = powder.flow {
+        checker.number("powder.flow.grain_diameter_m", grain_diameter_m, Range::closed(1e-6, 0.01))?;
+        checker.number(
+            "powder.flow.grain_density_kg_m3",
+            grain_density_kg_m3,
+            Range::closed(10.0, 25_000.0),
+        )?;
+    }
     if let Some(Transfer { residue_time_s }) = powder.transfer {
         checker.number("powder.transfer.residue_time_s", residue_time_s, Range::closed(1e-4, 10.0))?;
     }

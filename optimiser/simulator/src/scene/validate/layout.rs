@@ -134,6 +134,11 @@ pub(super) fn check_cfl(checker: &Checker<'_>, scene: &Scene) -> Checked {
 /// has a tensile principal value in triaxial extension.
 const MAX_ROUND_CONE_DEG: f64 = 36.8;
 
+/// The same with two angles, of either cone: at rest they are 1.23 times as steep, which is `6 s/(3 - s)` or in extension `6 s/(3 + s)`
+/// with the sine `s` of the friction angle, over 1.5.
+const MAX_ROUND_CONE_AT_REST_DEG: f64 = 30.4;
+const MAX_CONE_AT_REST_DEG: f64 = 49.8;
+
 /// What the powder's numbers have to do with each other.
 pub(super) fn check_powder_law(checker: &Checker<'_>, scene: &Scene) -> Checked {
     let powder = &scene.powder;
@@ -158,6 +163,21 @@ pub(super) fn check_powder_law(checker: &Checker<'_>, scene: &Scene) -> Checked 
                 "a Drucker-Prager cone that steep carries tension in triaxial extension; at most {} would be right, or \
                  powder.yield = \"matsuoka_nakai\"",
                 plain(MAX_ROUND_CONE_DEG)
+            ),
+        ));
+    }
+    let steepest = match powder.yield_surface {
+        YieldSurface::DruckerPrager => MAX_ROUND_CONE_AT_REST_DEG,
+        YieldSurface::MatsuokaNakai => MAX_CONE_AT_REST_DEG,
+    };
+    if powder.flow.is_some() && powder.friction_angle_deg > steepest {
+        return Err(checker.invalid(
+            "powder.friction_angle_deg",
+            plain(powder.friction_angle_deg),
+            format!(
+                "with powder.flow the powder is steeper at rest, and that steep it carries tension in triaxial extension; at \
+                 most {} would be right",
+                plain(steepest)
             ),
         ));
     }
