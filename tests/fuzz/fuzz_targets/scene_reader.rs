@@ -24,7 +24,7 @@ fn check(text: &str) {
     let again = Scene::from_toml("again.toml", &scene.to_toml());
     assert_eq!(again.as_ref(), Ok(&scene));
     assert_eq!(again.map(|scene| scene.digest()), Ok(scene.digest()));
-    scene.remarks().iter().for_each(assert_sentence);
+    scene.warnings().iter().for_each(assert_sentence);
 }
 
 /// `bench-small` with some of its values replaced.

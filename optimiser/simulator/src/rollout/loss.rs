@@ -179,6 +179,7 @@ mod tests {
     fn scene(aim: Aim, particles: u32) -> Scene {
         let mut scene = Scene::load("bench").expect("shipped");
         scene.objective.aim = aim;
+        scene.objective.lost_weight = 0.0;
         scene.objective.amount = Amount::new(Quantity::Particles(particles));
         scene
     }

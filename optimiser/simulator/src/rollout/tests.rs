@@ -14,11 +14,13 @@ use crate::scene::{
 };
 use crate::skill::{SkillMap, Theta};
 
-/// The small bench with the paper's powder, and with every part of it that can be another.
+/// The small bench with the paper's powder, which is viscous, and with every part of it that can be another.
 fn benches() -> [Scene; 3] {
     let mut scene = Scene::load("bench-small").expect("shipped");
     scene.powder.yield_surface = YieldSurface::DruckerPrager;
     scene.powder.volume_correction = VolumeCorrection::Strain;
+    scene.powder.transfer = None;
+    scene.powder.viscosity_pa_s = 0.08;
     let mut other = scene.clone();
     other.powder.yield_surface = YieldSurface::MatsuokaNakai;
     other.powder.volume_correction = VolumeCorrection::Grid;

@@ -160,8 +160,8 @@ pub struct Powder {
     pub density_kg_m3: f64,
     /// Angle of internal friction `phi` in triaxial compression, degrees; 0 to 60, typically 35; at
     /// most 36.8 with [`YieldSurface::DruckerPrager`]. What it is in other states of stress,
-    /// `yield` says. With `flow` it is between those of powder at rest and flowing powder, at most 30.4 with
-    /// [`YieldSurface::DruckerPrager`] and 49.8 with [`YieldSurface::MatsuokaNakai`].
+    /// `yield` says. With `flow` it is between those of powder at rest and flowing powder, at most 35.2 with
+    /// [`YieldSurface::DruckerPrager`].
     pub friction_angle_deg: f64,
     /// Whether powder that flows has less friction than powder at rest; none if the file has none: one angle for both.
     #[serde(default)]
@@ -217,10 +217,10 @@ pub struct Transfer {
     pub residue_time_s: f64,
 }
 
-/// Powder with two angles: at rest its yield surface is 1.23 times, flowing 0.82 times as steep as that of its friction angle. It
+/// Powder with two angles: at rest its yield surface is 1.05 times, flowing 0.95 times as steep as that of its friction angle. It
 /// passes from the one to the other smoothly around the inertial number `d rate sqrt(rho_s/pressure)` of 0.1. Both factors are
-/// what columns of sand run out by and how high they stay; a heap that is poured on cells of 4 mm stands 3 to 9 degrees above its
-/// friction angle with them. The source has the equations, in `mpm/material.rs`.
+/// what columns of sand run out by and how high they stay, as far as poured heaps still stand at their friction angle. The source
+/// has the equations, in `mpm/material.rs`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Flow {

@@ -2,19 +2,25 @@
 
 use super::figures::{about, list};
 use super::tool_body::PlacedTool;
-use super::{Container, ContainerShape, Objective, Scene};
+use super::{Container, ContainerShape, Objective, Scene, ToolShape};
 
 /// Gap between expectation and geometry that is worth a remark, in cells.
 const REMARKABLE_CELLS: f64 = 0.25;
+
+/// Cells in a radius from which on a column runs out as far as sand does and an amount hardly depends on the cell any more.
+const CELLS_PER_RADIUS: f64 = 12.0;
 
 /// Distance of a face from nodes, and from the middle between two, that lets powder sink, in cells.
 const BADLY_PLACED_CELLS: f64 = 0.1;
 
 impl Scene {
     /// Sentences about a valid scene that may hide a mistake: a start height at odds with the approach, faces that the grid
-    /// holds badly, and a target point that is not in the target.
+    /// holds badly, a target point that is not in the target, and cells too coarse for the tool.
     pub fn warnings(&self) -> Vec<String> {
-        [self.remark_approach(), self.remark_faces(), self.remark_target()].into_iter().flatten().collect()
+        [self.remark_approach(), self.remark_faces(), self.remark_target(), self.remark_cells()]
+            .into_iter()
+            .flatten()
+            .collect()
     }
 
     fn remark_approach(&self) -> Option<String> {
@@ -47,6 +53,21 @@ impl Scene {
         })
     }
 
+    fn remark_cells(&self) -> Option<String> {
+        let radius_m = self.tool.shape.radius_m();
+        let cells = radius_m / self.domain.cell_m;
+        (cells < CELLS_PER_RADIUS - 1e-6).then(|| {
+            format!(
+                "the tool is {} cells in radius: with fewer than {} the amount that arrives depends on the cell, so simulate the \
+                 skill once more in a scene with domain.cell_m = {} before you believe it; {} would be right",
+                about(cells, 2),
+                about(CELLS_PER_RADIUS, 2),
+                about(0.5 * self.domain.cell_m, 3),
+                about(radius_m / CELLS_PER_RADIUS, 2)
+            )
+        })
+    }
+
     fn remark_faces(&self) -> Option<String> {
         let cell_m = self.domain.cell_m;
         let (container, face_m) = self.containers.iter().find_map(|container| {
@@ -63,6 +84,23 @@ impl Scene {
             about(1e3 * face_m, 4),
             about(1e3 * 0.5 * cell_m, 4)
         ))
+    }
+}
+
+impl ToolShape {
+    /// Half of the narrowest that powder is held in, metres; of cuboids, half of what they measure across.
+    fn radius_m(&self) -> f64 {
+        match self {
+            Self::Bowl { inner_radius_m } => *inner_radius_m,
+            Self::BoxScoop { inner_size_m } => 0.5 * inner_size_m[0].min(inner_size_m[1]),
+            Self::Cuboids { cuboid } => {
+                let half = |axis: usize| {
+                    let ends = cuboid.iter().map(|c| c.centre_m[axis].abs() + 0.5 * c.size_m[axis]);
+                    ends.fold(0.0, f64::max)
+                };
+                half(0).min(half(1))
+            }
+        }
     }
 }
 
@@ -96,6 +134,15 @@ mod tests {
         scene.objective.p_target_m[0] += 0.28;
         let remark = scene.remark_target().unwrap();
         assert!(remark.contains("mm outside the target \"vial\"; ["), "{remark}");
+    }
+
+    #[test]
+    fn cells_too_coarse_for_the_tool_are_remarked() {
+        let mut scene = Scene::load("bench").unwrap();
+        let remark = scene.remark_cells().unwrap();
+        assert!(remark.contains("4 cells in radius") && remark.contains("0.0013 would be right"), "{remark}");
+        scene.domain.cell_m = 0.016 / 12.0;
+        assert_eq!(scene.remark_cells(), None);
     }
 
     #[test]

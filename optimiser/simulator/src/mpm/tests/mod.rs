@@ -120,6 +120,9 @@ fn empty_bench(size_m: [f64; 3]) -> Scene {
     let mut scene = awake("bench-small");
     scene.domain.size_m = size_m;
     scene.containers.clear();
+    // Viscosity is there to be tested; what is given back of the velocity is what some tests are about.
+    scene.powder.viscosity_pa_s = 0.08;
+    scene.powder.transfer = None;
     scene
 }
 

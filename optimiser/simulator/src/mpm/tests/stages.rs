@@ -233,7 +233,7 @@ fn shear_has_taylor_slope_two_and_knows_neither_spin_nor_expansion() {
     assert_slope_two("shear", taylor_slope(9, 4, 1e-3, &f, &x, &gradient));
 }
 
-/// Sheared at one pressure, powder has 1.23 of its key's slope at rest, 0.82 when it flows fast, and the mean of both at an inertial
+/// Sheared at one pressure, powder has 1.05 of its key's slope at rest, 0.95 when it flows fast, and the mean of both at an inertial
 /// number of 0.1, however stiff it is.
 #[test]
 fn friction_goes_from_rest_to_flow_with_the_inertial_number() {
@@ -247,7 +247,7 @@ fn friction_goes_from_rest_to_flow_with_the_inertial_number() {
             m.slope * m.strength(depth, shear).0 / depth
         };
         let key = slope(None, 0.0);
-        for (inertial, want) in [(0.0, 1.23), (1e-3, 1.23), (0.1, 1.025), (30.0, 0.82)] {
+        for (inertial, want) in [(0.0, 1.05), (1e-3, 1.05), (0.1, 1.0), (30.0, 0.95)] {
             let found = slope(FLOWS[1], inertial) / key;
             assert!((found - want).abs() < 1e-3, "{modulus} Pa, I = {inertial}: {found}, not {want}");
             assert_eq!(slope(None, inertial), key);

@@ -134,10 +134,9 @@ pub(super) fn check_cfl(checker: &Checker<'_>, scene: &Scene) -> Checked {
 /// has a tensile principal value in triaxial extension.
 const MAX_ROUND_CONE_DEG: f64 = 36.8;
 
-/// The same with two angles, of either cone: at rest they are 1.23 times as steep, which is `6 s/(3 - s)` or in extension `6 s/(3 + s)`
-/// with the sine `s` of the friction angle, over 1.5.
-const MAX_ROUND_CONE_AT_REST_DEG: f64 = 30.4;
-const MAX_CONE_AT_REST_DEG: f64 = 49.8;
+/// The same with two angles: at rest the cone's slope `6 s/(3 - s)`, with the sine `s` of the friction angle, is 1.05 times as
+/// large, and 1.5 at most.
+const MAX_ROUND_CONE_AT_REST_DEG: f64 = 35.2;
 
 /// What the powder's numbers have to do with each other.
 pub(super) fn check_powder_law(checker: &Checker<'_>, scene: &Scene) -> Checked {
@@ -155,28 +154,15 @@ pub(super) fn check_powder_law(checker: &Checker<'_>, scene: &Scene) -> Checked 
             ),
         ));
     }
-    if powder.yield_surface == YieldSurface::DruckerPrager && powder.friction_angle_deg > MAX_ROUND_CONE_DEG {
+    let steepest = if powder.flow.is_some() { MAX_ROUND_CONE_AT_REST_DEG } else { MAX_ROUND_CONE_DEG };
+    if powder.yield_surface == YieldSurface::DruckerPrager && powder.friction_angle_deg > steepest {
         return Err(checker.invalid(
             "powder.friction_angle_deg",
             plain(powder.friction_angle_deg),
             format!(
-                "a Drucker-Prager cone that steep carries tension in triaxial extension; at most {} would be right, or \
+                "a Drucker-Prager cone that steep{} carries tension in triaxial extension; at most {} would be right, or \
                  powder.yield = \"matsuoka_nakai\"",
-                plain(MAX_ROUND_CONE_DEG)
-            ),
-        ));
-    }
-    let steepest = match powder.yield_surface {
-        YieldSurface::DruckerPrager => MAX_ROUND_CONE_AT_REST_DEG,
-        YieldSurface::MatsuokaNakai => MAX_CONE_AT_REST_DEG,
-    };
-    if powder.flow.is_some() && powder.friction_angle_deg > steepest {
-        return Err(checker.invalid(
-            "powder.friction_angle_deg",
-            plain(powder.friction_angle_deg),
-            format!(
-                "with powder.flow the powder is steeper at rest, and that steep it carries tension in triaxial extension; at \
-                 most {} would be right",
+                if powder.flow.is_some() { ", and with powder.flow steeper at rest," } else { "" },
                 plain(steepest)
             ),
         ));
