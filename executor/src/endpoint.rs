@@ -2,6 +2,7 @@
 
 use powderline_shared::plan::PlanReader;
 use powderline_shared::wire::Context;
+use powderline_shared::wire::auth::TagWatch;
 use powderline_shared::wire::codec::{Encoder, Frames, FromArmDecoder, Rejected};
 use powderline_shared::wire::frame::{Dialect, Frame};
 
@@ -25,6 +26,7 @@ pub struct Endpoint<'a> {
     context: Context,
     encoder: Encoder,
     decoder: FromArmDecoder,
+    tags: TagWatch,
     leaving: Option<Frames>,
     sent: u32,
     received: u32,
@@ -44,6 +46,7 @@ impl<'a> Endpoint<'a> {
             context,
             encoder: Encoder::new(dialect),
             decoder,
+            tags: TagWatch::default(),
             leaving: None,
             sent: 0,
             received: 0,
@@ -65,6 +68,9 @@ impl<'a> Endpoint<'a> {
             }
             Err(rejected) => {
                 self.rejected = self.rejected.saturating_add(1);
+                if self.tags.is_too_many(self.encoder.dialect(), &self.context, &rejected) {
+                    self.executor.handle_wrong_tags(now_us);
+                }
                 Err(rejected)
             }
         }

@@ -23,6 +23,7 @@ use powderline_shared::limits::{PeakUse, Violation};
 use powderline_shared::plan::{PlanHeader, PlanReader};
 use powderline_shared::pose::{Pose, norm};
 use powderline_shared::wire::Context;
+use powderline_shared::wire::auth::{Key, Tag};
 use powderline_shared::wire::message::{
     FromArm, HEARTBEAT_US, NO_SESSION, OpenRequest, PROTOCOL_VERSION, Refusal, Status, ToArm,
 };
@@ -67,6 +68,10 @@ pub struct Config {
     pub lsb: Option<Lsb>,
     /// Control period to play at, microseconds; the plan's own if `None`.
     pub period_us: Option<u32>,
+    /// The key that the arm has too; without one, whoever is on the wire is believed.
+    pub key: Option<Key>,
+    /// With a key: a number that is another one for each session.
+    pub nonce: u64,
     /// Whether an arm with a latched stop is to be reset first. Somebody has looked at it and says so.
     pub reset: bool,
     /// Setpoints ahead of the arm's clock.
@@ -94,6 +99,8 @@ impl Default for Config {
             session: 1,
             lsb: None,
             period_us: None,
+            key: None,
+            nonce: 0,
             reset: false,
             look_ahead: DEFAULT_LOOK_AHEAD,
             anchor_tolerance_m: 0.5e-3,
@@ -248,7 +255,10 @@ impl<'a> Executor<'a> {
     pub fn handle_message(&mut self, now_us: u64, message: &FromArm) {
         match *message {
             FromArm::Opened { session, nonce, digest } if session == self.config.session => {
-                self.opened(now_us, nonce, digest);
+                self.opened(now_us, nonce, digest, None);
+            }
+            FromArm::OpenedKeyed { session, nonce, digest, tag } if session == self.config.session => {
+                self.opened(now_us, nonce, digest, Some(tag));
             }
             FromArm::Refused { session, reason } if session == self.config.session => {
                 self.refused(now_us, &reason);
@@ -266,6 +276,7 @@ impl<'a> Executor<'a> {
             FromArm::Status(status) if self.is_news(&status) => self.status(now_us, &status),
             // Of another session, or older than what is known: no business of ours.
             FromArm::Opened { .. }
+            | FromArm::OpenedKeyed { .. }
             | FromArm::Refused { .. }
             | FromArm::Anchored { .. }
             | FromArm::Actual { .. }
@@ -290,6 +301,11 @@ impl<'a> Executor<'a> {
             self.stop_ends_at_us = self.stop_ends_at_us.min(now_us.saturating_add(HARD_STOP_US));
             self.ask(now_us);
         }
+    }
+
+    /// Somebody without the key speaks on the wire, and guesses.
+    pub fn handle_wrong_tags(&mut self, now_us: u64) {
+        self.stop(now_us, FaultCode::WrongTags);
     }
 
     /// The wire is gone. The arm, which hears nothing any more, stops by itself.
@@ -437,9 +453,9 @@ impl<'a> Executor<'a> {
         self.ours.is_none_or(|known| (1..128).contains(&status.counter.wrapping_sub(known.counter)))
     }
 
-    fn opened(&mut self, now_us: u64, nonce: u32, digest: u64) {
+    fn opened(&mut self, now_us: u64, nonce: u32, digest: u64, tag: Option<Tag>) {
         let request = self.open_request();
-        let context = Context::sealed(&request, nonce);
+        let Some(context) = self.proven(&request, nonce, tag) else { return self.unproven() };
         match self.stage {
             Stage::Opening if digest == request.digest() => {
                 self.heard_us = now_us;
@@ -451,6 +467,26 @@ impl<'a> Executor<'a> {
             // One arm gives one answer.
             _ if context != self.context => self.stop(now_us, FaultCode::ArmDuplicate),
             _ => self.heard_us = now_us,
+        }
+    }
+
+    /// The session that the arm's answer stands for, if it was made with the key that we have.
+    fn proven(&self, request: &OpenRequest, nonce: u32, tag: Option<Tag>) -> Option<Context> {
+        let context = Context::sealed(request, nonce);
+        let own = self.config.nonce;
+        match (self.config.key, tag) {
+            (None, None) => Some(context),
+            (Some(key), Some(tag)) if key.answer(request, own, nonce) == tag => {
+                Some(context.with_key(key.session(request, own, nonce)))
+            }
+            _ => None,
+        }
+    }
+
+    /// Once the session is open, this is nobody's business.
+    fn unproven(&mut self) {
+        if self.stage == Stage::Opening {
+            self.end_untouched(Fault { code: FaultCode::ArmUnproven, tick: 0 });
         }
     }
 
@@ -745,7 +781,7 @@ impl<'a> Executor<'a> {
     fn ask(&mut self, now_us: u64) {
         self.retry_at_us = now_us.saturating_add(self.config.retry_us);
         match self.stage {
-            Stage::Opening => self.queue(ToArm::Open(self.open_request())),
+            Stage::Opening => self.queue(self.opening()),
             Stage::Enabling => {
                 if let Some(command) = self.next_step_up() {
                     // Asked again, it is the first time that counts: which of the two is answered nobody can tell.
@@ -794,6 +830,13 @@ impl<'a> Executor<'a> {
             start_level: self.schedule.look_ahead(),
             reset_nonce: self.reset_nonce,
         }
+    }
+
+    fn opening(&self) -> ToArm {
+        let request = self.open_request();
+        self.config.key.map_or(ToArm::Open(request), |key| {
+            ToArm::OpenKeyed(request, key.prove(&request, self.config.nonce))
+        })
     }
 
     fn command(&mut self, command: Command) {

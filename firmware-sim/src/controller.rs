@@ -24,6 +24,7 @@ use powderline_shared::following::{Following, FollowingWatch};
 use powderline_shared::limits::{Limits, Motion, PeakUse, Violation};
 use powderline_shared::pose::Pose;
 use powderline_shared::wire::Context;
+use powderline_shared::wire::auth::{Key, Proof};
 use powderline_shared::wire::message::{
     BRIDGED_TICKS, FromArm, HEARTBEAT_US, Heartbeat, OpenRequest, Refusal, Status, ToArm,
 };
@@ -78,6 +79,8 @@ pub struct ArmConfig {
     pub following: Following,
     /// What its nonces come from: a number that is another one at each power on.
     pub nonce_seed: u64,
+    /// The key that whoever opens a session must have too; without one, anybody may.
+    pub key: Option<Key>,
 }
 
 /// When a session that is not heard of is over, unless the configuration says otherwise, microseconds.
@@ -104,6 +107,7 @@ impl ArmConfig {
             watchdog_us: DEFAULT_WATCHDOG_US,
             following: Following::default(),
             nonce_seed: 0,
+            key: None,
         }
     }
 
@@ -123,6 +127,9 @@ pub struct Controller {
     watchdog_us: u64,
     following: FollowingWatch,
     nonces: Nonces,
+    key: Option<Key>,
+    /// The last session that was refused because of the key.
+    key_refusal: Option<(u16, Refusal)>,
     /// What one count is worth on the wire, if it is at the end of one.
     counts: Option<Lsb>,
     /// What resets a latched stop.
@@ -232,6 +239,8 @@ impl Controller {
             watchdog_us: config.watchdog_us,
             following: FollowingWatch::new(config.following),
             nonces: Nonces(config.nonce_seed),
+            key: config.key,
+            key_refusal: None,
             counts: None,
             challenge: None,
             farewell: None,
@@ -264,7 +273,8 @@ impl Controller {
     pub fn handle_message(&mut self, now_us: u64, message: &ToArm) {
         self.advance(now_us);
         match *message {
-            ToArm::Open(request) => self.open(now_us, &request),
+            ToArm::Open(request) => self.open(now_us, &request, None),
+            ToArm::OpenKeyed(request, proof) => self.open(now_us, &request, Some(proof)),
             ToArm::Control { session, command } if self.is_current(session) => {
                 self.heard_us = now_us;
                 self.command(command);
@@ -284,6 +294,13 @@ impl Controller {
     /// A message that could not be understood.
     pub fn handle_rejected(&mut self) {
         self.drop_one();
+    }
+
+    /// Somebody without the key speaks on the wire, and guesses: an arm that could be moved stops.
+    pub fn handle_wrong_tags(&mut self) {
+        if self.state == State::OperationEnabled {
+            self.stop(State::FaultReactionActive, FaultCode::WrongTags);
+        }
     }
 
     /// Lets time pass. What the arm says about it waits for the next poll.
@@ -351,6 +368,12 @@ impl Controller {
         self.fault
     }
 
+    /// The last session that was refused because of the key, and why.
+    #[must_use]
+    pub fn key_refusal(&self) -> Option<(u16, Refusal)> {
+        self.key_refusal
+    }
+
     /// The numbers behind a latched limit fault.
     #[must_use]
     pub fn violation(&self) -> Option<Violation> {
@@ -392,13 +415,18 @@ impl Controller {
         self.counts = Some(lsb);
     }
 
-    fn open(&mut self, now_us: u64, request: &OpenRequest) {
+    fn open(&mut self, now_us: u64, request: &OpenRequest, proof: Option<Proof>) {
         let (session, digest) = (request.session, request.digest());
+        if let Err(reason) = self.check_proof(request, proof) {
+            self.key_refusal = Some((session, reason));
+            return self.send(FromArm::Refused { session, reason });
+        }
         if self.answers_challenge(request) {
             self.leave_operation(State::SwitchOnDisabled);
         }
         // A repeated request is answered again, for the answer may have been lost; one that differs in anything is another.
-        let open = self.session.as_ref().filter(|open| open.request.digest() == digest);
+        let same = |open: &&Session| open.request.digest() == digest && open.proof == proof;
+        let open = self.session.as_ref().filter(same);
         let repeated = open.filter(|_| self.may_open()).map(|open| open.nonce);
         let nonce = match repeated.map_or_else(|| self.admit(request), Ok) {
             Ok(nonce) => nonce,
@@ -406,10 +434,36 @@ impl Controller {
         };
         self.heard_us = now_us;
         if repeated.is_none() {
-            self.session = Some(Session::new(request, &self.own_limits, nonce));
+            let context = self.context_of(request, proof, nonce);
+            self.session = Some(Session::new((request, proof), &self.own_limits, (context, nonce)));
         }
-        self.send(FromArm::Opened { session, nonce, digest });
+        self.send(match self.key.zip(proof) {
+            Some((key, proof)) => {
+                let tag = key.answer(request, proof.nonce, nonce);
+                FromArm::OpenedKeyed { session, nonce, digest, tag }
+            }
+            None => FromArm::Opened { session, nonce, digest },
+        });
         self.report();
+    }
+
+    /// Before anything else is looked at: whether the request comes from somebody who may ask.
+    fn check_proof(&self, request: &OpenRequest, proof: Option<Proof>) -> Result<(), Refusal> {
+        match (self.key, proof) {
+            (None, None) => Ok(()),
+            (Some(key), Some(proof)) if key.proves(request, &proof) => Ok(()),
+            (Some(_), Some(_)) => Err(Refusal::KeyOther),
+            (Some(_), None) => Err(Refusal::KeyWanted),
+            (None, Some(_)) => Err(Refusal::Keyless),
+        }
+    }
+
+    fn context_of(&self, request: &OpenRequest, proof: Option<Proof>, nonce: u32) -> Context {
+        let context = Context::sealed(request, nonce);
+        match self.key.zip(proof) {
+            Some((key, proof)) => context.with_key(key.session(request, proof.nonce, nonce)),
+            None => context,
+        }
     }
 
     /// The nonce of the session that is opened for the request.

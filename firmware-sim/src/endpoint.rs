@@ -1,6 +1,7 @@
 //! The controller with its wire: frames in, frames out.
 
 use powderline_shared::wire::Context;
+use powderline_shared::wire::auth::TagWatch;
 use powderline_shared::wire::codec::{Encoder, Frames, ToArmDecoder};
 use powderline_shared::wire::frame::{Dialect, Frame};
 use powderline_shared::wire::message::{FromArm, NO_SESSION};
@@ -13,6 +14,7 @@ pub struct Endpoint {
     controller: Controller,
     encoder: Encoder,
     decoder: ToArmDecoder,
+    tags: TagWatch,
     /// The open session, and the one before: what was said in it may still have to leave.
     contexts: [Context; 2],
     leaving: Option<Frames>,
@@ -27,6 +29,7 @@ impl Endpoint {
             controller,
             encoder: Encoder::new(dialect),
             decoder: ToArmDecoder::new(dialect),
+            tags: TagWatch::default(),
             contexts: [Context::NONE; 2],
             leaving: None,
         }
@@ -44,7 +47,13 @@ impl Endpoint {
                     self.follow_session();
                 }
             }
-            Err(_) => self.controller.handle_rejected(),
+            Err(rejected) => {
+                self.controller.handle_rejected();
+                let [context, _] = &self.contexts;
+                if self.tags.is_too_many(self.encoder.dialect(), context, &rejected) {
+                    self.controller.handle_wrong_tags();
+                }
+            }
         }
     }
 
@@ -90,6 +99,7 @@ impl Endpoint {
     fn context_of(&self, message: &FromArm) -> Context {
         let session = match message {
             FromArm::Opened { session, .. }
+            | FromArm::OpenedKeyed { session, .. }
             | FromArm::Refused { session, .. }
             | FromArm::Anchored { session, .. }
             | FromArm::Actual { session, .. }

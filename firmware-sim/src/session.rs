@@ -5,6 +5,7 @@ use powderline_shared::limits::{Limit, LimitChecker, Limits, Violation};
 use powderline_shared::plan::PERIOD_US_MIN;
 use powderline_shared::pose::{Pose, norm};
 use powderline_shared::wire::Context;
+use powderline_shared::wire::auth::Proof;
 use powderline_shared::wire::message::{DEPTH, NO_SESSION, OpenRequest, PROTOCOL_VERSION, Refusal};
 
 use crate::buffer::SetpointBuffer;
@@ -25,17 +26,24 @@ pub(crate) struct Session {
     pub(crate) context: Context,
     /// Of this opening alone.
     pub(crate) nonce: u32,
+    /// What the executor has shown that it has the key with.
+    pub(crate) proof: Option<Proof>,
     /// The tighter of the arm's own and the session's.
     pub(crate) limits: Limits,
     pub(crate) anchored: Option<Anchored>,
 }
 
 impl Session {
-    pub(crate) fn new(request: &OpenRequest, own_limits: &Limits, nonce: u32) -> Self {
+    pub(crate) fn new(
+        (request, proof): (&OpenRequest, Option<Proof>),
+        own_limits: &Limits,
+        (context, nonce): (Context, u32),
+    ) -> Self {
         Self {
             request: *request,
-            context: Context::sealed(request, nonce),
+            context,
             nonce,
+            proof,
             limits: own_limits.tighter(&request.limits),
             anchored: None,
         }

@@ -111,6 +111,8 @@ fault_codes! {
     AnchorMeaningless = 408, "The arm reported an anchor that is no pose.";
     ArmDuplicate = 409, "Another arm speaks on this wire.";
     OpenedOther = 410, "The arm opened the session for something else than was asked for.";
+    WrongTags = 411, "Too many frames came that were not made with the key.";
+    ArmUnproven = 412, "The arm's answer was not made with the key.";
 
     OperatorStop = 501, "A person stopped the motion.";
     SoftwareStop = 502, "A stop frame was sent to the arm.";
@@ -226,7 +228,7 @@ mod tests {
         let numbers = [
             101, 102, 103, 104, 105, 111, 112, 113, 114, 115, 121, 131, 132, 201, 202, 203, 204, 205, 206,
             207, 301, 302, 303, 304, 305, 306, 307, 311, 312, 313, 314, 315, 401, 402, 403, 404, 405, 406,
-            407, 408, 409, 410, 501, 502,
+            407, 408, 409, 410, 411, 412, 501, 502,
         ];
         assert!(FaultCode::ALL.iter().map(|code| code.number()).eq(numbers));
         for code in FaultCode::ALL {

@@ -141,9 +141,14 @@ def main():
 
 
 def check_golden(database):
-    fd = dict(sections("wire-v3-fd.txt"))
+    for which in ("", "-key"):
+        check_pinned(database, f"wire-v3-classic{which}.txt", f"wire-v3-fd{which}.txt")
+
+
+def check_pinned(database, classic_file, fd_file):
+    fd = dict(sections(fd_file))
     checked, seen = 0, set()
-    for title, frames in sections("wire-v3-classic.txt"):
+    for title, frames in sections(classic_file):
         signals = decoded(database, title, frames)
         fd_data = fd[title][0][1]
         if "setpoint" in title or "actual" in title:

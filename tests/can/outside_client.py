@@ -42,7 +42,8 @@ STATES = {
     0x08: "fault",
 }
 PHASES = ("armed", "streaming", "completing", "holding")
-REASONS = ("Version", "Busy", "Closed", "Latched", "Period", "Meaningless", "Coarse", "Counts")
+REASONS = ("Version", "Busy", "Closed", "Latched", "Period", "Meaningless", "Coarse", "Counts",
+           "KeyWanted", "Keyless", "KeyOther")
 SOFTWARE_STOP = 502
 
 VERSION, DEPTH = 3, 16

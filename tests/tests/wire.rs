@@ -248,6 +248,94 @@ fn a_plan_is_played_over_a_pseudo_terminal() {
     assert_played("pty");
 }
 
+/// A file with a key, and one with another.
+fn keys(dir: &Path) -> [String; 2] {
+    let (ours, other) = (dir.join("key"), dir.join("other"));
+    fs::write(&ours, [0xA7; 32]).unwrap();
+    fs::write(&other, "0123456789abcdef".repeat(4)).unwrap();
+    [ours, other].map(|path| path.to_str().unwrap().to_owned())
+}
+
+#[test]
+fn a_plan_is_played_with_a_key() {
+    assert_played_with_a_key("pty");
+}
+
+fn assert_played_with_a_key(on: &str) {
+    unless_held_up(|| {
+        let dir = TempDir::new().unwrap();
+        let (plan, [key, _]) = (plan(dir.path()), keys(dir.path()));
+        let (mut arm, wire) = arm(on, &["--once", "--key", &key]);
+        arm.says("It moves only for whoever has the key");
+        let (code, out) = execute(&plan, &wire, &["--json", "--key", &key]).ends();
+        let report: Value = serde_json::from_str(&out).unwrap();
+        if report["stop"]["code"] == HELD_UP {
+            return Err(HeldUp);
+        }
+        assert_eq!((code, &report["within_half_lsb"]), (Some(0), &Value::from(true)), "{out}");
+        assert_eq!(arm.ends().0, Some(0));
+        Ok(())
+    });
+}
+
+#[test]
+fn both_ends_say_that_their_keys_differ() {
+    assert_keys_that_differ_are_told("pty");
+}
+
+fn assert_keys_that_differ_are_told(on: &str) {
+    let dir = TempDir::new().unwrap();
+    let (plan, [key, other]) = (plan(dir.path()), keys(dir.path()));
+    for (own, arms, words) in [
+        (Some(&other), Some(&key), "the arm has another key; both ends need the same --key FILE"),
+        (None, Some(&key), "the arm has a key and was asked without; give --key FILE with the same"),
+        (Some(&key), None, "the arm has no key and was asked with one; start it with the same --key FILE"),
+    ] {
+        let with = |key: Option<&String>| key.map_or(vec![], |key| vec!["--key".to_owned(), key.clone()]);
+        let (own, arms) = (with(own), with(arms));
+        let more: Vec<&str> = arms.iter().map(String::as_str).collect();
+        let (mut arm, wire) = arm(on, &more);
+        let more: Vec<&str> = own.iter().map(String::as_str).chain(["--json"]).collect();
+        let report = json(execute(&plan, &wire, &more), 1);
+        assert_eq!(
+            (&report["stop"]["code"], &report["stop"]["detail"]),
+            (&Value::from(401), &Value::from(words))
+        );
+        assert!(arm.says("is refused").ends_with(&format!("{words}.")));
+    }
+}
+
+#[test]
+fn files_that_hold_no_key_are_refused_in_one_sentence() {
+    let dir = TempDir::new().unwrap();
+    let plan = plan(dir.path());
+    let (short, pipe) = (dir.path().join("short"), dir.path().join("pipe"));
+    fs::write(&short, [1; 31]).unwrap();
+    assert!(Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+    for (key, words) in [
+        (short.to_str().unwrap(), "it has 31 bytes, and not 32, or 64 hexadecimal digits"),
+        (pipe.to_str().unwrap(), "not a regular file"),
+        ("/dev/zero", "not a regular file"),
+        ("missing", "No such file"),
+    ] {
+        let plan = plan.to_str().unwrap();
+        for (program, arguments, code) in [
+            (EXECUTE, &[plan, "--to", "serial:/dev/null", "--key", key][..], 5),
+            (FIRMWARE_SIM, &["--on", "pty", "--key", key], 1),
+        ] {
+            let output = Command::new(program).args(arguments).output().unwrap();
+            let error = String::from_utf8(output.stderr).unwrap();
+            assert_eq!(output.status.code(), Some(code), "{error}");
+            assert!(error.trim_end().lines().count() == 1, "{error}");
+            assert!(error.contains(key) && error.contains(words), "{error}");
+        }
+    }
+    let [key, _] = keys(dir.path());
+    let output = Command::new(EXECUTE).args([plan.to_str().unwrap(), "--key", &key]).output().unwrap();
+    let error = String::from_utf8(output.stderr).unwrap();
+    assert!(error.contains("is for an arm on a wire; give --to WIRE too"), "{error}");
+}
+
 #[test]
 fn an_executor_that_is_killed_leaves_an_arm_that_stops_and_must_be_reset() {
     assert_survives_a_killed_executor("pty");
@@ -323,6 +411,15 @@ fn a_rate_at_which_a_plan_breaks_its_limits_is_refused_before_anything_is_sent()
 fn ip(arguments: &str) {
     let status = Command::new("ip").args(arguments.split_whitespace()).status().unwrap();
     assert!(status.success(), "ip {arguments}");
+}
+
+#[test]
+#[ignore = "needs vcan0: run by tests/run inside tests/tools/with-vcan"]
+fn vcan_a_key_is_asked_for_over_classic_can_and_over_can_fd() {
+    for on in ["can:vcan0", "canfd:vcan0"] {
+        assert_played_with_a_key(on);
+        assert_keys_that_differ_are_told(on);
+    }
 }
 
 #[test]

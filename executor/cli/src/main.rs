@@ -18,6 +18,7 @@ use powderline_executor_cli::run::{Observer, RunResult, StopWish, play};
 use powderline_executor_cli::wire::{self, FlightRecorder};
 use powderline_firmware_sim::controller::ArmConfig;
 use powderline_host::candump::Writer;
+use powderline_host::key::read_key_file;
 use powderline_host::link::Link;
 use powderline_host::realtime;
 use powderline_host::signals::Signals;
@@ -29,6 +30,7 @@ use powderline_shared::displacement::Lsb;
 use powderline_shared::following::Following;
 use powderline_shared::plan::file::{LoadError, check_plan, read_plan_file};
 use powderline_shared::plan::{PERIOD_US_MAX, PERIOD_US_MIN, PlanReader};
+use powderline_shared::wire::auth::Key;
 use powderline_shared::wire::frame::Dialect;
 use powderline_shared::wire::message::Status;
 
@@ -72,6 +74,9 @@ struct Arguments {
         help = "Where the arm is: sim, can:IFACE[@BITRATE], canfd:IFACE[@NOMINAL/DATA] or serial:DEVICE[@BAUD]"
     )]
     to: Link,
+    /// Key that the arm has too (32 bytes, or 64 hexadecimal digits): frames of whoever has another one, or none, are not believed
+    #[arg(long, value_name = "FILE")]
+    key: Option<PathBuf>,
     /// Setpoints a second; the plan's own rate by default. Another rate plays the same path faster or slower
     #[arg(long, value_name = "HZ")]
     rate: Option<f64>,
@@ -252,9 +257,11 @@ fn config(arguments: &Arguments, plan: &PlanReader<'_>) -> anyhow::Result<Config
     })?;
     // Any number that nobody else is likely to have; which of them are usable is the executor's to know.
     #[expect(clippy::cast_possible_truncation, reason = "any 16 bits will do")]
-    let session = (RandomState::new().build_hasher().finish() as u16).max(1);
+    let session = (drawn() as u16).max(1);
     Ok(Config {
         session,
+        key: key(arguments)?,
+        nonce: drawn(),
         period_us: Some(period_us),
         look_ahead: arguments.look_ahead,
         reset: arguments.reset,
@@ -266,6 +273,19 @@ fn config(arguments: &Arguments, plan: &PlanReader<'_>) -> anyhow::Result<Config
         },
         ..Config::default()
     })
+}
+
+/// Another number each time.
+fn drawn() -> u64 {
+    RandomState::new().build_hasher().finish()
+}
+
+fn key(arguments: &Arguments) -> anyhow::Result<Option<Key>> {
+    let Some(path) = &arguments.key else { return Ok(None) };
+    if arguments.to == Link::Sim {
+        bail!("--key {} is for an arm on a wire; give --to WIRE too", path.display());
+    }
+    Ok(Some(read_key_file(path)?))
 }
 
 /// Whether the plan can be played over the wire at all: limits, counts, load. Words for the load.
@@ -287,6 +307,9 @@ fn check_wire(arguments: &Arguments, plan: &PlanReader<'_>, config: &Config) -> 
             )));
         }
         words.push_str(&format!(", a load of at most {percent:.1} %"));
+    }
+    if config.key.is_some() {
+        words.push_str(", with a key");
     }
     Ok(words)
 }

@@ -202,7 +202,7 @@ fn hear(word: Word) -> (Outcome, Option<String>, u64) {
 
 /// A message, through frames.
 fn said_in_frames(message: FromArm) -> FromArm {
-    let context = Context { session: 1, seal: 0 };
+    let context = Context { session: 1, seal: 0, key: None };
     let mut decoder = FromArmDecoder::new(Dialect::Fd);
     decoder.set_context(context);
     let frames = Encoder::new(Dialect::Fd).from_arm(&context, &message);
@@ -337,7 +337,10 @@ fn of(contexts: &[Context; 2], message: &FromArm) -> Context {
         FromArm::Status(status) => status.session,
         FromArm::Heartbeat(heartbeat) => heartbeat.session,
         FromArm::Actual { session, .. } | FromArm::Fault { session, .. } => *session,
-        FromArm::Opened { .. } | FromArm::Refused { .. } | FromArm::Anchored { .. } => NO_SESSION,
+        FromArm::Opened { .. }
+        | FromArm::OpenedKeyed { .. }
+        | FromArm::Refused { .. }
+        | FromArm::Anchored { .. } => NO_SESSION,
     };
     let known = contexts.iter().find(|context| context.session == session && session != NO_SESSION);
     known.copied().unwrap_or(Context::NONE)

@@ -16,6 +16,7 @@ use powderline_firmware_sim_cli::link::faults::Faults;
 use powderline_firmware_sim_cli::link::world::Logged;
 use powderline_firmware_sim_cli::serve::{self, Announcer, Options, bench_start};
 use powderline_firmware_sim_cli::storm::{self, Summary};
+use powderline_host::key::read_key_file;
 use powderline_host::link::Link;
 use powderline_host::realtime;
 use powderline_host::terminal::LiveLine;
@@ -53,6 +54,9 @@ struct Serve {
         help = "Wire to listen on: can:IFACE, canfd:IFACE, serial:DEVICE[@BAUD], or pty, which makes one and says its name"
     )]
     on: Option<Link>,
+    /// Key that whoever moves the arm must have too (32 bytes, or 64 hexadecimal digits); without one, anybody may
+    #[arg(long, value_name = "FILE")]
+    key: Option<PathBuf>,
     /// Stand at the start pose of this plan; without it, at that of the scene bench
     #[arg(long, value_name = "PLAN")]
     at: Option<PathBuf>,
@@ -206,7 +210,8 @@ fn serve_arm(arguments: &Serve) -> anyhow::Result<()> {
     };
     // Another one at each start, so that nothing that was said to an arm before is taken for said to this one.
     let nonce_seed = RandomState::new().build_hasher().finish();
-    let arm = ArmConfig { watchdog_us: 1_000 * arguments.watchdog, nonce_seed, ..arm };
+    let key = arguments.key.as_deref().map(read_key_file).transpose()?;
+    let arm = ArmConfig { watchdog_us: 1_000 * arguments.watchdog, nonce_seed, key, ..arm };
     // Whatever is granted helps; a controller that is held up all the same says so and stops.
     let _ = realtime::prepare((arguments.priority > 0).then_some(arguments.priority));
     let options = Options { on, arm, once: arguments.once };

@@ -16,7 +16,7 @@ use powderline_shared::plan::StartPose;
 use powderline_shared::pose::Pose;
 use powderline_shared::wire::Context;
 use powderline_shared::wire::frame::Frame;
-use powderline_shared::wire::message::ToArm;
+use powderline_shared::wire::message::{Refusal, ToArm};
 use powderline_shared::wire::state::{Phase, State};
 
 /// Frames that wait for room on the wire; the oldest give way, for the newest say more.
@@ -77,6 +77,9 @@ pub fn serve(options: &Options, announcer: &mut impl Announcer) -> anyhow::Resul
         "The arm stands at ({:.4}, {:.4}, {:.4}) m and listens on {to}; Ctrl-C ends it.",
         position.x, position.y, position.z
     ));
+    if options.arm.key.is_some() {
+        announcer.say("It moves only for whoever has the key; a stop frame is anybody's.");
+    }
     let mut server = Server {
         options,
         wire: Some(wire),
@@ -102,6 +105,8 @@ struct Told {
     phase: Option<Phase>,
     session: Option<Opening>,
     fault: Option<Fault>,
+    /// What was refused because of the key.
+    key_refusal: Option<(u16, Refusal)>,
 }
 
 /// A session as it was opened.
@@ -231,12 +236,16 @@ impl Server<'_> {
                 context: controller.context(),
             }),
             fault: controller.fault(),
+            key_refusal: controller.key_refusal(),
         };
         let (before, period_us) = (self.told, controller.period_us());
         self.told = now;
         if let Some(opening) = now.session.filter(|_| before.session != now.session) {
             let (session, hash) = (opening.session, opening.plan_hash);
             announcer.say(&format!("Session {session:#06x}: plan {hash:016x}, {period_us} us a tick."));
+        }
+        if let Some((session, reason)) = now.key_refusal.filter(|_| before.key_refusal != now.key_refusal) {
+            announcer.say(&format!("Session {session:#06x} is refused: {reason}."));
         }
         if let Some(fault) = now.fault.filter(|_| before.fault != now.fault) {
             announcer.say(&format!("Stopping: {fault}"));

@@ -4,7 +4,7 @@
 //! typed ([`link`]), wires that carry [`Frame`](powderline_shared::wire::frame::Frame)s ([`transport`]), what a CAN
 //! interface says of itself ([`interface`]), the [`clock`], waiting for a moment or a wire ([`wait`]), a person's wish to
 //! stop ([`signals`]), real-time scheduling ([`realtime`]), how late wake-ups are ([`jitter`]) and logs in candump's
-//! format ([`candump`]), a line of progress ([`terminal`]), numbers in sentences ([`words`]).
+//! format ([`candump`]), keys ([`key`]), a line of progress ([`terminal`]), numbers in sentences ([`words`]).
 //!
 //! # When the wire fails
 //! * An interface that is taken down, or unplugged, makes the next call fail with one sentence ([`LinkError::Down`],
@@ -42,6 +42,7 @@ pub mod clock;
 mod error;
 pub mod interface;
 pub mod jitter;
+pub mod key;
 pub mod link;
 pub mod realtime;
 pub mod signals;

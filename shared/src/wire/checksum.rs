@@ -11,6 +11,7 @@
 use crc::{CRC_8_AUTOSAR, CRC_32_ISO_HDLC, Crc, NoTable};
 
 use super::{
+    auth::{SessionKey, Tag},
     ids,
     message::{NO_SESSION, OpenRequest},
 };
@@ -27,11 +28,13 @@ pub struct Context {
     pub session: u16,
     /// Of all that was agreed on and of the arm's nonce; does not count without a session.
     pub seal: u64,
+    /// What tags are made with, which then take the place of checksums, if both ends have a key.
+    pub key: Option<SessionKey>,
 }
 
 impl Context {
     /// No session.
-    pub const NONE: Self = Self { session: NO_SESSION, seal: 0 };
+    pub const NONE: Self = Self { session: NO_SESSION, seal: 0, key: None };
 
     /// The session that an arm opens for a request, with a nonce of its own: FNV-1a over digest and nonce.
     #[must_use]
@@ -39,7 +42,13 @@ impl Context {
         let mut seal = Fnv1a64::default();
         seal.update(&request.digest().to_le_bytes());
         seal.update(&nonce.to_le_bytes());
-        Self { session: request.session, seal: seal.value() }
+        Self { session: request.session, seal: seal.value(), key: None }
+    }
+
+    /// The same session between two ends that have a key.
+    #[must_use]
+    pub fn with_key(self, key: SessionKey) -> Self {
+        Self { key: Some(key), ..self }
     }
 
     /// One byte each for translation, for rotation, and for everything else; zero without a session.
@@ -70,7 +79,7 @@ impl Context {
 
     /// What the other end must know of `session` if this end is in `self`.
     pub(super) fn of(&self, session: u16) -> Self {
-        if session == self.session { self.normalised() } else { Self { session, seal: 0 } }
+        if session == self.session { self.normalised() } else { Self { session, seal: 0, key: None } }
     }
 
     pub(super) fn normalised(&self) -> Self {
@@ -78,8 +87,14 @@ impl Context {
     }
 }
 
-/// Checksum of a classic frame.
-pub(super) fn crc8(id: u16, context: &Context, tick: u32, payload: &[u8]) -> u8 {
+/// Checksum of a classic frame, or its tag.
+pub(super) fn sum8(id: u16, context: &Context, tick: u32, payload: &[u8]) -> u8 {
+    let Some(key) = &context.key else { return crc8(id, context, tick, payload) };
+    let Tag([tag, ..]) = key.frame(id, tick, payload);
+    tag
+}
+
+fn crc8(id: u16, context: &Context, tick: u32, payload: &[u8]) -> u8 {
     let mut digest = CRC8.digest();
     digest.update(&id.to_le_bytes());
     digest.update(&[key_of(id, context)]);
@@ -97,8 +112,15 @@ fn key_of(id: u16, context: &Context) -> u8 {
     }
 }
 
-/// Checksum of an FD frame, and of what enables an arm on every wire; session and tick are part of `covered`.
-pub(super) fn crc32(id: u16, seal: u64, covered: &[u8]) -> u32 {
+/// Checksum of an FD frame, and of what enables an arm on every wire, or its tag; session and tick are part of `covered`. The
+/// count is in the tag only.
+pub(super) fn sum32(id: u16, context: &Context, count: u32, covered: &[u8]) -> u32 {
+    let Some(key) = &context.key else { return crc32(id, context.seal, covered) };
+    let Tag([a, b, c, d, ..]) = key.frame(id, count, covered);
+    u32::from_le_bytes([a, b, c, d])
+}
+
+fn crc32(id: u16, seal: u64, covered: &[u8]) -> u32 {
     let mut digest = CRC32.digest();
     digest.update(&id.to_le_bytes());
     digest.update(&seal.to_le_bytes());
@@ -123,7 +145,7 @@ mod tests {
 
     #[test]
     fn everything_unsent_counts() {
-        let context = Context { session: 3, seal: 5 };
+        let context = Context { session: 3, seal: 5, key: None };
         let sums = [
             crc8(0x201, &context, 7, b"x"),
             crc8(0x301, &context, 7, b"x"),
@@ -139,7 +161,7 @@ mod tests {
 
     #[test]
     fn sessions_are_told_apart_or_said_to_be_alike() {
-        let context = |session| Context { session, seal: 0x1234_5678_9abc_def0 };
+        let context = |session| Context { session, seal: 0x1234_5678_9abc_def0, key: None };
         let ids = [ids::SETPOINT_T, ids::SETPOINT_R, ids::STATUS];
         let same =
             |a: &Context, b: &Context| ids.map(|id| crc8(id, a, 5, b"data") == crc8(id, b, 5, b"data"));
@@ -158,9 +180,9 @@ mod tests {
 
     #[test]
     fn no_session_has_no_plan() {
-        assert_eq!(Context { session: NO_SESSION, seal: 9 }.of(NO_SESSION), Context::NONE);
-        let context = Context { session: 3, seal: 5 };
+        assert_eq!(Context { session: NO_SESSION, seal: 9, key: None }.of(NO_SESSION), Context::NONE);
+        let context = Context { session: 3, seal: 5, key: None };
         assert_eq!([context.of(3), context.of(0)], [context, Context::NONE]);
-        assert_eq!(context.of(4), Context { session: 4, seal: 0 });
+        assert_eq!(context.of(4), Context { session: 4, seal: 0, key: None });
     }
 }

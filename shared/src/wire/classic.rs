@@ -1,7 +1,7 @@
 //! The cyclic frames of classic CAN: at most 8 bytes, the last of them the checksum, or the last four of what enables an arm and
 //! keeps it so.
 
-use super::checksum::{Context, crc8, crc32};
+use super::checksum::{Context, sum8, sum32};
 use super::fields::{Put, Take, low8, low16, nearest_with_low8, nearest_with_low16};
 use super::frame::Frame;
 use super::history::{Half, Part};
@@ -23,28 +23,31 @@ const ERROR_REGISTER: u8 = 0x81;
 
 /// Appends the checksum.
 fn sealed(id: u16, context: &Context, tick: u32, payload: Put) -> Frame {
-    let crc = crc8(id, context, tick, payload.as_slice());
+    let crc = sum8(id, context, tick, payload.as_slice());
     payload.u8(crc).into_frame(id)
 }
 
 /// Appends four bytes of checksum.
-fn sealed_well(id: u16, context: &Context, payload: Put) -> Frame {
-    let crc = crc32(id, context.seal, payload.as_slice());
+fn sealed_well(id: u16, context: &Context, count: u32, payload: Put) -> Frame {
+    let crc = sum32(id, context, count, payload.as_slice());
     payload.u32(crc).into_frame(id)
 }
 
-/// The bytes before a checksum of four bytes of a frame that has the length it must have, if it is one that an accepted
-/// session makes.
+/// The bytes before a checksum of four bytes of a frame that has the length it must have, if that is right for its session.
 fn opened_well<const N: usize>(
     frame: &Frame,
-    accepted: impl Fn(u16) -> Option<Context>,
+    mut is_right: impl FnMut(u16, &[u8], u32) -> bool,
     session_of: impl Fn(&[u8; N]) -> u16,
 ) -> Result<[u8; N], Rejected> {
     let parts = frame.data.split_first_chunk::<N>();
-    let (payload, crc) = parts.filter(|(_, crc)| crc.len() == 4).ok_or_else(|| Rejected::length(frame))?;
-    let context = accepted(session_of(payload));
-    let right = context.is_some_and(|context| crc32(frame.id, context.seal, payload).to_le_bytes() == *crc);
-    if right { Ok(*payload) } else { Err(Rejected::Checksum { id: frame.id }) }
+    let (payload, crc) = parts
+        .and_then(|(payload, crc)| Some((payload, u32::from_le_bytes(crc.try_into().ok()?))))
+        .ok_or_else(|| Rejected::length(frame))?;
+    if is_right(session_of(payload), payload, crc) {
+        Ok(*payload)
+    } else {
+        Err(Rejected::Checksum { id: frame.id })
+    }
 }
 
 /// The bytes before the checksum of a frame that has the length it must have.
@@ -71,7 +74,7 @@ pub(super) fn pair(ids: [u16; 2], context: &Context, setpoint: Setpoint) -> [Fra
 }
 
 fn half_frame(id: u16, context: &Context, tick: u32, counts: [i32; 3]) -> Frame {
-    let crc = crc8(id, context, tick, Put::new().counts(&counts).as_slice());
+    let crc = sum8(id, context, tick, Put::new().counts(&counts).as_slice());
     let low = counts.into_iter().fold(Put::new(), |put, count| put.u16(low16(count.cast_unsigned())));
     low.u8(low8(tick)).u8(crc).into_frame(id)
 }
@@ -97,18 +100,18 @@ pub(super) fn half(
     for (count, low) in counts.iter_mut().zip(low) {
         *count = nearest_with_low16(count.cast_unsigned(), low).cast_signed();
     }
-    if crc8(frame.id, context, tick, Put::new().counts(&counts).as_slice()) != crc {
+    if sum8(frame.id, context, tick, Put::new().counts(&counts).as_slice()) != crc {
         return Err(Rejected::Checksum { id: frame.id });
     }
     Ok(Half { session: context.session, tick, counts })
 }
 
-pub(super) fn control(context: &Context, word: u16) -> Frame {
-    sealed_well(ids::CONTROL, context, Put::new().u16(word).u16(context.session))
+pub(super) fn control(context: &Context, count: u32, word: u16) -> Frame {
+    sealed_well(ids::CONTROL, context, count, Put::new().u16(word).u16(context.session))
 }
 
-pub(super) fn heartbeat_to_arm(context: &Context) -> Frame {
-    sealed_well(ids::HEARTBEAT_TO_ARM, context, Put::new().u8(OPERATIONAL).u16(context.session))
+pub(super) fn heartbeat_to_arm(context: &Context, count: u32) -> Frame {
+    sealed_well(ids::HEARTBEAT_TO_ARM, context, count, Put::new().u8(OPERATIONAL).u16(context.session))
 }
 
 pub(super) fn heartbeat_from_arm(context: &Context, heartbeat: &Heartbeat) -> Frame {
@@ -148,7 +151,7 @@ fn found(
     reference: u32,
 ) -> Result<(u16, u32), Rejected> {
     let tick = read_tick(context, reference, low);
-    if crc8(frame.id, context, tick, payload) != crc {
+    if sum8(frame.id, context, tick, payload) != crc {
         return Err(Rejected::Checksum { id: frame.id });
     }
     Ok((context.session, tick))
@@ -192,7 +195,7 @@ pub(super) fn read_fault(frame: &Frame, own: &Context, reference: u32) -> Result
 
 /// Whether the checksum of a frame without tick holds; its session has been sent.
 fn check(frame: &Frame, payload: &[u8], crc: u8, context: Option<Context>) -> Result<(), Rejected> {
-    let right = context.is_some_and(|context| crc8(frame.id, &context, 0, payload) == crc);
+    let right = context.is_some_and(|context| sum8(frame.id, &context, 0, payload) == crc);
     if right { Ok(()) } else { Err(Rejected::Checksum { id: frame.id }) }
 }
 
@@ -202,9 +205,9 @@ fn check_operational(frame: &Frame, state: u8) -> Result<(), Rejected> {
 
 pub(super) fn read_control(
     frame: &Frame,
-    accepted: impl Fn(u16) -> Option<Context>,
+    is_right: impl FnMut(u16, &[u8], u32) -> bool,
 ) -> Result<ToArm, Rejected> {
-    let payload = opened_well::<4>(frame, accepted, |[_, _, low, high]| u16::from_le_bytes([*low, *high]))?;
+    let payload = opened_well::<4>(frame, is_right, |[_, _, low, high]| u16::from_le_bytes([*low, *high]))?;
     let [low, high, session_low, session_high] = payload;
     let (word, session) = (u16::from_le_bytes([low, high]), u16::from_le_bytes([session_low, session_high]));
     let command = words::command(word).ok_or(Rejected::Word { id: frame.id, word })?;
@@ -213,10 +216,10 @@ pub(super) fn read_control(
 
 pub(super) fn read_heartbeat_to_arm(
     frame: &Frame,
-    accepted: impl Fn(u16) -> Option<Context>,
+    is_right: impl FnMut(u16, &[u8], u32) -> bool,
 ) -> Result<ToArm, Rejected> {
     let [state, low, high] =
-        opened_well::<3>(frame, accepted, |[_, low, high]| u16::from_le_bytes([*low, *high]))?;
+        opened_well::<3>(frame, is_right, |[_, low, high]| u16::from_le_bytes([*low, *high]))?;
     check_operational(frame, state)?;
     Ok(ToArm::Heartbeat { session: u16::from_le_bytes([low, high]) })
 }

@@ -7,7 +7,8 @@
 
 use heapless::Vec;
 
-use super::checksum::Context;
+use super::auth::Rolls;
+use super::checksum::{Context, sum32};
 use super::frame::{Dialect, Frame};
 use super::handshake::{FromArmRecord, Reassembly, Segments, ToArmRecord};
 use super::history::{Had, Half, Halves, Met, Part, Track};
@@ -64,13 +65,15 @@ pub struct Encoder {
     dialect: Dialect,
     /// The setpoint of the highest tick sent in a session: the displacement of the next one starts there.
     newest: Option<(Context, Setpoint)>,
+    /// What was counted of the session.
+    said: (Context, Rolls),
 }
 
 impl Encoder {
     /// An encoder that has sent nothing.
     #[must_use]
     pub const fn new(dialect: Dialect) -> Self {
-        Self { dialect, newest: None }
+        Self { dialect, newest: None, said: (Context::NONE, Rolls::NONE) }
     }
 
     /// How it puts messages into frames.
@@ -83,10 +86,8 @@ impl Encoder {
     #[must_use]
     pub fn to_arm(&mut self, context: &Context, message: &ToArm) -> Frames {
         match (*message, self.dialect) {
-            (ToArm::Open(request), dialect) => {
-                self.newest = None;
-                Frames::record(Segments::new(ids::HANDSHAKE_TO_ARM, dialect, &ToArmRecord::Open(request)))
-            }
+            (ToArm::Open(request), _) => self.request(&ToArmRecord::Open(request)),
+            (ToArm::OpenKeyed(request, proof), _) => self.request(&ToArmRecord::OpenKeyed(request, proof)),
             (ToArm::Setpoint { session, setpoint }, Dialect::Classic) => {
                 Frames::two(classic::pair([ids::SETPOINT_T, ids::SETPOINT_R], &context.of(session), setpoint))
             }
@@ -97,19 +98,35 @@ impl Encoder {
             }
             (ToArm::Control { session, command }, dialect) => {
                 let (context, word) = (context.of(session), words::controlword(command));
+                let count = self.count(ids::CONTROL, &context);
                 Frames::one(match dialect {
-                    Dialect::Classic => classic::control(&context, word),
-                    Dialect::Fd => fd::control(&context, word),
+                    Dialect::Classic => classic::control(&context, count, word),
+                    Dialect::Fd => fd::control(&context, count, word),
                 })
             }
-            (ToArm::Heartbeat { session }, Dialect::Classic) => {
-                Frames::one(classic::heartbeat_to_arm(&context.of(session)))
-            }
-            (ToArm::Heartbeat { session }, Dialect::Fd) => {
-                Frames::one(fd::heartbeat_to_arm(&context.of(session)))
+            (ToArm::Heartbeat { session }, dialect) => {
+                let context = context.of(session);
+                let count = self.count(ids::HEARTBEAT_TO_ARM, &context);
+                Frames::one(match dialect {
+                    Dialect::Classic => classic::heartbeat_to_arm(&context, count),
+                    Dialect::Fd => fd::heartbeat_to_arm(&context, count),
+                })
             }
             (ToArm::Stop, _) => Frames::one(Frame { id: ids::STOP, data: Vec::from_array(*STOP_WORD) }),
         }
+    }
+
+    fn request(&mut self, record: &ToArmRecord) -> Frames {
+        self.newest = None;
+        Frames::record(Segments::new(ids::HANDSHAKE_TO_ARM, self.dialect, record))
+    }
+
+    /// The count of the next command or heartbeat of a session.
+    fn count(&mut self, id: u16, context: &Context) -> u32 {
+        if self.said.0 != *context {
+            self.said = (*context, Rolls::default());
+        }
+        self.said.1.next(id, context)
     }
 
     /// Frames of a message from the arm.
@@ -119,10 +136,16 @@ impl Encoder {
             (FromArm::Opened { session, nonce, digest }, _) => {
                 self.answer(&FromArmRecord::Opened { session: *session, nonce: *nonce, digest: *digest })
             }
+            (FromArm::OpenedKeyed { session, nonce, digest, tag }, _) => {
+                let (session, nonce, digest, tag) = (*session, *nonce, *digest, *tag);
+                self.answer(&FromArmRecord::OpenedKeyed { session, nonce, digest, tag })
+            }
             (FromArm::Refused { session, reason }, _) => {
                 self.answer(&FromArmRecord::Refused { session: *session, reason: *reason })
             }
-            (FromArm::Anchored { session, pose }, _) => self.answer(&FromArmRecord::anchored(*session, pose)),
+            (FromArm::Anchored { session, pose }, _) => {
+                self.answer(&FromArmRecord::anchored(&context.of(*session), pose))
+            }
             (FromArm::Status(status), dialect) => {
                 let (context, word) = (context.of(status.session), statusword_of(status));
                 Frames::one(match dialect {
@@ -184,10 +207,9 @@ fn own_or_none(own: Context, session: u16) -> Option<Context> {
     [own, Context::NONE].into_iter().find(|context| context.session == session)
 }
 
-/// The context of a session that was sent in the clear, at an arm: its own, or the one that is over, whose end may not have heard
-/// of that.
-fn own_or_over(own: Context, over: Context, session: u16) -> Option<Context> {
-    [own, over].into_iter().find(|context| context.session == session && session != NO_SESSION)
+/// Whether a checksum is right, of a frame that has no count.
+fn is_sum(id: u16, context: Option<Context>, covered: &[u8], sum: u32) -> bool {
+    context.is_some_and(|context| sum32(id, &context, 0, covered) == sum)
 }
 
 /// The context of a session that was sent in the clear, at an end that listens to its own session only.
@@ -204,8 +226,10 @@ fn one<M>(message: M) -> Decoded<M> {
 pub struct ToArmDecoder {
     dialect: Dialect,
     context: Context,
+    /// What was counted of it.
+    heard: Rolls,
     /// The session before, of which commands are heard yet: they are answered, and change nothing.
-    over: Context,
+    over: (Context, Rolls),
     /// The decoded setpoints.
     track: Track,
     halves: Halves,
@@ -220,7 +244,8 @@ impl ToArmDecoder {
         Self {
             dialect,
             context: Context::NONE,
-            over: Context::NONE,
+            heard: Rolls::default(),
+            over: (Context::NONE, Rolls::default()),
             track: Track::default(),
             halves: Halves::default(),
             had: Had::default(),
@@ -234,7 +259,7 @@ impl ToArmDecoder {
         let context = context.normalised();
         if context != self.context {
             let reassembly = core::mem::take(&mut self.reassembly);
-            let over = if self.context == Context::NONE { self.over } else { self.context };
+            let over = if self.context == Context::NONE { self.over } else { (self.context, self.heard) };
             *self = Self { context, over, reassembly, ..Self::new(self.dialect) };
         }
     }
@@ -245,7 +270,6 @@ impl ToArmDecoder {
     /// Why the frame says nothing. The decoder goes on as if it had not come; but a record that is complete and damaged is
     /// given up.
     pub fn handle_frame(&mut self, frame: &Frame) -> Result<Decoded<ToArm>, Rejected> {
-        let (own, over) = (self.context, self.over);
         match (frame.id, self.dialect) {
             (ids::STOP, _) => stop(frame).map(one),
             (ids::HANDSHAKE_TO_ARM, dialect) => {
@@ -255,19 +279,38 @@ impl ToArmDecoder {
             (ids::SETPOINT_T, Dialect::Classic) => self.half(frame, Part::Translation),
             (ids::SETPOINT_R, Dialect::Classic) => self.half(frame, Part::Rotation),
             (ids::SETPOINT_T, Dialect::Fd) => self.setpoint(frame),
-            (ids::CONTROL, Dialect::Classic) => {
-                classic::read_control(frame, |session| own_or_over(own, over, session)).map(one)
-            }
-            (ids::CONTROL, Dialect::Fd) => {
-                fd::read_control(frame, |session| own_or_over(own, over, session)).map(one)
-            }
+            (ids::CONTROL, Dialect::Classic) => classic::read_control(frame, self.command_of(frame)).map(one),
+            (ids::CONTROL, Dialect::Fd) => fd::read_control(frame, self.command_of(frame)).map(one),
             (ids::HEARTBEAT_TO_ARM, Dialect::Classic) => {
-                classic::read_heartbeat_to_arm(frame, |session| own_only(own, session)).map(one)
+                classic::read_heartbeat_to_arm(frame, self.heartbeat_of(frame)).map(one)
             }
             (ids::HEARTBEAT_TO_ARM, Dialect::Fd) => {
-                fd::read_heartbeat_to_arm(frame, |session| own_only(own, session)).map(one)
+                fd::read_heartbeat_to_arm(frame, self.heartbeat_of(frame)).map(one)
             }
             (id, _) => Err(Rejected::UnknownId { id }),
+        }
+    }
+
+    /// Whether a command's checksum is right: in its own session, or in the one that is over, whose end may not have heard of that.
+    fn command_of(&mut self, frame: &Frame) -> impl FnMut(u16, &[u8], u32) -> bool {
+        let id = frame.id;
+        let (over, heard_over) = &mut self.over;
+        let mut known = [(self.context, &mut self.heard), (*over, heard_over)];
+        move |session, covered, sum| {
+            let of = |context: &Context| context.session == session && session != NO_SESSION;
+            known.iter_mut().find(|(context, _)| of(context)).is_some_and(|(context, heard)| {
+                heard.is_next(id, context, |count| sum32(id, context, count, covered) == sum)
+            })
+        }
+    }
+
+    /// Whether a heartbeat's checksum is right.
+    fn heartbeat_of(&mut self, frame: &Frame) -> impl FnMut(u16, &[u8], u32) -> bool {
+        let (id, own, heard) = (frame.id, self.context, &mut self.heard);
+        move |session, covered, sum| {
+            own_only(own, session).is_some_and(|context| {
+                heard.is_next(id, &context, |count| sum32(id, &context, count, covered) == sum)
+            })
         }
     }
 
@@ -287,7 +330,9 @@ impl ToArmDecoder {
 
     fn setpoint(&mut self, frame: &Frame) -> Result<Decoded<ToArm>, Rejected> {
         let own = self.context;
-        let (_, setpoint, displacement) = fd::read_setpoint(frame, |session| own_only(own, session))?;
+        let (_, setpoint, displacement) = fd::read_setpoint(frame, |session, covered, sum| {
+            is_sum(frame.id, own_only(own, session), covered, sum)
+        })?;
         let before = displacement.and_then(|displacement| before(setpoint, displacement));
         let lost = before.filter(|before| !self.had.contains(before.tick));
         let lost = lost.map(|lost| self.found(lost));
@@ -379,21 +424,22 @@ impl FromArmDecoder {
     pub fn handle_frame(&mut self, frame: &Frame) -> Result<Decoded<FromArm>, Rejected> {
         let own = self.context;
         let accepted = |session| own_or_none(own, session);
+        let is_right = |session, covered: &[u8], sum| is_sum(frame.id, accepted(session), covered, sum);
         match (frame.id, self.dialect) {
             (ids::HANDSHAKE_FROM_ARM, dialect) => self.record(frame, dialect),
             (ids::STATUS, Dialect::Classic) => self.status(frame),
-            (ids::STATUS, Dialect::Fd) => fd::read_status(frame, accepted).map(one),
+            (ids::STATUS, Dialect::Fd) => fd::read_status(frame, is_right).map(one),
             (ids::ACTUAL_T, Dialect::Classic) => self.half(frame, Part::Translation),
             (ids::ACTUAL_R, Dialect::Classic) => self.half(frame, Part::Rotation),
-            (ids::ACTUAL_T, Dialect::Fd) => fd::read_actual(frame, accepted).map(one),
+            (ids::ACTUAL_T, Dialect::Fd) => fd::read_actual(frame, is_right).map(one),
             (ids::FAULT, Dialect::Classic) => {
                 classic::read_fault(frame, &own, self.tick_reference()).map(one)
             }
-            (ids::FAULT, Dialect::Fd) => fd::read_fault(frame, accepted).map(one),
+            (ids::FAULT, Dialect::Fd) => fd::read_fault(frame, is_right).map(one),
             (ids::HEARTBEAT_FROM_ARM, Dialect::Classic) => {
                 classic::read_heartbeat_from_arm(frame, accepted).map(one)
             }
-            (ids::HEARTBEAT_FROM_ARM, Dialect::Fd) => fd::read_heartbeat_from_arm(frame, accepted).map(one),
+            (ids::HEARTBEAT_FROM_ARM, Dialect::Fd) => fd::read_heartbeat_from_arm(frame, is_right).map(one),
             (id, _) => Err(Rejected::UnknownId { id }),
         }
     }
@@ -402,7 +448,7 @@ impl FromArmDecoder {
         let Some(record) = self.reassembly.handle::<FromArmRecord>(dialect, frame)? else {
             return Ok(Vec::new());
         };
-        Ok(one(record.into_message()))
+        record.into_message(&self.context).map(one).ok_or(Rejected::Checksum { id: frame.id })
     }
 
     fn tick_reference(&self) -> u32 {

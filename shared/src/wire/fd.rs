@@ -1,6 +1,6 @@
 //! The cyclic frames of CAN FD, which serial lines carry too: a header of 12 bytes, the first four of them the checksum.
 
-use super::checksum::{Context, crc32};
+use super::checksum::{Context, sum32};
 use super::fields::{Put, Take};
 use super::frame::Frame;
 use super::ids;
@@ -29,9 +29,29 @@ const FAULT: Kind = Kind { id: ids::FAULT, number: 5, length: 16 };
 const HEARTBEAT_TO_ARM: Kind = Kind { id: ids::HEARTBEAT_TO_ARM, number: 6, length: 12 };
 const HEARTBEAT_FROM_ARM: Kind = Kind { id: ids::HEARTBEAT_FROM_ARM, number: 7, length: 16 };
 
-fn sealed(kind: Kind, context: &Context, tick: u32, flags: u8, body: &Put) -> Frame {
+/// What a frame begins with beside its kind.
+#[derive(Default)]
+struct Head {
+    tick: u32,
+    flags: u8,
+    /// Covered by a tag, and not sent.
+    count: u32,
+}
+
+impl Head {
+    fn at(tick: u32) -> Self {
+        Self { tick, ..Self::default() }
+    }
+
+    fn counted(count: u32) -> Self {
+        Self { count, ..Self::default() }
+    }
+}
+
+fn sealed(kind: Kind, context: &Context, head: &Head, body: &Put) -> Frame {
+    let Head { tick, flags, count } = *head;
     let covered = Put::new().u32(tick).u16(context.session).u8(kind.number).u8(flags).bytes(body.as_slice());
-    let crc = crc32(kind.id, context.seal, covered.as_slice());
+    let crc = sum32(kind.id, context, count, covered.as_slice());
     Put::new().u32(crc).bytes(covered.as_slice()).into_frame(kind.id)
 }
 
@@ -59,11 +79,11 @@ impl Opened<'_> {
     }
 }
 
-/// Opens a frame if `accepted` knows the plan of its session.
+/// Opens a frame if its checksum is right for its session.
 fn open(
     kind: Kind,
     frame: &Frame,
-    accepted: impl Fn(u16) -> Option<Context>,
+    mut is_right: impl FnMut(u16, &[u8], u32) -> bool,
 ) -> Result<Opened<'_>, Rejected> {
     let mut take = Take(&frame.data);
     let fields = (|| {
@@ -73,8 +93,7 @@ fn open(
     })();
     let (crc, covered, tick, session, number, flags) =
         fields.filter(|_| frame.data.len() == kind.length).ok_or_else(|| Rejected::length(frame))?;
-    let right = |context: Context| crc32(kind.id, context.seal, covered) == crc;
-    if !accepted(session).is_some_and(right) {
+    if !is_right(session, covered, crc) {
         return Err(Rejected::Checksum { id: frame.id });
     }
     if number != kind.number {
@@ -90,11 +109,16 @@ fn complete<T>(fields: Option<T>, frame: &Frame) -> Result<T, Rejected> {
 
 pub(super) fn setpoint(context: &Context, setpoint: Setpoint, displacement: Option<[i16; 6]>) -> Frame {
     let flags = if displacement.is_some() { DISPLACEMENT_VALID } else { 0 };
-    sealed(SETPOINT, context, setpoint.tick, flags, &counts_and_displacement(setpoint, displacement))
+    sealed(
+        SETPOINT,
+        context,
+        &Head { flags, ..Head::at(setpoint.tick) },
+        &counts_and_displacement(setpoint, displacement),
+    )
 }
 
 pub(super) fn actual(context: &Context, reached: Setpoint) -> Frame {
-    sealed(ACTUAL, context, reached.tick, 0, &counts_and_displacement(reached, None))
+    sealed(ACTUAL, context, &Head::at(reached.tick), &counts_and_displacement(reached, None))
 }
 
 fn counts_and_displacement(setpoint: Setpoint, displacement: Option<[i16; 6]>) -> Put {
@@ -106,9 +130,9 @@ fn counts_and_displacement(setpoint: Setpoint, displacement: Option<[i16; 6]>) -
 /// A setpoint, and the displacement of its tick if it is valid.
 pub(super) fn read_setpoint(
     frame: &Frame,
-    accepted: impl Fn(u16) -> Option<Context>,
+    is_right: impl FnMut(u16, &[u8], u32) -> bool,
 ) -> Result<(u16, Setpoint, Option<[i16; 6]>), Rejected> {
-    let mut opened = open(SETPOINT, frame, accepted)?;
+    let mut opened = open(SETPOINT, frame, is_right)?;
     opened.check_flags(DISPLACEMENT_VALID)?;
     let fields = (|| Some((opened.body.counts()?, opened.body.displacements()?)))();
     let (counts, displacement) = complete(fields, frame)?;
@@ -122,9 +146,9 @@ pub(super) fn read_setpoint(
 
 pub(super) fn read_actual(
     frame: &Frame,
-    accepted: impl Fn(u16) -> Option<Context>,
+    is_right: impl FnMut(u16, &[u8], u32) -> bool,
 ) -> Result<FromArm, Rejected> {
-    let mut opened = open(ACTUAL, frame, accepted)?;
+    let mut opened = open(ACTUAL, frame, is_right)?;
     opened.check_flags(0)?;
     let fields = (|| Some((opened.body.counts()?, opened.body.displacements()?)))();
     let (counts, displacement) = complete(fields, frame)?;
@@ -132,15 +156,15 @@ pub(super) fn read_actual(
     Ok(FromArm::Actual { session: opened.session, reached: Setpoint { tick: opened.tick, counts } })
 }
 
-pub(super) fn control(context: &Context, word: u16) -> Frame {
-    sealed(CONTROL, context, 0, 0, &Put::new().u16(word).u16(0))
+pub(super) fn control(context: &Context, count: u32, word: u16) -> Frame {
+    sealed(CONTROL, context, &Head::counted(count), &Put::new().u16(word).u16(0))
 }
 
 pub(super) fn read_control(
     frame: &Frame,
-    accepted: impl Fn(u16) -> Option<Context>,
+    is_right: impl FnMut(u16, &[u8], u32) -> bool,
 ) -> Result<ToArm, Rejected> {
-    let mut opened = open(CONTROL, frame, accepted)?;
+    let mut opened = open(CONTROL, frame, is_right)?;
     opened.check_flags(0)?;
     opened.check_no_tick()?;
     let (word, reserved) = complete((|| Some((opened.body.u16()?, opened.body.u16()?)))(), frame)?;
@@ -151,14 +175,14 @@ pub(super) fn read_control(
 
 pub(super) fn status(context: &Context, word: u16, status: &Status) -> Frame {
     let body = Put::new().u16(word).u16(status.have).u8(status.counter).bytes(&[0; 3]);
-    sealed(STATUS, context, status.applied_tick, 0, &body)
+    sealed(STATUS, context, &Head::at(status.applied_tick), &body)
 }
 
 pub(super) fn read_status(
     frame: &Frame,
-    accepted: impl Fn(u16) -> Option<Context>,
+    is_right: impl FnMut(u16, &[u8], u32) -> bool,
 ) -> Result<FromArm, Rejected> {
-    let mut opened = open(STATUS, frame, accepted)?;
+    let mut opened = open(STATUS, frame, is_right)?;
     opened.check_flags(0)?;
     let body = &mut opened.body;
     let fields = (|| Some((body.u16()?, body.u16()?, body.u8()?, body.array::<3>()?)))();
@@ -172,43 +196,48 @@ pub(super) fn read_status(
 }
 
 pub(super) fn fault(context: &Context, fault: Reported) -> Frame {
-    sealed(FAULT, context, fault.tick, 0, &Put::new().u16(fault.number).u16(0))
+    sealed(FAULT, context, &Head::at(fault.tick), &Put::new().u16(fault.number).u16(0))
 }
 
 pub(super) fn read_fault(
     frame: &Frame,
-    accepted: impl Fn(u16) -> Option<Context>,
+    is_right: impl FnMut(u16, &[u8], u32) -> bool,
 ) -> Result<FromArm, Rejected> {
-    let mut opened = open(FAULT, frame, accepted)?;
+    let mut opened = open(FAULT, frame, is_right)?;
     opened.check_flags(0)?;
     let (number, reserved) = complete((|| Some((opened.body.u16()?, opened.body.u16()?)))(), frame)?;
     opened.zero(reserved)?;
     Ok(FromArm::Fault { session: opened.session, fault: Reported { number, tick: opened.tick } })
 }
 
-pub(super) fn heartbeat_to_arm(context: &Context) -> Frame {
-    sealed(HEARTBEAT_TO_ARM, context, 0, 0, &Put::new())
+pub(super) fn heartbeat_to_arm(context: &Context, count: u32) -> Frame {
+    sealed(HEARTBEAT_TO_ARM, context, &Head::counted(count), &Put::new())
 }
 
 pub(super) fn read_heartbeat_to_arm(
     frame: &Frame,
-    accepted: impl Fn(u16) -> Option<Context>,
+    is_right: impl FnMut(u16, &[u8], u32) -> bool,
 ) -> Result<ToArm, Rejected> {
-    let opened = open(HEARTBEAT_TO_ARM, frame, accepted)?;
+    let opened = open(HEARTBEAT_TO_ARM, frame, is_right)?;
     opened.check_flags(0)?;
     opened.check_no_tick()?;
     Ok(ToArm::Heartbeat { session: opened.session })
 }
 
 pub(super) fn heartbeat_from_arm(context: &Context, heartbeat: &Heartbeat) -> Frame {
-    sealed(HEARTBEAT_FROM_ARM, context, 0, 0, &Put::new().u16(heartbeat.lost).u16(heartbeat.dropped))
+    sealed(
+        HEARTBEAT_FROM_ARM,
+        context,
+        &Head::default(),
+        &Put::new().u16(heartbeat.lost).u16(heartbeat.dropped),
+    )
 }
 
 pub(super) fn read_heartbeat_from_arm(
     frame: &Frame,
-    accepted: impl Fn(u16) -> Option<Context>,
+    is_right: impl FnMut(u16, &[u8], u32) -> bool,
 ) -> Result<FromArm, Rejected> {
-    let mut opened = open(HEARTBEAT_FROM_ARM, frame, accepted)?;
+    let mut opened = open(HEARTBEAT_FROM_ARM, frame, is_right)?;
     opened.check_flags(0)?;
     opened.check_no_tick()?;
     let (lost, dropped) = complete((|| Some((opened.body.u16()?, opened.body.u16()?)))(), frame)?;

@@ -10,9 +10,11 @@
 use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
-use super::checksum::record_crc32;
+use super::auth::{Proof, SessionKey, Tag};
+use super::checksum::{Context, record_crc32};
 use super::fields::Take;
 use super::frame::{Dialect, Frame, append, fd_length};
+use super::ids;
 use super::message::{FromArm, OpenRequest, Refusal, ToArm};
 use super::rejected::Rejected;
 use crate::plan::{Fnv1a64, StartPose};
@@ -35,6 +37,8 @@ const PADDING_LESS_THAN: usize = 16;
 pub(super) enum ToArmRecord {
     /// See [`ToArm::Open`].
     Open(OpenRequest),
+    /// See [`ToArm::OpenKeyed`].
+    OpenKeyed(OpenRequest, Proof),
 }
 
 /// What the arm says in the handshake.
@@ -46,26 +50,54 @@ pub(super) enum FromArmRecord {
     Refused { session: u16, reason: Refusal },
     /// See [`FromArm::Anchored`].
     Anchored { session: u16, pose: StartPose },
+    /// See [`FromArm::OpenedKeyed`].
+    OpenedKeyed { session: u16, nonce: u32, digest: u64, tag: Tag },
+    /// See [`FromArm::Anchored`], in a session with a key.
+    AnchoredKeyed { session: u16, pose: StartPose, tag: Tag },
 }
 
 impl FromArmRecord {
-    pub(super) fn anchored(session: u16, pose: &Pose) -> Self {
-        Self::Anchored { session, pose: StartPose::from(pose) }
-    }
-
-    pub(super) fn into_message(self) -> FromArm {
-        match self {
-            Self::Opened { session, nonce, digest } => FromArm::Opened { session, nonce, digest },
-            Self::Refused { session, reason } => FromArm::Refused { session, reason },
-            Self::Anchored { session, pose } => FromArm::Anchored { session, pose: pose.pose() },
+    pub(super) fn anchored(context: &Context, pose: &Pose) -> Self {
+        let (session, pose) = (context.session, StartPose::from(pose));
+        match &context.key {
+            Some(key) => Self::AnchoredKeyed { session, pose, tag: tag_of_anchor(key, session, pose) },
+            None => Self::Anchored { session, pose },
         }
     }
+
+    /// What it says to an end that is in `own`; `None` if it lacks the tag that it needs there.
+    pub(super) fn into_message(self, own: &Context) -> Option<FromArm> {
+        Some(match self {
+            Self::Opened { session, nonce, digest } => FromArm::Opened { session, nonce, digest },
+            Self::OpenedKeyed { session, nonce, digest, tag } => {
+                FromArm::OpenedKeyed { session, nonce, digest, tag }
+            }
+            Self::Refused { session, reason } => FromArm::Refused { session, reason },
+            Self::Anchored { session, pose } if own.key.is_none() => {
+                FromArm::Anchored { session, pose: pose.pose() }
+            }
+            Self::AnchoredKeyed { session, pose, tag } => {
+                own.key.filter(|key| tag_of_anchor(key, session, pose) == tag)?;
+                FromArm::Anchored { session, pose: pose.pose() }
+            }
+            Self::Anchored { .. } => return None,
+        })
+    }
+}
+
+/// Over the body of the record without a tag. (It fits, as the largest body does, which a test checks.)
+fn tag_of_anchor(key: &SessionKey, session: u16, pose: StartPose) -> Tag {
+    let mut buffer = [0; MAX_BODY];
+    let body = postcard::to_slice(&FromArmRecord::Anchored { session, pose }, &mut buffer).ok();
+    key.frame(ids::HANDSHAKE_FROM_ARM, 0, body.as_deref().unwrap_or_default())
 }
 
 impl ToArmRecord {
     pub(super) fn into_message(self) -> ToArm {
-        let Self::Open(request) = self;
-        ToArm::Open(request)
+        match self {
+            Self::Open(request) => ToArm::Open(request),
+            Self::OpenKeyed(request, proof) => ToArm::OpenKeyed(request, proof),
+        }
     }
 }
 
@@ -77,6 +109,15 @@ pub(super) fn digest(request: &OpenRequest) -> u64 {
         digest.update(body);
     }
     digest.value()
+}
+
+/// What a proof of a request covers: its kind, the nonce, and the body of the record without a proof. (It fits, likewise.)
+pub(super) fn covered_by_proof(kind: u8, nonce: u64, request: &OpenRequest) -> Vec<u8, MAX_RECORD> {
+    let (mut covered, mut buffer) = (Vec::new(), [0; MAX_BODY]);
+    let body = postcard::to_slice(&ToArmRecord::Open(*request), &mut buffer).ok();
+    let parts = [&[kind][..], &nonce.to_le_bytes(), body.as_deref().unwrap_or_default()];
+    let _ = parts.into_iter().try_for_each(|part| append(&mut covered, part));
+    covered
 }
 
 /// The frames of one record, cut as they are asked for.
@@ -260,7 +301,7 @@ mod tests {
     use crate::displacement::Lsb;
     use crate::fault::{Fault, FaultCode};
     use crate::limits::Limits;
-    use crate::wire::ids;
+    use crate::wire::auth::{KEY_BYTES, Key};
 
     #[test]
     fn the_largest_records_fit() {
@@ -293,8 +334,15 @@ mod tests {
             session: u16::MAX,
             reason: Refusal::Latched { fault: fault.into(), nonce: u32::MAX },
         };
-        let anchored = FromArmRecord::anchored(u16::MAX, &Pose::identity());
-        for (record, length) in [(refused, 17), (anchored, 60)] {
+        let proven = ToArmRecord::OpenKeyed(request, Proof { nonce: u64::MAX, tag: Tag([0xFF; 8]) });
+        let proven = Segments::new(ids::HANDSHAKE_TO_ARM, Dialect::Classic, &proven);
+        assert_eq!(proven.record.len(), 6 + 159);
+        assert_eq!(covered_by_proof(1, u64::MAX, &request).len(), 9 + 141);
+        let open = Context { session: u16::MAX, ..Context::NONE };
+        let anchored = FromArmRecord::anchored(&open, &Pose::identity());
+        let key = Key::new(&[1; KEY_BYTES]).session(&request, 1, 1);
+        let keyed = FromArmRecord::anchored(&open.with_key(key), &Pose::identity());
+        for (record, length) in [(refused, 17), (anchored, 60), (keyed, 68)] {
             let segments = Segments::new(ids::HANDSHAKE_FROM_ARM, Dialect::Fd, &record);
             assert_eq!(segments.record.len(), 6 + length);
         }

@@ -27,3 +27,8 @@ pub const HANDSHAKE_TO_ARM: u16 = 0x601;
 pub const HEARTBEAT_FROM_ARM: u16 = 0x701;
 /// To the arm: heartbeat.
 pub const HEARTBEAT_TO_ARM: u16 = 0x77F;
+
+/// Whether the checksum of a classic frame has 8 bits: all have but those that enable an arm and keep it so, and handshakes.
+pub(super) fn is_short(id: u16) -> bool {
+    !matches!(id, CONTROL | HEARTBEAT_TO_ARM | HANDSHAKE_TO_ARM | HANDSHAKE_FROM_ARM | STOP)
+}

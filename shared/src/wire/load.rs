@@ -190,7 +190,7 @@ mod tests {
         let fault =
             FromArm::Fault { session: 1, fault: Fault { code: FaultCode::OperatorStop, tick: 1 }.into() };
         let heartbeat = FromArm::Heartbeat(Heartbeat { session: 1, lost: 0, dropped: 0 });
-        let context = Context { session: 1, seal: 1 };
+        let context = Context { session: 1, seal: 1, key: None };
         for (dialect, to_arm, from_arm) in
             [(Dialect::Classic, CLASSIC_TO_ARM, CLASSIC_FROM_ARM), (Dialect::Fd, FD_TO_ARM, FD_FROM_ARM)]
         {

@@ -21,6 +21,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use super::auth::{Proof, Tag};
 use super::handshake;
 use super::state::{Command, Phase, State};
 use crate::displacement::{Lsb, Setpoint};
@@ -48,6 +49,8 @@ pub const HEARTBEAT_US: u64 = 100_000;
 pub enum ToArm {
     /// Opens a session.
     Open(OpenRequest),
+    /// Opens a session with an arm that has the same key.
+    OpenKeyed(OpenRequest, Proof),
     /// Asks for a state.
     Control {
         /// Session it belongs to.
@@ -114,6 +117,17 @@ pub enum FromArm {
         /// Of the request that it accepted, [`OpenRequest::digest`].
         digest: u64,
     },
+    /// The session is open, with a key.
+    OpenedKeyed {
+        /// Its number.
+        session: u16,
+        /// The arm's own, of this opening alone.
+        nonce: u32,
+        /// Of the request that it accepted.
+        digest: u64,
+        /// [`Key::answer`](super::auth::Key::answer).
+        tag: Tag,
+    },
     /// The session is not opened.
     Refused {
         /// The number asked for.
@@ -175,6 +189,12 @@ pub enum Refusal {
     Coarse,
     /// One count is not worth what it is on this wire.
     Counts,
+    /// The arm has a key, and was asked without.
+    KeyWanted,
+    /// The arm has no key, and was asked with one.
+    Keyless,
+    /// The arm has another key, or the request is not what was sent.
+    KeyOther,
 }
 
 impl core::fmt::Display for Refusal {
@@ -191,6 +211,13 @@ impl core::fmt::Display for Refusal {
             Self::Period => f.write_str("the arm cannot keep the plan's control period"),
             Self::Meaningless => f.write_str("the session's numbers have no meaning to the arm"),
             Self::Counts => f.write_str("one count is worth something else on this wire"),
+            Self::KeyWanted => {
+                f.write_str("the arm has a key and was asked without; give --key FILE with the same")
+            }
+            Self::Keyless => {
+                f.write_str("the arm has no key and was asked with one; start it with the same --key FILE")
+            }
+            Self::KeyOther => f.write_str("the arm has another key; both ends need the same --key FILE"),
             Self::Coarse => f.write_str(
                 "one count on this wire is too coarse for the arm's limits at this control period",
             ),

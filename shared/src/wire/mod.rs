@@ -5,9 +5,10 @@
 //! message <-> codec <-> frame <-> bus, or serial line (cobs)
 //!             words, cyclic classic / FD, handshake records, checksums
 //! ```
-//! [`codec`] is the one way from the one to the other; `PROTOCOL.md` has every bit of it. [`load`] tells whether a control
+//! [`codec`] is the one way from the one to the other; `PROTOCOL.md` has every bit of it. [`auth`] has tags for two ends with a key. [`load`] tells whether a control
 //! period fits a bus at all.
 
+pub mod auth;
 mod checksum;
 mod classic;
 pub mod cobs;

@@ -167,11 +167,11 @@ fn a_new_session_of_the_same_number_starts_at_its_anchor() {
 
 /// Contexts that must understand nothing of [`CONTEXT`]; two have byte 1 of the key in common with it.
 fn foreign() -> [Context; 4] {
-    let Context { session, seal } = CONTEXT;
+    let Context { session, seal, .. } = CONTEXT;
     [
-        Context { session: session + 1, seal },
-        Context { session, seal: seal ^ 1 },
-        Context { session: session ^ 0x8000, seal: !seal },
+        Context { session: session + 1, ..CONTEXT },
+        Context { seal: seal ^ 1, ..CONTEXT },
+        Context { session: session ^ 0x8000, seal: !seal, ..CONTEXT },
         Context::NONE,
     ]
 }
@@ -237,7 +237,10 @@ fn session_of(message: &FromArm) -> Option<u16> {
         FromArm::Status(status) => Some(status.session),
         FromArm::Actual { session, .. } | FromArm::Fault { session, .. } => Some(*session),
         FromArm::Heartbeat(heartbeat) => Some(heartbeat.session),
-        FromArm::Opened { .. } | FromArm::Refused { .. } | FromArm::Anchored { .. } => None,
+        FromArm::Opened { .. }
+        | FromArm::OpenedKeyed { .. }
+        | FromArm::Refused { .. }
+        | FromArm::Anchored { .. } => None,
     }
 }
 
@@ -287,7 +290,7 @@ fn the_sessions_seal_is_that_of_its_request_and_nonce() {
 fn a_command_of_the_session_that_is_over_is_heard_and_nothing_else_of_it() {
     for dialect in Dialect::ALL {
         let mut decoder = arm(dialect);
-        for context in [Context::NONE, Context { session: 9, seal: 9 }] {
+        for context in [Context::NONE, Context { session: 9, ..CONTEXT }] {
             decoder.set_context(context);
             let frames = frames_to_arm(dialect, &[control(SESSION)]);
             assert_eq!(heard(&frames, |frame| decoder.handle_frame(frame)), [control(SESSION)]);
@@ -296,7 +299,7 @@ fn a_command_of_the_session_that_is_over_is_heard_and_nothing_else_of_it() {
                 assert!(decoder.handle_frame(&frame).is_err(), "{dialect:?}");
             }
         }
-        decoder.set_context(Context { session: 10, seal: 10 });
+        decoder.set_context(Context { session: 10, ..CONTEXT });
         let frames = frames_to_arm(dialect, &[control(SESSION)]);
         assert!(frames.iter().all(|frame| decoder.handle_frame(frame).is_err()));
     }

@@ -1,6 +1,7 @@
 //! `PROTOCOL.md` says what the code does.
 
 use powderline_shared::fault::FaultCode;
+use powderline_shared::wire::auth::MOST_WRONG_TAGS;
 use powderline_shared::wire::frame::{Dialect, Frame};
 use powderline_shared::wire::ids;
 use powderline_shared::wire::load::Medium;
@@ -8,6 +9,8 @@ use powderline_shared::wire::message::{DEPTH, FromArm, HEARTBEAT_US, PROTOCOL_VE
 use powderline_shared::wire::serial::to_line;
 use powderline_shared::wire::state::{Command, Event, Phase, State, TRANSITIONS};
 use powderline_shared::wire::words::{StatusBits, controlword, state_bits, statusword};
+
+use siphasher::sip128::SipHasher24;
 
 use crate::golden;
 use crate::samples::{self, CONTEXT, frames_from_arm};
@@ -164,6 +167,19 @@ fn variants() {
     .collect();
     records.dedup();
     assert_eq!(rows(2), records);
+    // Those of a session with a key are the first of each kind there.
+    let keyed: Vec<_> = [ids::HANDSHAKE_TO_ARM, ids::HANDSHAKE_FROM_ARM]
+        .into_iter()
+        .flat_map(|id| golden_frames(Dialect::Fd).into_iter().filter(move |frame| frame.id == id))
+        .filter(|frame| frame.data[0] & 0x3F == 0)
+        .map(|frame| (frame.id, frame.data[3]))
+        .collect();
+    for row in table("## With a key", 0) {
+        let (variant, id) = (row[0].parse().unwrap(), u16::from_str_radix(&row[2][2..], 16).unwrap());
+        assert_eq!(keyed.iter().filter(|found| **found == (id, variant)).count(), 1, "{}", row[1]);
+    }
+    let row = ["after **", "frames with a wrong 8-bit tag**"].join(&format!("{MOST_WRONG_TAGS} "));
+    assert!(DOCUMENT.contains(&row));
 }
 
 #[test]
@@ -196,11 +212,8 @@ fn frame(text: &str) -> (Dialect, Frame) {
 }
 
 fn golden_frames(dialect: Dialect) -> Vec<Frame> {
-    golden::file(dialect)
-        .lines()
-        .filter(|line| line.contains('#') && !line.starts_with('#'))
-        .map(|line| frame(line).1)
-        .collect()
+    let lines = golden::files(dialect).into_iter().flat_map(str::lines);
+    lines.filter(|line| line.contains('#') && !line.starts_with('#')).map(|line| frame(line).1).collect()
 }
 
 #[derive(Default)]
@@ -211,6 +224,7 @@ struct Checked {
     keys: usize,
     records: usize,
     lines: usize,
+    tags: usize,
 }
 
 /// Every example is a frame that the codec makes (the golden files are what it makes), and every checksum in it is the
@@ -218,7 +232,8 @@ struct Checked {
 #[test]
 fn examples() {
     let mut checked = Checked::default();
-    let (mut last, mut covered, mut record) = (None, Vec::new(), Vec::new());
+    let (mut last, mut covered, mut record) = (None::<Frame>, Vec::new(), Vec::new());
+    let mut secret = [0; 16];
     let in_code = DOCUMENT.split("```").skip(1).step_by(2).flat_map(str::lines);
     for line in in_code.filter(|line| !line.is_empty() && *line != "text") {
         let (key, value) = line.split_once(' ').unwrap();
@@ -240,6 +255,21 @@ fn examples() {
                 assert_eq!(last.as_ref().unwrap().data.last(), bytes(value).last(), "{line}");
                 assert_eq!(covered[..2], last.as_ref().unwrap().id.to_le_bytes());
                 checked.crc8 += 1;
+            }
+            "secret" => {
+                secret = bytes(value).try_into().unwrap();
+                last = None;
+            }
+            "tag" => {
+                let hash = u128::from(SipHasher24::new_with_key(&secret).hash(&covered)).to_le_bytes();
+                let tag = bytes(value);
+                assert!(hash.starts_with(&tag), "{line} should be {hash:02X?}");
+                // In front of an FD frame, at the end of a classic one; or of no frame.
+                assert!(last.as_ref().is_none_or(|frame| match frame.data.len() {
+                    9.. => frame.data.starts_with(&tag) && covered[6..] == frame.data[4..],
+                    _ => frame.data.ends_with(&tag),
+                }));
+                checked.tags += 1;
             }
             "session" => covered = bytes(value),
             "key" => {
@@ -275,8 +305,8 @@ fn examples() {
             _ => panic!("{line}"),
         }
     }
-    let Checked { frames, crc8, crc32, keys, records, lines } = checked;
-    assert_eq!((frames, crc8, crc32, keys, records, lines), (22, 7, 4, 1, 3, 1));
+    let Checked { frames, crc8, crc32, keys, records, lines, tags } = checked;
+    assert_eq!((frames, crc8, crc32, keys, records, lines, tags), (32, 7, 4, 1, 4, 1, 8));
 }
 
 /// A segment holds the bytes of the record that its index stands for.

@@ -4,19 +4,23 @@ use std::fmt::Write as _;
 use std::fs;
 use std::path::Path;
 
+use powderline_shared::wire::Context;
 use powderline_shared::wire::codec::Encoder;
 use powderline_shared::wire::frame::{Dialect, Frame};
-use powderline_shared::wire::message::PROTOCOL_VERSION;
+use powderline_shared::wire::message::{FromArm, PROTOCOL_VERSION, ToArm};
 
 use crate::samples::{self, CONTEXT};
 
 const CLASSIC: &str = include_str!("../golden/wire-v3-classic.txt");
 const FD: &str = include_str!("../golden/wire-v3-fd.txt");
+const CLASSIC_KEYED: &str = include_str!("../golden/wire-v3-classic-key.txt");
+const FD_KEYED: &str = include_str!("../golden/wire-v3-fd-key.txt");
 
-pub(crate) fn file(dialect: Dialect) -> &'static str {
+/// What is pinned: without a key, and with one.
+pub(crate) fn files(dialect: Dialect) -> [&'static str; 2] {
     match dialect {
-        Dialect::Classic => CLASSIC,
-        Dialect::Fd => FD,
+        Dialect::Classic => [CLASSIC, CLASSIC_KEYED],
+        Dialect::Fd => [FD, FD_KEYED],
     }
 }
 
@@ -35,16 +39,35 @@ fn section(text: &mut String, dialect: Dialect, name: &str, frames: impl Iterato
 }
 
 fn written(dialect: Dialect) -> String {
-    let mut text = format!(
+    let first = format!(
         "# Frames of protocol version {PROTOCOL_VERSION}, {dialect:?}; session {:#06x}, seal {:#018x}.\n",
         CONTEXT.session, CONTEXT.seal
     );
+    sections(first, dialect, &CONTEXT, samples::to_arm(dialect), samples::from_arm())
+}
+
+fn written_keyed(dialect: Dialect) -> String {
+    let first = format!(
+        "# Frames of protocol version {PROTOCOL_VERSION}, {dialect:?}, with the key 00 01 .. 1F; session {:#06x}.\n",
+        CONTEXT.session
+    );
+    let to_arm = samples::to_arm_keyed(dialect);
+    sections(first, dialect, &samples::keyed(), to_arm, samples::from_arm_keyed())
+}
+
+fn sections(
+    mut text: String,
+    dialect: Dialect,
+    context: &Context,
+    to_arm: Vec<(String, ToArm)>,
+    from_arm: Vec<(String, FromArm)>,
+) -> String {
     let mut encoder = Encoder::new(dialect);
-    for (name, message) in samples::to_arm(dialect) {
-        section(&mut text, dialect, &format!("to arm: {name}"), encoder.to_arm(&CONTEXT, &message));
+    for (name, message) in to_arm {
+        section(&mut text, dialect, &format!("to arm: {name}"), encoder.to_arm(context, &message));
     }
-    for (name, message) in samples::from_arm() {
-        section(&mut text, dialect, &format!("from arm: {name}"), encoder.from_arm(&CONTEXT, &message));
+    for (name, message) in from_arm {
+        section(&mut text, dialect, &format!("from arm: {name}"), encoder.from_arm(context, &message));
     }
     text
 }
@@ -52,14 +75,17 @@ fn written(dialect: Dialect) -> String {
 #[test]
 fn bytes_are_pinned() {
     for dialect in Dialect::ALL {
-        let (written, pinned) = (written(dialect), file(dialect));
-        if written != pinned {
-            let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("wire-{dialect:?}.txt"));
-            fs::write(&path, written).unwrap();
-            panic!(
-                "a change of bytes needs a new protocol version; what is written now is in {}",
-                path.display()
-            );
+        let written = [("", written(dialect)), ("-key", written_keyed(dialect))];
+        for ((which, written), pinned) in written.into_iter().zip(files(dialect)) {
+            if written != pinned {
+                let path =
+                    Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("wire-{dialect:?}{which}.txt"));
+                fs::write(&path, written).unwrap();
+                panic!(
+                    "a change of bytes needs a new protocol version; what is written now is in {}",
+                    path.display()
+                );
+            }
         }
     }
 }

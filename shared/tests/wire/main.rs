@@ -4,6 +4,7 @@ mod cyclic;
 mod damage;
 mod document;
 mod golden;
+mod keyed;
 mod line;
 mod records;
 mod round_trip;

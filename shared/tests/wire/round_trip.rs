@@ -39,7 +39,7 @@ fn dialects() -> impl Strategy<Value = Dialect> {
 
 fn contexts() -> impl Strategy<Value = Context> {
     (any::<u16>(), any::<u64>()).prop_map(|(session, seal)| {
-        if session == NO_SESSION { Context::NONE } else { Context { session, seal } }
+        if session == NO_SESSION { Context::NONE } else { Context { session, seal, key: None } }
     })
 }
 
@@ -57,7 +57,10 @@ fn refusals() -> impl Strategy<Value = Refusal> {
             Refusal::Period,
             Refusal::Meaningless,
             Refusal::Coarse,
-            Refusal::Counts
+            Refusal::Counts,
+            Refusal::KeyWanted,
+            Refusal::Keyless,
+            Refusal::KeyOther
         ]),
     ]
 }

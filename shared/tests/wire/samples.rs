@@ -6,6 +6,7 @@ use powderline_shared::fault::{Fault, FaultCode};
 use powderline_shared::limits::Limits;
 use powderline_shared::pose::Pose;
 use powderline_shared::wire::Context;
+use powderline_shared::wire::auth::Key;
 use powderline_shared::wire::codec::{Encoder, FromArmDecoder, Rejected, ToArmDecoder};
 use powderline_shared::wire::frame::{Dialect, Frame};
 use powderline_shared::wire::message::{
@@ -14,10 +15,37 @@ use powderline_shared::wire::message::{
 use powderline_shared::wire::state::{Command, Phase, State};
 
 /// What the arm has opened for the classic [`open_request`], with this nonce.
-pub(crate) const CONTEXT: Context = Context { session: 0x1234, seal: 0xcef0_4bf9_5369_9a72 };
+pub(crate) const CONTEXT: Context = Context { session: 0x1234, seal: 0xcef0_4bf9_5369_9a72, key: None };
 pub(crate) const NONCE: u32 = 0x5eed_0001;
 pub(crate) const PLAN_HASH: u64 = 0x0123_4567_89ab_cdef;
 pub(crate) const SESSION: u16 = CONTEXT.session;
+/// Of both ends: bytes 0, 1, .. 31.
+pub(crate) fn key() -> Key {
+    Key::new(&std::array::from_fn(|at| at as u8))
+}
+pub(crate) const OWN_NONCE: u64 = 0x1122_3344_5566_7788;
+
+/// The same session between ends that have the key.
+pub(crate) fn keyed() -> Context {
+    CONTEXT.with_key(key().session(&open_request(Dialect::Classic), OWN_NONCE, NONCE))
+}
+
+/// The messages of a session with a key, for those without one.
+pub(crate) fn to_arm_keyed(dialect: Dialect) -> Vec<(String, ToArm)> {
+    let request = open_request(dialect);
+    let mut all = to_arm(dialect);
+    all[0].1 = ToArm::OpenKeyed(request, key().prove(&request, OWN_NONCE));
+    all
+}
+
+/// The same from the arm.
+pub(crate) fn from_arm_keyed() -> Vec<(String, FromArm)> {
+    let request = open_request(Dialect::Classic);
+    let tag = key().answer(&request, OWN_NONCE, NONCE);
+    let mut all = from_arm();
+    all[0].1 = FromArm::OpenedKeyed { session: SESSION, nonce: NONCE, digest: request.digest(), tag };
+    all
+}
 
 /// Messages to the arm in an order in which they can be decoded, with their names.
 pub(crate) fn to_arm(dialect: Dialect) -> Vec<(String, ToArm)> {
@@ -48,6 +76,9 @@ pub(crate) fn from_arm() -> Vec<(String, FromArm)> {
         Refusal::Meaningless,
         Refusal::Coarse,
         Refusal::Counts,
+        Refusal::KeyWanted,
+        Refusal::Keyless,
+        Refusal::KeyOther,
     ] {
         all.push((format!("refused {reason:?}"), FromArm::Refused { session: SESSION, reason }));
     }

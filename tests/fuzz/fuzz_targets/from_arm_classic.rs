@@ -16,7 +16,10 @@ fuzz_target!(init: plant(message_seeds(&golden(Dialect::Classic, "from"))), |byt
             let mut again = Encoder::new(Dialect::Classic).from_arm(&CONTEXT, &message);
             let record = matches!(
                 message,
-                FromArm::Opened { .. } | FromArm::Refused { .. } | FromArm::Anchored { .. }
+                FromArm::Opened { .. }
+                    | FromArm::OpenedKeyed { .. }
+                    | FromArm::Refused { .. }
+                    | FromArm::Anchored { .. }
             );
             // A record may have been written in more ways than ours.
             assert!(record || again.any(|found| found == frame), "{message:?}");

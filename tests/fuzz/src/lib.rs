@@ -8,7 +8,7 @@ use powderline_shared::wire::ids;
 use std::path::PathBuf;
 
 /// Session of all targets, and of the golden frames.
-pub const CONTEXT: Context = Context { session: 0x1234, seal: 0x0123_4567_89ab_cdef };
+pub const CONTEXT: Context = Context { session: 0x1234, seal: 0x0123_4567_89ab_cdef, key: None };
 
 /// The plan whose bytes are pinned.
 pub const GOLDEN_PLAN: &[u8] = include_bytes!("../../../shared/tests/golden/plan-v3.plan");

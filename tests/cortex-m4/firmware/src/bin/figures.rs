@@ -208,7 +208,7 @@ impl Echo {
                 }
             }
             ToArm::Heartbeat { .. } => {}
-            ToArm::Stop => fail("a stop was sent"),
+            ToArm::Stop | ToArm::OpenKeyed(..) => fail("a stop was sent, or a key was used"),
         }
     }
 

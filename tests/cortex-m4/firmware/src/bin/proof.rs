@@ -20,9 +20,10 @@ use powderline_shared::limits::{LimitChecker, Limits, LimitsError, Motion, PeakU
 use powderline_shared::plan::{PlanError, PlanReader, Setpoints, Steps};
 use powderline_shared::pose::{Pose, exp_so3, log_so3, renormalised};
 use powderline_shared::wire::Context;
+use powderline_shared::wire::auth::{KEY_BYTES, Key, Proof, SessionKey, Tag, TagWatch};
 use powderline_shared::wire::codec::{Decoded, Encoder, Frames, FromArmDecoder, Rejected, ToArmDecoder};
 use powderline_shared::wire::frame::{Dialect, Frame};
-use powderline_shared::wire::message::{FromArm, Status, ToArm};
+use powderline_shared::wire::message::{FromArm, OpenRequest, Status, ToArm};
 use powderline_shared::wire::serial::{LineError, LineReader, MAX_LINE_BYTES, to_line};
 use powderline_shared::wire::state::{Event, State, Transition, transition};
 
@@ -115,6 +116,14 @@ fn wire() {
     black_box(FromArmDecoder::set_context as fn(&mut FromArmDecoder, Context));
     black_box(FromArmDecoder::expect as fn(&mut FromArmDecoder, Setpoint));
     black_box(FromArmDecoder::handle_frame as fn(&mut FromArmDecoder, &Frame) -> Heard<FromArm>);
+    type Proven = fn(&Key, &OpenRequest, u64) -> Proof;
+    type Agreed<T> = fn(&Key, &OpenRequest, u64, u32) -> T;
+    black_box(Key::new as fn(&[u8; KEY_BYTES]) -> Key);
+    black_box(Key::prove as Proven);
+    black_box(Key::proves as fn(&Key, &OpenRequest, &Proof) -> bool);
+    black_box(Key::answer as Agreed<Tag>);
+    black_box(Key::session as Agreed<SessionKey>);
+    black_box(TagWatch::is_too_many as fn(&mut TagWatch, Dialect, &Context, &Rejected) -> bool);
     black_box(to_line as fn(&Frame) -> Vec<u8, MAX_LINE_BYTES>);
     black_box(LineReader::push as fn(&mut LineReader, u8) -> Option<Result<Frame, LineError>>);
 }
