@@ -225,7 +225,7 @@ fn shear_has_taylor_slope_two_and_knows_neither_spin_nor_expansion() {
     let rate = 1.0 / m.shear(&matrix(&[0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])).0.sqrt();
     let f = |x: &[f64]| m.shear(&matrix(x).map(|row| row.map(|x| rate * x))).0;
     assert!((f(&[0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]) - 1.0).abs() < 1e-12);
-    assert_eq!(f(&[2.0, 1.0, -3.0, -1.0, 2.0, 0.5, 3.0, -0.5, 2.0]), 0.0);
+    assert!(f(&[2.0, 1.0, -3.0, -1.0, 2.0, 0.5, 3.0, -0.5, 2.0]) < 1e-30);
     let x: [f64; 9] = Dice::new(23).many(1.0);
     let c = matrix(&x).map(|row| row.map(|x| rate * x));
     let gradient =
@@ -237,11 +237,11 @@ fn shear_has_taylor_slope_two_and_knows_neither_spin_nor_expansion() {
 /// number of 0.1, however stiff it is.
 #[test]
 fn friction_goes_from_rest_to_flow_with_the_inertial_number() {
-    let (pressure, diameter, density) = (200.0, 5e-4, 1667.0);
+    let (pressure, diameter, density) = (200.0_f64, 5e-4, 1667.0);
     for modulus in [1e4, 1e6] {
         let slope = |flow: Option<Flow>, inertial: f64| {
             let m = Material::<f64>::new(modulus, 0.2, 0.5, 0.0, YieldSurface::MatsuokaNakai).with_flow(flow);
-            let rate = inertial / diameter * (pressure / density as f64).sqrt();
+            let rate = inertial / diameter * (pressure / density).sqrt();
             let (shear, _) = m.shear(&[[0.0, 0.0, rate], [0.0; 3], [0.0; 3]]);
             let depth = pressure / (m.lambda + 2.0 * m.mu / 3.0);
             m.slope * m.strength(depth, shear).0 / depth
@@ -250,7 +250,7 @@ fn friction_goes_from_rest_to_flow_with_the_inertial_number() {
         for (inertial, want) in [(0.0, 1.05), (1e-3, 1.05), (0.1, 1.0), (30.0, 0.95)] {
             let found = slope(FLOWS[1], inertial) / key;
             assert!((found - want).abs() < 1e-3, "{modulus} Pa, I = {inertial}: {found}, not {want}");
-            assert_eq!(slope(None, inertial), key);
+            assert_eq!(slope(None, inertial).to_bits(), key.to_bits());
         }
     }
 }
