@@ -2,7 +2,7 @@
 //!
 //! The optimiser writes a [`plan`], the executor plays it, the arm's controller performs it. What the three must agree
 //! on, to the last bit, lives here and only here: rotations ([`pose`]), quantised cumulative setpoints
-//! ([`displacement`]), motion limits ([`limits`]), how far an arm may be off ([`following`]), fault codes ([`fault`]), the plan file ([`plan`]), what executor and arm
+//! ([`displacement`]), motion limits ([`limits`], and at less cost [`sieve`]), how far an arm may be off ([`following`]), fault codes ([`fault`]), the plan file ([`plan`]), what executor and arm
 //! say to each other ([`wire`]), the motion that the arm has made ([`trajectory`]), which joints put its tool at a pose ([`arm`]),
 //! and how powder is accounted for ([`census`], [`mass`]).
 //!
@@ -33,5 +33,6 @@ pub mod limits;
 pub mod mass;
 pub mod plan;
 pub mod pose;
+pub mod sieve;
 pub mod trajectory;
 pub mod wire;

@@ -39,7 +39,7 @@ const MICROSECONDS_PER_SECOND: f64 = 1e6;
 const RELATIVE_ROUNDING: f64 = 1e-9;
 
 /// Ticks at rest after the last setpoint in which velocity, acceleration and jerk return to zero.
-const TICKS_TO_REST: u32 = 3;
+pub const TICKS_TO_REST: u32 = 3;
 
 /// What the motion of the tool's origin must keep; also the section `limits` of a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -116,6 +116,12 @@ impl Limits {
         let shares =
             self.derivative_bounds().into_iter().zip(noises).map(|((_, bound), noise)| noise / bound);
         shares.fold(0.0, libm::fmax)
+    }
+
+    /// What quantisation noise may add to each limit along the axes, and about them.
+    pub(crate) fn noises(&self, lsb: Lsb, period_us: u32) -> ([f64; 3], [f64; 3]) {
+        let QuantisationNoise { linear, angular, .. } = QuantisationNoise::new(lsb, period_us);
+        (linear, angular)
     }
 
     /// The tighter of two limits, one by one.
@@ -451,6 +457,12 @@ impl LimitChecker {
             self.check(self.motion.pose)?;
         }
         Ok(())
+    }
+
+    /// Goes on from a motion that others have found to keep the limits.
+    pub fn resume(&mut self, tick: u32, motion: Motion) {
+        self.tick = tick;
+        self.motion = motion;
     }
 
     /// The last accepted motion.

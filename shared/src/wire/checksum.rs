@@ -8,7 +8,7 @@
 //! different bytes of a key, what enables and keeps an arm has 32 bits on every wire, and an arm chooses its nonce so that the
 //! key is not that of no session, nor one that could be taken for one of the last sessions.
 
-use crc::{CRC_8_AUTOSAR, CRC_32_ISO_HDLC, Crc, NoTable};
+use crc::{CRC_8_AUTOSAR, CRC_32_ISO_HDLC, Crc, NoTable, Table};
 
 use super::{
     auth::{SessionKey, Tag},
@@ -19,7 +19,8 @@ use crate::plan::Fnv1a64;
 
 /// CRC-8/AUTOSAR: polynomial 0x2F, initial value and final exclusive-or 0xFF.
 static CRC8: Crc<u8, NoTable> = Crc::<u8, NoTable>::new(&CRC_8_AUTOSAR);
-static CRC32: Crc<u32, NoTable> = Crc::<u32, NoTable>::new(&CRC_32_ISO_HDLC);
+/// With a table of 1 KiB: it is over all of an FD frame.
+static CRC32: Crc<u32, Table<1>> = Crc::<u32, Table<1>>::new(&CRC_32_ISO_HDLC);
 
 /// What both ends know of a session, and nobody else who has not heard it being opened.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -19,6 +19,7 @@ use powderline_shared::displacement::{
 use powderline_shared::limits::{LimitChecker, Limits, LimitsError, Motion, PeakUse, Violation};
 use powderline_shared::plan::{PlanError, PlanReader, Setpoints, Steps};
 use powderline_shared::pose::{Pose, exp_so3, log_so3, renormalised};
+use powderline_shared::sieve::Sieve;
 use powderline_shared::wire::Context;
 use powderline_shared::wire::auth::{KEY_BYTES, Key, Proof, SessionKey, Tag, TagWatch};
 use powderline_shared::wire::codec::{Decoded, Encoder, Frames, FromArmDecoder, Rejected, ToArmDecoder};
@@ -94,6 +95,10 @@ fn limits() {
     black_box(LimitChecker::new as fn(Limits, Lsb, u32, Pose) -> LimitChecker);
     black_box(LimitChecker::check as fn(&mut LimitChecker, Pose) -> Result<Motion, Violation>);
     black_box(LimitChecker::finish as fn(&mut LimitChecker) -> Result<(), Violation>);
+    black_box(Sieve::new as fn(&Pose, &Limits, Lsb, u32) -> Sieve);
+    black_box(Sieve::after as fn(&Sieve, Setpoint) -> (Sieve, bool));
+    black_box(Sieve::may_end as fn(&Sieve) -> bool);
+    black_box(Sieve::peak_use as fn(&Sieve) -> PeakUse);
 }
 
 fn plans() {
