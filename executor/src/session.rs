@@ -16,7 +16,7 @@
 //! setpoint that the arm does not report as there is sent again, at most one in each control period.
 
 use heapless::Deque;
-use powderline_shared::displacement::{Lsb, Setpoint, displacement_between};
+use powderline_shared::displacement::{Displacement, Lsb, Setpoint, displacement_between};
 use powderline_shared::fault::{Fault, FaultCode, Reported};
 use powderline_shared::following::{Following, FollowingWatch};
 use powderline_shared::limits::{PeakUse, Violation};
@@ -572,25 +572,25 @@ impl<'a> Executor<'a> {
         let first = self.reached.is_none_or(|known| known.tick < reached.tick);
         self.reached = Some(reached);
         if let Some(sent) = self.window.setpoint(reached.tick).filter(|_| self.stage == Stage::Streaming) {
-            self.telemetry.handle_tracking(sent, reached, self.lsb, first);
+            let off = displacement_between(sent, reached, self.lsb);
+            self.telemetry.handle_tracking(&off, first);
             if first {
-                self.follow(now_us, sent, reached);
+                self.follow(now_us, sent, &off);
             }
         }
         self.leave_at_end(now_us);
     }
 
     /// Holds where the arm is against where it is due, as fast as it is due to move there.
-    fn follow(&mut self, now_us: u64, sent: Setpoint, reached: Setpoint) {
+    fn follow(&mut self, now_us: u64, sent: Setpoint, off: &Displacement) {
         let before = match sent.tick {
             1 => Some(Setpoint::ANCHOR),
             tick => tick.checked_sub(1).and_then(|before| self.window.setpoint(before)),
         };
         let Some(before) = before else { return };
-        let off = displacement_between(sent, reached, self.lsb).components();
         let period_s = f64::from(self.period_us) / 1e6;
         let velocity = displacement_between(before, sent, self.lsb).components().map(|step| step / period_s);
-        if let Err(astray) = self.following.check(reached.tick, off, velocity) {
+        if let Err(astray) = self.following.check(sent.tick, off.components(), velocity) {
             self.doubt.get_or_insert(Doubt::Astray(astray));
             self.stop(now_us, FaultCode::ArmAstray);
         }

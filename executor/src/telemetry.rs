@@ -1,6 +1,6 @@
 //! What the executor counts and measures of a session.
 
-use powderline_shared::displacement::{Lsb, Setpoint, displacement_between};
+use powderline_shared::displacement::Displacement;
 use powderline_shared::pose::norm;
 
 use crate::round_trip::RoundTrip;
@@ -32,9 +32,8 @@ pub struct Telemetry {
 
 impl Telemetry {
     /// `first`: nothing has been compared at this tick before.
-    pub(crate) fn handle_tracking(&mut self, sent: Setpoint, reached: Setpoint, lsb: Lsb, first: bool) {
+    pub(crate) fn handle_tracking(&mut self, off: &Displacement, first: bool) {
         self.tracked = self.tracked.saturating_add(u32::from(first));
-        let off = displacement_between(sent, reached, lsb);
         self.tracking_m = self.tracking_m.max(norm(&off.translation()));
         self.tracking_rad = self.tracking_rad.max(norm(&off.rotation()));
     }
