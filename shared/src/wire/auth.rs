@@ -8,7 +8,7 @@
 //! of a frame:     tag by the session key over identifier, tick or count, and what its checksum would cover
 //! ```
 //! A tag is SipHash-2-4 with 128 bits (J.-P. Aumasson and D. J. Bernstein, 2012), made to authenticate short messages: no tables
-//! and no block of 64 bytes to fill, which an HMAC would want four times for each frame. It is cut to the bits that there are.
+//! and no blocks of 64 bytes to fill, of which an HMAC takes up to four for each frame. It is cut to the bits that there are.
 
 use core::fmt;
 
