@@ -12,12 +12,13 @@
 
 use core::fmt;
 
+use heapless::Vec;
 use serde::{Deserialize, Serialize};
 use siphasher::sip128::SipHasher24;
 
 use super::checksum::Context;
 use super::fields::Put;
-use super::frame::Dialect;
+use super::frame::{Dialect, MAX_DATA, append};
 use super::handshake;
 use super::ids;
 use super::message::OpenRequest;
@@ -73,6 +74,9 @@ pub struct Proof {
     /// Over nonce and request.
     pub tag: Tag,
 }
+
+/// Bytes of identifier and tick, which a frame's tag covers first.
+const IN_FRONT: usize = 6;
 
 /// Key of one SipHash.
 type Secret = [u8; 16];
@@ -131,7 +135,11 @@ impl Key {
 impl SessionKey {
     /// Over the identifier, the tick or a count that is not sent, and the rest.
     pub(super) fn frame(&self, id: u16, tick: u32, covered: &[u8]) -> Tag {
-        tag(&self.0, Put::new().u16(id).u32(tick).bytes(covered).as_slice())
+        // Longer than a frame: that has room neither for the tick nor, in its data, for the identifier.
+        let mut all: Vec<u8, { IN_FRONT + MAX_DATA }> = Vec::new();
+        let parts = [&id.to_le_bytes()[..], &tick.to_le_bytes(), covered];
+        let _ = parts.into_iter().try_for_each(|part| append(&mut all, part));
+        tag(&self.0, &all)
     }
 }
 
@@ -223,6 +231,20 @@ mod tests {
         let mut heard = Rolls::default();
         let mut hear = |count: u32| heard.is_next(ids::CONTROL, &context, |found| found == count);
         assert_eq!([1, 1, 3, 2, 35, 68, 67].map(&mut hear), [true, false, true, false, true, false, true]);
+    }
+
+    /// All of it, from the first to the last byte, as long as anything can be that is sent.
+    #[test]
+    fn every_byte_of_the_longest_is_covered() {
+        let key = SessionKey([7; 16]);
+        let whole = [0x55; MAX_DATA];
+        let right = key.frame(ids::HANDSHAKE_FROM_ARM, 0, &whole);
+        for place in 0..MAX_DATA {
+            let mut other = whole;
+            other.iter_mut().skip(place).take(1).for_each(|byte| *byte ^= 1);
+            assert_ne!(key.frame(ids::HANDSHAKE_FROM_ARM, 0, &other), right, "{place}");
+        }
+        assert_ne!(key.frame(ids::HANDSHAKE_FROM_ARM, 1 << 24, &whole), right);
     }
 
     #[test]
