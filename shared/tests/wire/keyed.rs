@@ -129,6 +129,9 @@ fn an_anchor_needs_its_tag() {
         let refused = Err(Rejected::Checksum { id: ids::HANDSHAKE_FROM_ARM });
         assert_eq!(hear(keyed(), &said(CONTEXT)), refused);
         assert_eq!(hear(CONTEXT, &said(keyed())), refused);
+        // With a tag, but by another key: all else about it is right, its checksum too.
+        let other = Key::new(&[9; 32]).session(&open_request(Dialect::Classic), OWN_NONCE, NONCE);
+        assert_eq!(hear(keyed(), &said(CONTEXT.with_key(other))), refused);
     }
 }
 
