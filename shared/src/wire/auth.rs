@@ -138,7 +138,8 @@ impl SessionKey {
         // Longer than a frame: that has room neither for the tick nor, in its data, for the identifier.
         let mut all: Vec<u8, { IN_FRONT + MAX_DATA }> = Vec::new();
         let parts = [&id.to_le_bytes()[..], &tick.to_le_bytes(), covered];
-        let _ = parts.into_iter().try_for_each(|part| append(&mut all, part));
+        let fits = parts.into_iter().try_for_each(|part| append(&mut all, part));
+        debug_assert!(fits.is_some(), "longer than a frame");
         tag(&self.0, &all)
     }
 }

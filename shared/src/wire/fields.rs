@@ -4,8 +4,8 @@ use heapless::Vec;
 
 use super::frame::{Frame, MAX_DATA, append};
 
-/// Builds the data of a frame. Every layout is a constant of at most 64 bytes, so nothing is ever cut off; golden tests
-/// pin each of them.
+/// Builds the data of a frame, or what is no longer than that. Every layout is a constant of at most 64 bytes, so nothing is ever cut
+/// off, which is asserted where assertions are; golden tests pin each of them.
 pub(super) struct Put(Vec<u8, MAX_DATA>);
 
 impl Put {
@@ -14,7 +14,8 @@ impl Put {
     }
 
     pub(super) fn bytes(mut self, bytes: &[u8]) -> Self {
-        let _ = append(&mut self.0, bytes);
+        let fits = append(&mut self.0, bytes);
+        debug_assert!(fits.is_some(), "longer than a frame");
         self
     }
 
