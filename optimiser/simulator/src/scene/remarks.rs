@@ -59,10 +59,12 @@ impl Scene {
         (cells < CELLS_PER_RADIUS - 1e-6).then(|| {
             format!(
                 "the tool is {} cells in radius: with fewer than {} the amount that arrives depends on the cell, so simulate the \
-                 skill once more in a scene with domain.cell_m = {} before you believe it; {} would be right",
+                 skill once more in a scene with domain.cell_m = {} and time.substeps = {} before you believe it; cells of {} m \
+                 would be right",
                 about(cells, 2),
                 about(CELLS_PER_RADIUS, 2),
                 about(0.5 * self.domain.cell_m, 3),
+                2 * self.time.substeps,
                 about(radius_m / CELLS_PER_RADIUS, 2)
             )
         })
@@ -140,7 +142,12 @@ mod tests {
     fn cells_too_coarse_for_the_tool_are_remarked() {
         let mut scene = Scene::load("bench").unwrap();
         let remark = scene.remark_cells().unwrap();
-        assert!(remark.contains("4 cells in radius") && remark.contains("0.0013 would be right"), "{remark}");
+        assert!(
+            remark.contains("4 cells in radius")
+                && remark.contains("time.substeps = 40 before")
+                && remark.contains("cells of 0.0013 m would"),
+            "{remark}"
+        );
         scene.domain.cell_m = 0.016 / 12.0;
         assert_eq!(scene.remark_cells(), None);
     }

@@ -4,7 +4,7 @@ use crate::mpm::Model;
 use crate::mpm::particles::Particles;
 use crate::mpm::substep::{State, Workspace};
 use crate::mpm::tests::{Settled, advance, awake, empty_bench, even_lattice, far_away, mean, settle};
-use crate::scene::{ContainerShape, Powder, Scene, VolumeCorrection, YieldSurface};
+use crate::scene::{ContainerShape, Flow, Powder, Scene, VolumeCorrection, YieldSurface};
 
 /// Height of the bed in [`boxed`], m.
 const HEIGHT_M: f64 = 0.024;
@@ -76,28 +76,40 @@ fn line(x: &[f64], y: &[f64], at: f64) -> f64 {
     my + covariance / variance * (at - mx)
 }
 
+/// Slope of what is left of a column, degrees.
+fn pile_deg(friction_angle_deg: f64, flow: Option<Flow>) -> f64 {
+    let mut scene = empty_bench([0.16, 0.16, 0.06]);
+    scene.domain.friction = 0.8;
+    scene.powder.friction_angle_deg = friction_angle_deg;
+    scene.powder.flow = flow;
+    let model: Model<f32> = Model::new(&scene);
+    let mut positions = even_lattice([0.06, 0.06, 0.0], [0.1, 0.1, 0.024]);
+    positions.retain(|p| (p[0] - 0.08).hypot(p[1] - 0.08) < 0.016);
+    let mut state = State::new(&model, &Particles::at_rest(&positions)).unwrap();
+    advance(&model, &far_away(), &mut state, 1600);
+    let end = state.particles.positions_by_id();
+    let mut heights: Vec<f64> = end.iter().map(|p| p[2]).collect();
+    let mut radii: Vec<f64> = end.iter().map(|p| (p[0] - 0.08).hypot(p[1] - 0.08)).collect();
+    heights.sort_by(f64::total_cmp);
+    radii.sort_by(f64::total_cmp);
+    let high = |v: &[f64]| v[v.len() * 98 / 100];
+    (high(&heights) / high(&radii)).atan().to_degrees()
+}
+
+/// Grains of a micrometre are never fast, so have the slope of rest; those of a centimetre nearly always are.
+#[test]
+fn a_pile_of_two_angles_is_steeper_the_smaller_the_grains() {
+    let flow = |grain_diameter_m| Some(Flow { grain_diameter_m, grain_density_kg_m3: 1600.0 });
+    let [small, none, large] = [flow(1e-6), None, flow(0.01)].map(|flow| pile_deg(30.0, flow));
+    println!(
+        "slopes of a pile of 30 deg: small grains {small:.2}, one angle {none:.2}, large grains {large:.2} deg"
+    );
+    assert!(small > none && none > large, "{small} {none} {large}");
+}
+
 #[test]
 fn a_pile_is_steeper_the_greater_the_friction_angle() {
-    let slopes: Vec<f64> = [15.0, 30.0, 45.0]
-        .into_iter()
-        .map(|angle| {
-            let mut scene = empty_bench([0.16, 0.16, 0.06]);
-            scene.domain.friction = 0.8;
-            scene.powder.friction_angle_deg = angle;
-            let model: Model<f32> = Model::new(&scene);
-            let mut positions = even_lattice([0.06, 0.06, 0.0], [0.1, 0.1, 0.024]);
-            positions.retain(|p| (p[0] - 0.08).hypot(p[1] - 0.08) < 0.016);
-            let mut state = State::new(&model, &Particles::at_rest(&positions)).unwrap();
-            advance(&model, &far_away(), &mut state, 1600);
-            let end = state.particles.positions_by_id();
-            let mut heights: Vec<f64> = end.iter().map(|p| p[2]).collect();
-            let mut radii: Vec<f64> = end.iter().map(|p| (p[0] - 0.08).hypot(p[1] - 0.08)).collect();
-            heights.sort_by(f64::total_cmp);
-            radii.sort_by(f64::total_cmp);
-            let high = |v: &[f64]| v[v.len() * 98 / 100];
-            (high(&heights) / high(&radii)).atan().to_degrees()
-        })
-        .collect();
+    let slopes = [15.0, 30.0, 45.0].map(|angle| pile_deg(angle, None));
     println!("slopes of the pile at friction angles of 15, 30, 45 deg: {slopes:.1?} deg");
     assert!(slopes.windows(2).all(|s| s[1] > s[0] + 1.0), "{slopes:?}");
 }
