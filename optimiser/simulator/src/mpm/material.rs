@@ -98,6 +98,7 @@ impl<T: Real> Material<T> {
     }
 
     /// `w` of a velocity gradient (1/s), and half its derivative by it over `k`, `2 D`.
+    /// With one angle as well, where it is 0: a branch here keeps the whole loop over the lanes from being vectors, and costs four times as much.
     #[inline(always)]
     pub(crate) fn shear(&self, c: &Mat3<T>) -> (T, Mat3<T>) {
         let spread = T::from_f64(2.0 / 3.0) * (c[0][0] + c[1][1] + c[2][2]);
