@@ -10,17 +10,40 @@ const REMARKABLE_CELLS: f64 = 0.25;
 /// Cells in a radius from which on a column runs out as far as sand does and an amount hardly depends on the cell any more.
 const CELLS_PER_RADIUS: f64 = 12.0;
 
+/// Tensile strength of a cohesive powder over its cohesion, as it is often found; the apex of the yield surface is at 1.4 for 35 degrees.
+const TENSILE_SHARE: f64 = 0.6;
+
 /// Distance of a face from nodes, and from the middle between two, that lets powder sink, in cells.
 const BADLY_PLACED_CELLS: f64 = 0.1;
 
 impl Scene {
     /// Sentences about a valid scene that may hide a mistake: a start height at odds with the approach, faces that the grid
-    /// holds badly, a target point that is not in the target, and cells too coarse for the tool.
+    /// holds badly, a target point that is not in the target, cells too coarse for the tool, and bonds that never break.
     pub fn warnings(&self) -> Vec<String> {
-        [self.remark_approach(), self.remark_faces(), self.remark_target(), self.remark_cells()]
-            .into_iter()
-            .flatten()
-            .collect()
+        [
+            self.remark_approach(),
+            self.remark_faces(),
+            self.remark_target(),
+            self.remark_cells(),
+            self.remark_bond(),
+        ]
+        .into_iter()
+        .flatten()
+        .collect()
+    }
+
+    /// A grain by itself then pulls at the nodes around it for ever, so that its affine velocity only grows; where its own velocity is kept
+    /// as well, the adjoint grows with it, by a sixth in each substep on the scene `vial`.
+    fn remark_bond(&self) -> Option<String> {
+        let powder = &self.powder;
+        (powder.transfer.is_some() && powder.cohesion_pa > 0.0 && powder.tensile_strength_pa.is_none()).then(|| {
+            format!(
+                "powder.cohesion_pa is {} without powder.tensile_strength_pa: with powder.transfer single grains then pull at their \
+                 surroundings for ever, which the gradient may not outlast; powder.tensile_strength_pa = {} would be right",
+                about(powder.cohesion_pa, 3),
+                about(TENSILE_SHARE * powder.cohesion_pa, 2)
+            )
+        })
     }
 
     fn remark_approach(&self) -> Option<String> {
@@ -150,6 +173,18 @@ mod tests {
         );
         scene.domain.cell_m = 0.016 / 12.0;
         assert_eq!(scene.remark_cells(), None);
+    }
+
+    #[test]
+    fn bonds_that_never_break_are_remarked() {
+        let mut scene = Scene::load("vial").unwrap();
+        assert_eq!(scene.remark_bond(), None);
+        let strength_pa = scene.powder.tensile_strength_pa.take();
+        let remark = scene.remark_bond().unwrap();
+        assert!(remark.contains("tensile_strength_pa = 3 would"), "{remark}");
+        assert_eq!(strength_pa, Some(3.0));
+        scene.powder.transfer = None;
+        assert_eq!(scene.remark_bond(), None);
     }
 
     #[test]
