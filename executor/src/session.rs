@@ -578,7 +578,20 @@ impl<'a> Executor<'a> {
                 self.follow(now_us, sent, &off);
             }
         }
-        self.leave_at_end(now_us);
+        match self.stage {
+            Stage::Leaving => self.stay_at_end(now_us, reached),
+            _ => self.leave_at_end(now_us),
+        }
+    }
+
+    /// An arm that has been let go may sink onto its brakes, but no farther than one at rest may be off.
+    fn stay_at_end(&mut self, now_us: u64, reached: Setpoint) {
+        let Some(end) = self.end_setpoint().filter(|end| end.tick == reached.tick) else { return };
+        let off = displacement_between(end, reached, self.lsb).components();
+        if let Some(astray) = self.config.following.excess(end.tick, off, [0.0; 6]) {
+            self.doubt.get_or_insert(Doubt::Astray(astray));
+            self.stop(now_us, FaultCode::EndElsewhere);
+        }
     }
 
     /// Holds where the arm is against where it is due, as fast as it is due to move there.

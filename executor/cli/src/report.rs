@@ -148,6 +148,9 @@ pub struct Ticks {
     pub lost: u16,
 }
 
+/// Of an arm that took all ticks, was let go at the end of the plan, and has not stayed there.
+const ENDED_ELSEWHERE: &str = "The arm has left the plan's end since it was let go";
+
 impl Report {
     /// Puts together what a run of `plan` from `file` gave.
     #[must_use]
@@ -199,7 +202,8 @@ impl Report {
         match &self.stop {
             None => {
                 let planned = counted(self.ticks.planned, "tick", "ticks");
-                format!("completed: {} of {planned}", self.ticks.applied)
+                let how = if self.within_half_lsb { "completed" } else { ENDED_ELSEWHERE };
+                format!("{how}: {} of {planned}", self.ticks.applied)
             }
             Some(stop) => {
                 format!("stopped at tick {}, fault {}: {}", self.ticks.applied, stop.code, stop.reason)
@@ -311,7 +315,8 @@ impl fmt::Display for Report {
         match &self.stop {
             None => {
                 let planned = counted(planned, "tick", "ticks");
-                writeln!(f, "Completed: {applied} of {planned} in {:.3} s", self.duration_s)?;
+                let how = if self.within_half_lsb { "Completed" } else { ENDED_ELSEWHERE };
+                writeln!(f, "{how}: {applied} of {planned} in {:.3} s", self.duration_s)?;
             }
             Some(stop) => {
                 let what = if self.standstill { "Stopped" } else { "Given up" };

@@ -5,7 +5,7 @@ mod common;
 
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
@@ -240,6 +240,35 @@ fn an_arm_that_is_not_where_it_is_due_is_stopped() {
             assert_eq!((outcome, doubt), (Outcome::Completed, None));
         }
     }
+}
+
+#[test]
+fn an_arm_that_leaves_the_end_when_it_is_let_go_is_stopped() {
+    static OFF: AtomicI32 = AtomicI32::new(0);
+    // Once, in place of the first status of an arm that has been let go.
+    fn strays(message: FromArm) -> FromArm {
+        match message {
+            FromArm::Status(status) if status.state == State::ReadyToSwitchOn && status.applied_tick > 0 => {
+                let plan = plan_bytes(&header(), &one_move());
+                let end = PlanReader::new(&plan).unwrap().end_setpoint();
+                match OFF.swap(0, Ordering::Relaxed) {
+                    0 => message,
+                    off => {
+                        displaced(FromArm::Actual { session: status.session, reached: end }, |_, x| x + off)
+                    }
+                }
+            }
+            other => other,
+        }
+    }
+    // By 6 mm, and by 10 um, which a brake may give.
+    OFF.store(60_000, Ordering::Relaxed);
+    let (outcome, doubt, _) = hear(strays);
+    assert_stopped(outcome, FaultCode::EndElsewhere, true);
+    assert!(doubt.unwrap().contains("it was 6.000 mm off in x"));
+    OFF.store(100, Ordering::Relaxed);
+    assert_eq!(hear(strays).0, Outcome::Completed);
+    assert_eq!(OFF.load(Ordering::Relaxed), 0, "it was never let go");
 }
 
 #[test]

@@ -23,6 +23,10 @@
 //!
 //! All powder gets its residue back, dense or loose. Given to dense powder alone, by the volume correction `q`, how far columns run out
 //! would depend on the time step again (by 10 % from one step to a quarter of it), as `q` is noise that grows with their number.
+//!
+//! `tau` decides between two things. With 50, 20, 10, 5 ms a column as high as its radius runs out 1.10, 1.10, 1.08, 1.06 radii (12 cells
+//! per radius; sand 1.24), and with a quarter of the time step 0, 0, 2, 4 % less far; of 11 g that one skill of `bench` pours
+//! 2.0, 1.6, 1.1, 0.8 g miss the target, as what has fallen keeps jumping for that long. The program's scenes have 10 ms.
 
 use crate::mpm::Model;
 use crate::mpm::gather::{Rows, Sent, gather_gradient, gather_sum, gather_with_gradient};
