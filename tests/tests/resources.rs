@@ -54,7 +54,7 @@ fn a_memory_budget_that_cannot_do_is_refused_before_anything_is_written() {
     let arguments = ["run", "bench-small", "--memory", "16MiB", "--threads", "2", "--out", &folder];
     run(OPTIMISE, &arguments).ended(
         2,
-        "a memory budget of 16 MiB is too little: this scene needs 46 MiB for a gradient, with 2 threads",
+        "a memory budget of 16 MiB is too little: this scene needs 52 MiB for a gradient, with 2 threads",
     );
     assert!(!Path::new(&folder).exists());
 }
