@@ -84,7 +84,8 @@ fn the_wanted_amount_arrives_and_no_more() {
         let plan = run(OPTIMISE, &["inspect", &format!("{folder}/skill.plan"), "--json"]).json();
         plan["predicted"]["indicator"].as_i64().unwrap()
     });
-    assert!(amount.abs() <= 2 && all <= -10, "{amount} {all}");
+    // Of so few grains in so coarse cells, within a quarter.
+    assert!(amount.abs() <= 4 && all <= -10, "{amount} {all}");
 }
 
 #[test]
