@@ -293,6 +293,23 @@ fn a_stop_that_the_arm_does_not_confirm_is_not_reported_as_one() {
     assert_eq!(serde_json::to_value(&report).unwrap()["standstill"], false);
 }
 
+#[test]
+fn an_arm_that_sinks_when_it_is_let_go_is_not_said_to_have_completed() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    let run = play_on(&plan, arm_for(&plan));
+    let at_end = Report::new("skill.plan", &plan, &run);
+    assert!(at_end.succeeded() && at_end.to_string().starts_with("Completed: "));
+    let mut sunk = run.clone();
+    // By 10 um: no fault, but not what the plan says.
+    sunk.reached.as_mut().unwrap().counts[2] -= 100;
+    let report = Report::new("skill.plan", &plan, &sunk);
+    for said in [report.to_string(), report.cause()] {
+        assert!(said.starts_with("The arm has left the plan's end"), "{said}");
+    }
+    assert!(!report.succeeded());
+}
+
 /// Executor and arm joined by a wire that may change, drop or reorder what the arm says at one moment.
 fn play_hearing(plan: &PlanReader<'_>, heard: impl Fn(Vec<FromArm>) -> Vec<FromArm>) -> Outcome {
     let mut arm = Controller::new(arm_for(plan));
