@@ -10,9 +10,6 @@ const REMARKABLE_CELLS: f64 = 0.25;
 /// Cells in a radius from which on a column runs out as far as sand does and an amount hardly depends on the cell any more.
 const CELLS_PER_RADIUS: f64 = 12.0;
 
-/// Tensile strength of a cohesive powder over its cohesion, as it is often found; the apex of the yield surface is at 1.4 for 35 degrees.
-const TENSILE_SHARE: f64 = 0.6;
-
 /// Distance of a face from nodes, and from the middle between two, that lets powder sink, in cells.
 const BADLY_PLACED_CELLS: f64 = 0.1;
 
@@ -36,12 +33,14 @@ impl Scene {
     /// as well, the adjoint grows with it, by a sixth in each substep on the scene `vial`.
     fn remark_bond(&self) -> Option<String> {
         let powder = &self.powder;
+        // Half of the apex's is typical; without friction there is no apex.
+        let strength_pa = powder.cohesion_pa.min(0.5 * powder.apex_tension_pa());
         (powder.transfer.is_some() && powder.cohesion_pa > 0.0 && powder.tensile_strength_pa.is_none()).then(|| {
             format!(
                 "powder.cohesion_pa is {} without powder.tensile_strength_pa: with powder.transfer single grains then pull at their \
                  surroundings for ever, which the gradient may not outlast; powder.tensile_strength_pa = {} would be right",
                 about(powder.cohesion_pa, 3),
-                about(TENSILE_SHARE * powder.cohesion_pa, 2)
+                about(strength_pa, 2)
             )
         })
     }
@@ -177,14 +176,20 @@ mod tests {
 
     #[test]
     fn bonds_that_never_break_are_remarked() {
-        let mut scene = Scene::load("vial").unwrap();
-        assert_eq!(scene.remark_bond(), None);
-        let strength_pa = scene.powder.tensile_strength_pa.take();
-        let remark = scene.remark_bond().unwrap();
-        assert!(remark.contains("tensile_strength_pa = 3 would"), "{remark}");
-        assert_eq!(strength_pa, Some(3.0));
-        scene.powder.transfer = None;
-        assert_eq!(scene.remark_bond(), None);
+        for name in ["bench", "bench-small", "bench-fine", "vial", "workcell"] {
+            assert_eq!(Scene::load(name).unwrap().remark_bond(), None, "{name}");
+        }
+        // What is said to be right is taken, whatever the angle.
+        for (angle_deg, right) in [(33.0, "3.1"), (60.0, "1.4"), (0.0, "5")] {
+            let mut scene = Scene::load("vial").unwrap();
+            scene.powder.friction_angle_deg = angle_deg;
+            scene.powder.tensile_strength_pa = None;
+            let remark = scene.remark_bond().unwrap();
+            assert!(remark.contains(&format!("tensile_strength_pa = {right} would")), "{remark}");
+            scene.powder.tensile_strength_pa = Some(right.parse().unwrap());
+            scene.validate("vial.toml").unwrap();
+            assert_eq!(scene.remark_bond(), None);
+        }
     }
 
     #[test]
