@@ -12,8 +12,8 @@ const CELL_M: f64 = 0.004;
 const WIDTH_M: f64 = 0.032;
 const DEPTH_M: f64 = 0.024;
 
-/// Time to come to rest, s.
-const REST_S: f64 = 1.0;
+/// Time to come to rest, s: dry powder between walls without friction swings for two.
+const REST_S: f64 = 4.0;
 
 /// A bed in a box without friction whose walls and floor lie so many cells off the nodes.
 fn boxed(law: &Scene, shift_cells: f64) -> Scene {

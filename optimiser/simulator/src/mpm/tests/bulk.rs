@@ -26,15 +26,15 @@ fn height(scene: &Scene, bed: &[Settled]) -> f64 {
     2.0 * (mean(bed, |_| true, |p| p.x[2]) - scene.containers[0].position_m[2])
 }
 
-/// Within a tenth on the nodes: nothing but the numerics brings the elastic bed to rest, and it still swings.
+/// Nothing but the numerics brings the elastic bed to rest: after a second it swings by a seventh yet, after two by a hundredth.
 #[test]
 fn the_base_of_a_frictionless_box_bears_the_powders_weight() {
     for (shift, tolerance, least_height) in
-        [(0.0, 0.1, 0.97), (0.001, 0.1, 0.85), (0.002, 0.3, 0.91), (0.003, 0.35, 0.82)]
+        [(0.0, 0.05, 0.97), (0.001, 0.05, 0.85), (0.002, 0.3, 0.91), (0.003, 0.3, 0.82)]
     {
         let (scene, positions) = boxed(shift, 0.0);
         let [x, y, z] = scene.containers[0].position_m;
-        let end = settle(&scene, &positions, 2000);
+        let end = settle(&scene, &positions, 4000);
         let inside = |p: &Settled| (p.x[0] - x).abs() < 0.012 && (p.x[1] - y).abs() < 0.012 && p.x[2] > z;
         let height = height(&scene, &end);
         // Vertical pressure over depth, a straight line down to the base.
