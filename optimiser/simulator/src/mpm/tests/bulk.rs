@@ -34,9 +34,9 @@ fn the_base_of_a_frictionless_box_bears_the_powders_weight() {
     {
         let (scene, positions) = boxed(shift, 0.0);
         let [x, y, z] = scene.containers[0].position_m;
-        let end = settle(&scene, &positions, 4000);
+        let [early, end] = [2000, 4000].map(|substeps| settle(&scene, &positions, substeps));
         let inside = |p: &Settled| (p.x[0] - x).abs() < 0.012 && (p.x[1] - y).abs() < 0.012 && p.x[2] > z;
-        let height = height(&scene, &end);
+        let height = height(&scene, &early);
         // Vertical pressure over depth, a straight line down to the base.
         let depths: Vec<f64> = positions.iter().map(|p| z + HEIGHT_M - p[2]).collect();
         let pressures: Vec<f64> = end.iter().map(|p| -p.stress[2]).collect();
