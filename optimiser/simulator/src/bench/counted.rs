@@ -167,7 +167,7 @@ impl<T: Elementary> RealOps for Counted<T> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::mpm::gather::gather;
+    use crate::mpm::gather::gather_all;
     use crate::mpm::particles::Lanes;
     use crate::mpm::stencil::{Affine, Stencil, TILE_LENGTH, scatter, weights};
     use crate::mpm::stencil_positions::StencilPositions;
@@ -234,7 +234,7 @@ mod tests {
         };
         let w = places.weights();
         let run = 2 + 9 * 3 * (7 + 5) + 3 * 3 * (5 + 4 + 5) + 3 * ((5 + 1) + (4 + 1) + (5 + 1) + (5 + 2 + 1));
-        assert_eq!(cost(|| gather(&tile, &places, &w, 16)), [2 * 16 * run, 0]);
+        assert_eq!(cost(|| gather_all(&tile, None, false, &places, &w, 16)), [2 * 16 * run, 0]);
     }
 
     #[test]

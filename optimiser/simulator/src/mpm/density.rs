@@ -147,23 +147,23 @@ fn any_loose<T: Real>(rho: &Lanes<T>, occupied: usize) -> bool {
 }
 
 /// Holds the volume corrections of a group, strain and correction being those after the return. `tile` has densities as its
-/// fourth numbers.
+/// fourth numbers, `density` is what the particles see of them.
 #[inline(always)]
 pub(crate) fn hold_volume<T: Real>(
     tile: &Tile<T>,
+    density: &Lanes<T>,
     places: &StencilPositions<T>,
     weights: &Weights<T>,
     occupied: usize,
     state: &mut Group<T>,
 ) {
-    let seen = gather_fourth::<T, false>(tile, places, weights, occupied);
     let mut q = state.q[0];
     let mut volume = Lanes::ZERO;
     for l in 0..LANES {
         volume[l] = state.q[0][l] + elastic_volume(state.strain_of(l));
-        q[l] -= excess(volume[l], open(seen.sum[l].at_least(T::from_f64(NOTHING))));
+        q[l] -= excess(volume[l], open(density[l].at_least(T::from_f64(NOTHING))));
     }
-    if any_loose(&seen.sum, occupied) {
+    if any_loose(density, occupied) {
         let seen = gather_fourth::<T, true>(tile, places, weights, occupied);
         for l in 0..LANES {
             // Padding sees no mass.

@@ -8,7 +8,7 @@ use crate::mpm::Model;
 use crate::mpm::bodies::Bodies;
 use crate::mpm::contact::BodyStateBar;
 use crate::mpm::density::{hold_volume, hold_volume_adjoint};
-use crate::mpm::gather::{Rows, Sent, gather, gather_gradient, gather_gradient_of_four};
+use crate::mpm::gather::{Rows, Sent, gather_all, gather_gradient, gather_gradient_of_four, gather_sum};
 use crate::mpm::grid_update::{contact_lanes, contact_lanes_adjoint, find_near, meet};
 use crate::mpm::layout::{Block, Grid, Nodes, empty_tile, load_tile};
 use crate::mpm::p2g::at_base;
@@ -65,13 +65,14 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticles<'_, T> {
             let places = StencilPositions::of(model.inverse_dx, shift, &x);
             let occupied = self.block.occupied(g);
             let weights = places.weights();
-            let gathered = gather(&tile, &places, &weights, occupied);
-            let residue = unforced
-                .as_ref()
-                .map(|(residue, tile)| residue.of_group(tile, &places, &weights, occupied, &state.v));
+            let other = unforced.as_ref().map(|(_, tile)| tile);
+            let taken = gather_all(&tile, other, self.holds_volume, &places, &weights, occupied);
+            let residue =
+                unforced.as_ref().map(|(residue, _)| residue.of_group(&taken.unforced, &state.v, occupied));
             if self.holds_volume {
-                hold_volume(&tile, &places, &weights, occupied, state);
+                hold_volume(&tile, &taken.density, &places, &weights, occupied, state);
             }
+            let gathered = &taken.velocity;
             let mut loud = Lanes::ZERO;
             for l in 0..LANES {
                 let (f, v, first) = (places.f(l), vec_of(&gathered.sum, l), mat_of(&gathered.first, l));
@@ -164,7 +165,7 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
             }
             find_near(&touching, |piece| &piece.particle_law, &input.x, &mut met);
             if !met.is_empty() {
-                meet(&mut met, &input.x, gather(&tile, &places, &weights, occupied).sum);
+                meet(&mut met, &input.x, gather_sum(&tile, &places, &weights, occupied));
             }
             for m in met.iter().rev() {
                 contact_lanes_adjoint(m, &input.x, &mut bar.v, Some(&mut bar.x), &mut tool_bar);

@@ -141,61 +141,74 @@ fn moment<T: Real>(w: [T; 3], g: [T; 3]) -> T {
 
 /// Calls a kernel for as many lanes at a time as a vector of 512 bits holds: runs are then no longer than they have to be.
 macro_rules! for_parts {
-    ($t:ty, $kernel:ident $(<$all:tt>)? ($($argument:expr),*)) => {
+    ($t:ty, $kernel:ident $(<$($all:tt),+>)? ($($argument:expr),*)) => {
         if size_of::<$t>() == 4 {
-            $kernel::<$t, 0, 16 $(, $all)?>($($argument),*);
+            $kernel::<$t, 0, 16 $(, $($all),+)?>($($argument),*);
         } else {
-            $kernel::<$t, 0, 8 $(, $all)?>($($argument),*);
-            $kernel::<$t, 8, 16 $(, $all)?>($($argument),*);
+            $kernel::<$t, 0, 8 $(, $($all),+)?>($($argument),*);
+            $kernel::<$t, 8, 16 $(, $($all),+)?>($($argument),*);
         }
     };
 }
 
-/// `sum w g` and `sum w g (i, j, k)`.
+/// What a group takes of the nodes in a substep; what was not asked for is 0.
+pub(crate) struct Taken<T> {
+    /// Of the nodes' velocities, without gradient.
+    pub(crate) velocity: Gathered<T>,
+    /// `sum w g` of the nodes' fourth number.
+    pub(crate) density: Lanes<T>,
+    /// `sum w g` of the nodes' velocities without forces.
+    pub(crate) unforced: [Lanes<T>; 3],
+}
+
+/// All that a group takes in a substep, in one go: runs and their weights are found once for all of it.
 #[inline(always)]
-pub(crate) fn gather<T: Real>(
+pub(crate) fn gather_all<T: Real>(
     tile: &Tile<T>,
+    unforced: Option<&Tile<T>>,
+    with_density: bool,
     places: &StencilPositions<T>,
     w: &Weights<T>,
     occupied: usize,
-) -> Gathered<T> {
-    let mut out = Gathered::ZERO;
-    for_parts!(T, moments<true>(tile, places, w, occupied, &mut out));
+) -> Taken<T> {
+    let zero = Lanes::ZERO;
+    let mut out = Taken { velocity: Gathered::ZERO, density: zero, unforced: [zero; 3] };
+    match (with_density, unforced) {
+        (true, Some(other)) => {
+            for_parts!(T, take < true, true > (tile, other, places, w, occupied, &mut out))
+        }
+        (true, None) => for_parts!(T, take < true, false > (tile, tile, places, w, occupied, &mut out)),
+        (false, Some(other)) => {
+            for_parts!(T, take < false, true > (tile, other, places, w, occupied, &mut out))
+        }
+        (false, None) => for_parts!(T, take < false, false > (tile, tile, places, w, occupied, &mut out)),
+    }
     out
 }
 
-/// `sum w g` alone.
 #[inline(always)]
-pub(crate) fn gather_sum<T: Real>(
+fn take<T: Real, const FROM: usize, const TO: usize, const DENSITY: bool, const UNFORCED: bool>(
     tile: &Tile<T>,
+    other: &Tile<T>,
     places: &StencilPositions<T>,
     w: &Weights<T>,
     occupied: usize,
-) -> [Lanes<T>; 3] {
-    let mut out = Gathered::ZERO;
-    for_parts!(T, moments<false>(tile, places, w, occupied, &mut out));
-    out.sum
-}
-
-#[inline(always)]
-fn moments<T: Real, const FROM: usize, const TO: usize, const MOMENTS: bool>(
-    tile: &Tile<T>,
-    places: &StencilPositions<T>,
-    w: &Weights<T>,
-    occupied: usize,
-    out: &mut Gathered<T>,
+    out: &mut Taken<T>,
 ) {
     let mut waiting = waiting(&places.start, occupied, FROM..TO);
     while let Some(run) = Run::next(&mut waiting) {
         let nodes: &[[T; 4]; REACH] = tile[run.start..].first_chunk().expect("stencils lie in the tile");
-        let (mut sum, mut first) = (out.sum, out.first);
+        let other: &[[T; 4]; REACH] = other[run.start..].first_chunk().expect("stencils lie in the tile");
+        let (mut sum, mut first) = (out.velocity.sum, out.velocity.first);
+        let (mut density, mut unforced) = (out.density, out.unforced);
         for l in FROM..TO {
             let (wx, wy) = (three!(n => w[0][n][l]), three!(n => w[1][n][l]));
             let wz = run.along_row(l, three!(n => w[2][n][l]));
             let wz_k = [wz[1], wz[2] + wz[2], T::from_f64(3.0) * wz[3]];
+            let place = |i: usize, j: usize, k: usize| (i * TILE_EDGE + j) * TILE_EDGE + k;
             let layer = |i: usize| {
                 let row = |j: usize| {
-                    let g = |k: usize, c: usize| nodes[(i * TILE_EDGE + j) * TILE_EDGE + k][c];
+                    let g = |k: usize, c: usize| nodes[place(i, j, k)][c];
                     let sum = three!(c => sum_4(wz, [g(0, c), g(1, c), g(2, c), g(3, c)]));
                     (sum, three!(c => sum_3(wz_k, [g(1, c), g(2, c), g(3, c)])))
                 };
@@ -209,16 +222,65 @@ fn moments<T: Real, const FROM: usize, const TO: usize, const MOMENTS: bool>(
             for c in 0..3 {
                 let all = sum_3(wx, [s0[c], s1[c], s2[c]]);
                 sum[c][l] += all;
-                if !MOMENTS {
-                    continue;
-                }
                 first[3 * c][l] += moment(wx, [s0[c], s1[c], s2[c]]);
                 first[3 * c + 1][l] += sum_3(wx, [j0[c], j1[c], j2[c]]);
                 first[3 * c + 2][l] += sum_3(wx, [k0[c], k1[c], k2[c]]) - up * all;
             }
+            let alone = |nodes: &[[T; 4]; REACH], c: usize| {
+                let g = |i: usize, j: usize, k: usize| nodes[place(i, j, k)][c];
+                let row = |i: usize, j: usize| sum_4(wz, [g(i, j, 0), g(i, j, 1), g(i, j, 2), g(i, j, 3)]);
+                sum_3(wx, three!(i => sum_3(wy, three!(j => row(i, j)))))
+            };
+            if DENSITY {
+                density[l] += alone(nodes, 3);
+            }
+            if UNFORCED {
+                for c in 0..3 {
+                    unforced[c][l] += alone(other, c);
+                }
+            }
         }
-        out.sum = sum;
-        out.first = first;
+        out.velocity.sum = sum;
+        out.velocity.first = first;
+        (out.density, out.unforced) = (density, unforced);
+    }
+}
+
+/// `sum w g` alone.
+#[inline(always)]
+pub(crate) fn gather_sum<T: Real>(
+    tile: &Tile<T>,
+    places: &StencilPositions<T>,
+    w: &Weights<T>,
+    occupied: usize,
+) -> [Lanes<T>; 3] {
+    let mut out = [Lanes::ZERO; 3];
+    for_parts!(T, sums(tile, places, w, occupied, &mut out));
+    out
+}
+
+#[inline(always)]
+fn sums<T: Real, const FROM: usize, const TO: usize>(
+    tile: &Tile<T>,
+    places: &StencilPositions<T>,
+    w: &Weights<T>,
+    occupied: usize,
+    out: &mut [Lanes<T>; 3],
+) {
+    let mut waiting = waiting(&places.start, occupied, FROM..TO);
+    while let Some(run) = Run::next(&mut waiting) {
+        let nodes: &[[T; 4]; REACH] = tile[run.start..].first_chunk().expect("stencils lie in the tile");
+        let mut sum = *out;
+        for l in FROM..TO {
+            let (wx, wy) = (three!(n => w[0][n][l]), three!(n => w[1][n][l]));
+            let wz = run.along_row(l, three!(n => w[2][n][l]));
+            for c in 0..3 {
+                let g = |i: usize, j: usize, k: usize| nodes[(i * TILE_EDGE + j) * TILE_EDGE + k][c];
+                let row = |i: usize, j: usize| sum_4(wz, [g(i, j, 0), g(i, j, 1), g(i, j, 2), g(i, j, 3)]);
+                sum[c][l] += sum_3(wx, three!(i => sum_3(wy, three!(j => row(i, j)))));
+            }
+        }
+        *out = sum;
     }
 }
 

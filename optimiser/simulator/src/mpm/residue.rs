@@ -29,7 +29,7 @@
 //! 2.0, 1.6, 1.1, 0.8 g miss the target, as what has fallen keeps jumping for that long. The program's scenes have 10 ms.
 
 use crate::mpm::Model;
-use crate::mpm::gather::{Rows, Sent, gather_gradient, gather_sum, gather_with_gradient};
+use crate::mpm::gather::{Rows, Sent, gather_gradient, gather_with_gradient};
 use crate::mpm::p2g::at_base;
 use crate::mpm::particles::{Group, LANES, Lanes, mat_of, set_mat, set_vec, vec_of};
 use crate::mpm::stencil::Tile;
@@ -51,17 +51,14 @@ impl<T: Real> Residue<T> {
         Self { kept: T::from_f64(libm::exp(-dt / transfer.residue_time_s)) }
     }
 
-    /// What a group of particles with velocities `v` gets back; `tile` has the nodes' unforced velocities.
+    /// What a group of particles with velocities `v` gets back; `smooth` is `sum w v0_i`.
     #[inline(always)]
     pub(crate) fn of_group(
         &self,
-        tile: &Tile<T>,
-        places: &StencilPositions<T>,
-        weights: &Weights<T>,
-        occupied: usize,
+        smooth: &[Lanes<T>; 3],
         v: &[Lanes<T>; 3],
+        occupied: usize,
     ) -> [Lanes<T>; 3] {
-        let smooth = gather_sum(tile, places, weights, occupied);
         let mut out = [Lanes::ZERO; 3];
         for axis in 0..3 {
             for l in 0..LANES {

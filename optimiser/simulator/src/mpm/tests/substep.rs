@@ -6,7 +6,8 @@ use crate::mpm::Model;
 use crate::mpm::bodies::Bodies;
 use crate::mpm::contact::{BodyState, BodyStateBar};
 use crate::mpm::g2p::TileToParticlesAdjoint;
-use crate::mpm::gather::{Gathered, Rows, Sent, gather, gather_gradient, gather_sum, gather_with_gradient};
+use crate::mpm::gather::{Gathered, Rows, Sent, gather_all, gather_fourth};
+use crate::mpm::gather::{gather_gradient, gather_sum, gather_with_gradient};
 use crate::mpm::grid_update::UpdateNodesAdjoint;
 use crate::mpm::layout::{BLOCK_NODES, Nodes, empty_tile, load_tile};
 use crate::mpm::material::Material;
@@ -288,7 +289,15 @@ fn gathered_as_taken<T: Real>(rounding: f64) {
         let masses = Lanes([T::from_f64(MASS); LANES]);
         let all = gather_with_gradient(&narrow, &places, &w, &sends, &masses, occupied, &mut Rows::new());
         let alone = gather_sum(&narrow, &places, &w, occupied);
-        let plain = gather(&narrow, &places, &w, occupied);
+        let other = random_tile(&mut dice).map(|node| node.map(T::from_f64));
+        let plain = gather_all(&narrow, None, false, &places, &w, occupied);
+        let in_one_go = gather_all(&narrow, Some(&other), true, &places, &w, occupied);
+        // To the bit what is gathered one after another.
+        assert_eq!(in_one_go.density, gather_fourth::<T, false>(&narrow, &places, &w, occupied).sum);
+        assert_eq!(in_one_go.unforced, gather_sum(&other, &places, &w, occupied));
+        assert_eq!(in_one_go.velocity.sum, plain.velocity.sum);
+        assert_eq!(in_one_go.velocity.first, plain.velocity.first);
+        let plain = plain.velocity;
         let massless = gather_gradient(&narrow, &places, &w, &sends, occupied, &mut Rows::new());
         let same = |got: T, want: f64, what: &str| {
             assert!((got.to_f64() - want).abs() < rounding, "{which}, {what}: {got} for {want}");
