@@ -22,7 +22,7 @@ use powderline_simulator::{
     arm::arm_motion,
     rollout::{self, Evaluate, Evaluation, Places, RolloutError, check_memory},
     scene::{DEFAULT_SCENE, Scene},
-    skill::{SkillMap, Theta, colliding_skill},
+    skill::{QuantisedControls, SkillMap, Theta, colliding_skill},
 };
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -94,6 +94,13 @@ struct Run {
     folder: RunFolder,
     method: Method,
     record: RunRecord,
+}
+
+/// A skill, its motion in whole counts, and what that brings.
+struct Performed {
+    theta: Theta,
+    quantised: QuantisedControls,
+    evaluation: Evaluation,
 }
 
 /// A run and the simulator for it.
@@ -365,15 +372,7 @@ impl Run {
         progress: &mut Progress<'_>,
         interrupt: &Interrupt,
     ) -> Result<(), CliError> {
-        stop_if_requested(interrupt)?;
-        let theta = self.chosen()?;
-        let quantised = self.record.map.quantise(&theta)?;
-        progress.begin("the plan, as shipped", 0, &[]);
-        let mut tick = |done, total| {
-            progress.tick(done, total);
-            !interrupt.is_requested()
-        };
-        let evaluation = simulator.simulate(&quantised.controls, &mut tick)?;
+        let Performed { theta, quantised, evaluation } = self.performed(simulator, progress, interrupt)?;
         let RunRecord { scene, map, state, .. } = &self.record;
         let arm = arm_motion(scene, map, &quantised).map_err(|refusal| {
             CliError::Failed(format!("the arm cannot make the plan's motion: {refusal}"))
@@ -398,16 +397,42 @@ impl Run {
         self.write_curves(&self.finding()?)
     }
 
-    /// The skill of the epoch to ship.
-    fn chosen(&self) -> Result<Theta, CliError> {
-        let finding = self.finding()?;
-        match finding.epoch {
-            Some(epoch) => Ok(self.record.epochs[epoch as usize].record.theta),
-            None => Err(CliError::Failed(format!(
-                "no evaluated skill is a motion that the arm may perform: {}",
-                finding.passed_over.first().map_or("there is none", |passed| &passed.reason)
-            ))),
+    /// The best skill whose motion still brings the wanted amount when it is rounded to whole counts; if none does, the one that then
+    /// misses it least.
+    fn performed(
+        &self,
+        simulator: &mut dyn Evaluate,
+        progress: &mut Progress<'_>,
+        interrupt: &Interrupt,
+    ) -> Result<Performed, CliError> {
+        let Finding { rule, amounts, passed_over, .. } = self.finding()?;
+        let mut nearest: Option<Performed> = None;
+        for epoch in rule.candidates(&amounts, &self.record.epochs) {
+            stop_if_requested(interrupt)?;
+            let theta = self.record.epochs[epoch].record.theta;
+            let quantised = self.record.map.quantise(&theta)?;
+            progress.begin("the plan, as shipped", 0, &[]);
+            let mut tick = |done, total| {
+                progress.tick(done, total);
+                !interrupt.is_requested()
+            };
+            let evaluation = simulator.simulate(&quantised.controls, &mut tick)?;
+            let miss = |found: &Evaluation| amounts.miss(found.census.target).abs();
+            let is_nearer = nearest.as_ref().is_none_or(|other| miss(&evaluation) < miss(&other.evaluation));
+            let is_met = amounts.is_met(evaluation.census.target) == Some(true);
+            if is_met || is_nearer {
+                nearest = Some(Performed { theta, quantised, evaluation });
+            }
+            if is_met {
+                break;
+            }
         }
+        nearest.ok_or_else(|| {
+            CliError::Failed(format!(
+                "no evaluated skill is a motion that the arm may perform: {}",
+                passed_over.first().map_or("there is none", |passed| &passed.reason)
+            ))
+        })
     }
 
     /// Says what was found, in the order of what the person needs first.

@@ -124,6 +124,8 @@ pub struct Finding {
     pub restarts: Vec<u32>,
     /// Epochs that could be no plan.
     pub passed_over: Vec<PassedOver>,
+    /// Epochs that would have come before the plan's, but whose motions, rounded to whole counts, no longer bring the wanted amount.
+    pub rounded_out: Vec<u32>,
     /// What the first skill brought.
     pub first: Outcome,
     /// What the chosen epoch brought, before its motion was quantised.
@@ -166,6 +168,11 @@ impl Finding {
             Some(shipped) => epochs.iter().position(|epoch| shipped.is_of(&epoch.record.theta)),
             None => rule.choose(&amounts, epochs),
         };
+        let candidates = rule.candidates(&amounts, epochs);
+        let rounded_out = match shipped.and(epoch) {
+            Some(shipped) => candidates.into_iter().take_while(|other| *other != shipped).collect(),
+            None => Vec::new(),
+        };
         let passed_over = epochs.iter().filter_map(|epoch| {
             Some(PassedOver { epoch: epoch.record.epoch, reason: epoch.obstacle.clone()? })
         });
@@ -186,6 +193,7 @@ impl Finding {
             patience_epochs: scene.optimiser.patience_epochs,
             restarts: restarts.map(|record| record.epoch).collect(),
             passed_over: passed_over.collect(),
+            rounded_out: rounded_out.into_iter().map(|epoch| epoch as u32).collect(),
             first: Outcome::of_epoch(&amounts, &first.record),
             best: epoch.map(|epoch| Outcome::of_epoch(&amounts, &epochs[epoch].record)),
             plan,
@@ -282,6 +290,49 @@ mod tests {
         assert_eq!(Rule::LeastLost.choose(&amounts, &judged(&[5], &[1.0], &[0])), None);
         // The earliest of equals.
         assert_eq!(Rule::LeastLost.choose(&amounts, &judged(&[5, 5, 5], &[2.0, 1.0, 1.0], &[])), Some(1));
+    }
+
+    #[test]
+    fn an_epoch_whose_rounded_motion_misses_makes_room_for_the_next_within_the_tolerance() {
+        let scene = Scene::load("bench").unwrap();
+        let amounts = Amounts::from(&scene);
+        let mut epochs = judged(&[1000, 1180, 1200, 1205, 1190], &[90.0, 15.0, 17.0, 12.0, 16.0], &[3]);
+        for (epoch, rims) in [(1, 0), (2, 2), (3, 0), (4, 1)] {
+            epochs[epoch].record.census.rims = rims;
+        }
+        assert_eq!(Rule::LeastLost.candidates(&amounts, &epochs), [1, 4, 2], "3 is blocked, 0 is off");
+        assert_eq!(Rule::LeastLost.candidates(&amounts, &epochs[..1]), [0]);
+        assert_eq!(Rule::LowestLoss.candidates(&amounts, &epochs), [1]);
+        let finding = |epoch: u32, target: u32| {
+            let census = Census { target, ..Census::default() };
+            let outcome = Outcome::new(&amounts, census, 15.1);
+            let shipped = Shipped { theta: [f64::from(epoch) / 10.0; 5], outcome, arm: None };
+            let run = RunSoFar {
+                scene: &scene,
+                seed: 1,
+                precision: Precision::F32,
+                epochs: &epochs,
+                ended_of: None,
+                shipped: Some(&shipped),
+            };
+            Finding::new(&run).unwrap()
+        };
+        let said = |finding: &Finding| finding.sentences().join(" ");
+        assert!(finding(1, 1181).rounded_out.is_empty());
+        assert!(!said(&finding(1, 1181)).contains("came before it"));
+        let second = finding(2, 1200);
+        assert_eq!(second.rounded_out, [1, 4]);
+        let words =
+            "Epochs 1 and 4 came before it, but their motions, rounded to whole counts, miss the tolerance.";
+        assert!(said(&second).contains(words), "{}", said(&second));
+        // None stays within: that is said, and no other epoch is spoken of.
+        let none = finding(4, 1170);
+        assert!(
+            said(&none).contains("misses the wanted amount least once its motion is rounded"),
+            "{}",
+            said(&none)
+        );
+        assert!(!said(&none).contains("came before it"));
     }
 
     #[test]

@@ -42,6 +42,24 @@ impl Rule {
 
     /// The epoch to ship; none if the arm may perform no epoch's motion.
     pub fn choose(self, amounts: &Amounts, epochs: &[Judged]) -> Option<usize> {
+        self.rank(amounts, epochs).first().copied()
+    }
+
+    /// Epochs that could be the plan if their motion, once it is rounded to whole counts, brings the wanted amount no longer: all that
+    /// are within the tolerance, the best first; or else the best alone.
+    pub fn candidates(self, amounts: &Amounts, epochs: &[Judged]) -> Vec<usize> {
+        let is_met = |epoch: &usize| amounts.is_met(epochs[*epoch].record.census.target) == Some(true);
+        let ranked = self.rank(amounts, epochs);
+        let first = ranked.first().copied();
+        let within: Vec<usize> = match self {
+            Self::LeastLost => ranked.into_iter().filter(is_met).collect(),
+            Self::LowestLoss => Vec::new(),
+        };
+        if within.is_empty() { first.into_iter().collect() } else { within }
+    }
+
+    /// The epochs whose motion the arm may perform, the best first.
+    fn rank(self, amounts: &Amounts, epochs: &[Judged]) -> Vec<usize> {
         let key = |record: &EpochRecord| match self {
             Self::LeastLost if amounts.is_met(record.census.target) == Some(true) => {
                 [0.0, amounts.kg(record.census.lost()), record.loss]
@@ -53,8 +71,10 @@ impl Rule {
             let pairs = key(&a.record).into_iter().zip(key(&b.record));
             pairs.fold(Ordering::Equal, |order, (a, b)| order.then(a.total_cmp(&b)))
         };
-        let able = epochs.iter().filter(|epoch| epoch.obstacle.is_none());
-        able.min_by(order).map(|epoch| epoch.record.epoch as usize)
+        let mut able: Vec<&Judged> = epochs.iter().filter(|epoch| epoch.obstacle.is_none()).collect();
+        // Stable: the earliest of equals comes first.
+        able.sort_by(order);
+        able.into_iter().map(|epoch| epoch.record.epoch as usize).collect()
     }
 }
 

@@ -43,7 +43,10 @@ impl Finding {
         let rest = self.plan.map(|plan| self.amounts.rest(&plan.census));
         let arm = self.arm.map(|arm| format!("The {} {}.", arm.kind.label(), arm.posture));
         let ends = rest.into_iter().chain([self.choice()]).chain(self.end()).chain(arm);
-        ends.chain(self.restart_words()).chain(self.passed_over_words()).collect()
+        ends.chain(self.rounding_words())
+            .chain(self.restart_words())
+            .chain(self.passed_over_words())
+            .collect()
     }
 
     /// Which epoch it is, by which rule.
@@ -52,7 +55,14 @@ impl Finding {
             return "No epoch is a motion that the arm may perform.".into();
         };
         let able = if self.passed_over.is_empty() { "" } else { " that the arm may perform" };
-        let [which, why] = self.rule.words(self.amounts.is_met(best.census.target) == Some(true));
+        let was_met = self.amounts.is_met(best.census.target) == Some(true);
+        let [which, why] = match was_met && self.met == Some(false) {
+            true => [
+                " within the tolerance",
+                "misses the wanted amount least once its motion is rounded to whole counts, and none stays within it",
+            ],
+            false => self.rule.words(was_met),
+        };
         let said = |found: &Outcome| {
             format!("{}, with a loss of {:.3} m", self.amounts.powder(found.census.target), found.loss_m)
         };
@@ -78,6 +88,23 @@ impl Finding {
                 count(patience.into(), "further epoch")
             )
         })
+    }
+
+    /// Which epochs would have been the plan but for the rounding of their motions.
+    fn rounding_words(&self) -> Option<String> {
+        if self.met != Some(true) {
+            return None;
+        }
+        let epochs = listed(&self.rounded_out.iter().map(u32::to_string).collect::<Vec<_>>());
+        match self.rounded_out.len() {
+            0 => None,
+            1 => Some(format!(
+                "Epoch {epochs} came before it, but its motion, rounded to whole counts, misses the tolerance."
+            )),
+            _ => Some(format!(
+                "Epochs {epochs} came before it, but their motions, rounded to whole counts, miss the tolerance."
+            )),
+        }
     }
 
     /// After which epochs the search began anew.
