@@ -112,3 +112,33 @@ fn a_finished_run_is_taken_further_to_the_bits_of_a_longer_one() {
     run(OPTIMISE, &["--resume", &folder, "--epochs", "2"]).finished();
     assert_same_bits(&folder, &long);
 }
+
+#[test]
+fn gradients_of_drawn_skills_are_held_against_slopes_with_the_same_bits_for_any_threads() {
+    let place = Place::new();
+    let tiny = place.tiny();
+    let table = |threads: &str, memory: &str| {
+        let asked = ["gradcheck", &tiny, "--skills", "2", "--packings", "2", "--json"];
+        let mut report =
+            run(OPTIMISE, &[&asked[..], &["--threads", threads, "--memory", memory]].concat()).json();
+        for cost in ["exact_in_rollouts", "restarted_in_rollouts"] {
+            assert!(report["summary"][cost].as_f64().unwrap() > 1.0, "{report}");
+            report["summary"][cost].take();
+        }
+        for skill in report["skills"].as_array_mut().unwrap() {
+            skill["packings"].as_array_mut().unwrap().iter_mut().for_each(|one| drop(one["seconds"].take()));
+        }
+        report
+    };
+    let report = table("1", "1GiB");
+    let skills = report["skills"].as_array().unwrap();
+    assert_eq!(skills.len(), 2);
+    for skill in skills {
+        assert_eq!(skill["packings"].as_array().unwrap().len(), 2);
+        assert_ne!(skill["exact"], skill["restarted"]);
+        assert_ne!(skill["packings"][0]["slope"], skill["packings"][1]["slope"]);
+    }
+    assert_eq!(report["summary"]["restarted"]["signs"].as_array().unwrap().len(), 5);
+    assert!(report["summary"]["constant"]["residual_cosine"].is_null());
+    assert_eq!(report, table("2", "64MiB"));
+}

@@ -129,7 +129,7 @@ pub use real::Real;
 #[cfg_attr(doc, doc = include_str!("../examples/gradient.rs"))]
 /// ```
 ///
-/// # The same beside the restarted adjoint, for many skills: `restarted_gradient`
+/// # The same beside the restarted adjoint: `restarted_gradient`
 ///
 /// ```ignore
 #[cfg_attr(doc, doc = include_str!("../examples/restarted_gradient.rs"))]

@@ -1,6 +1,6 @@
 //! `optimise gradcheck`: the adjoint's gradient against finite differences.
 
-use super::{CliError, Context, Interrupt, Progress, Resources, options::PrecisionArg};
+use super::{CliError, Context, Interrupt, Progress, Resources, options::PrecisionArg, slopes};
 use crate::report::words::precision_name;
 use clap::Args;
 use powderline_shared::plan::{Precision, SKILL_PARAMETERS};
@@ -26,10 +26,20 @@ pub(super) struct GradcheckArgs {
     /// Only the windows, not the longer horizons
     #[arg(long)]
     pub short: bool,
+    /// Instead of all that: the exact and the restarted gradient beside differences over +-0.1, for so many drawn skills of
+    /// the scene as it is
+    #[arg(long, value_name = "N", conflicts_with_all = ["steps", "short"], value_parser = clap::value_parser!(u32).range(2..=1000))]
+    pub skills: Option<u32>,
+    /// Packings that each of the skills is measured with, the first of them of the seed
+    #[arg(long, value_name = "N", requires = "skills", default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=100))]
+    pub packings: u32,
+    /// Which of the drawn skills is the first to be tried
+    #[arg(long, value_name = "N", requires = "skills", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..=1_000_000))]
+    pub first: u64,
     /// Seed of the packing [default: 1]
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
-    /// Precision of the simulation [default: f64]
+    /// Precision of the simulation [default: f64, with --skills f32]
     #[arg(long)]
     pub precision: Option<PrecisionArg>,
     /// Threads and memory.
@@ -56,6 +66,9 @@ struct Report {
 /// One sentence.
 pub(super) fn execute(arguments: &GradcheckArgs, context: &mut Context<'_>) -> Result<(), CliError> {
     let scene = Scene::load(arguments.scene.as_deref().unwrap_or(DEFAULT_SCENE))?;
+    if let Some(skills) = arguments.skills {
+        return slopes::execute(skills, arguments, &scene, context);
+    }
     let report = check(arguments, &scene, context)?;
     if arguments.json {
         return context.json(&report);

@@ -30,6 +30,7 @@ mod scenes;
 mod shell;
 mod simulate;
 mod size;
+mod slopes;
 mod steps;
 #[cfg(test)]
 mod tests;

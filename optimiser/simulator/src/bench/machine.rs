@@ -105,6 +105,11 @@ pub(crate) fn nanoseconds() -> Reading {
     [wall_ns, processor_ns().unwrap_or(wall_ns)]
 }
 
+/// Processor time of this process's threads so far, all together, seconds; wall-clock time where the system does not tell.
+pub(crate) fn cpu_seconds() -> f64 {
+    nanoseconds()[1] as f64 * 1e-9
+}
+
 #[cfg(unix)]
 fn processor_ns() -> Option<u64> {
     let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);

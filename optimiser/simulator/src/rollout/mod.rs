@@ -49,6 +49,7 @@ pub(crate) mod path;
 pub mod restart;
 pub(crate) mod schedule;
 mod simulator;
+pub mod slopes;
 #[cfg(test)]
 mod tests;
 
