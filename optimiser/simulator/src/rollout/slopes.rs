@@ -281,6 +281,7 @@ fn correlation(pairs: impl Iterator<Item = [f64; 2]> + Clone) -> Option<f64> {
 }
 
 #[cfg(test)]
+#[expect(clippy::float_cmp, reason = "numbers that are exact")]
 mod tests {
     use super::*;
 
