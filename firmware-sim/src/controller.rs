@@ -513,11 +513,12 @@ impl Controller {
         self.farewell.is_some_and(|farewell| farewell.session == session)
     }
 
-    /// Whoever asks a session that is over for something has not heard that it is.
+    /// Whoever asks a session that is over for something has not heard that it is. In another session the arm may move.
     fn repeat_farewell(&mut self) {
         self.drop_one();
         if let Some(farewell) = self.farewell {
-            self.send(FromArm::Status(Status { counter: self.counter, ..farewell }));
+            let standstill = self.is_still();
+            self.send(FromArm::Status(Status { standstill, counter: self.counter, ..farewell }));
             self.counter = self.counter.wrapping_add(1);
         }
     }

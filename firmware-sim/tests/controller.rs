@@ -761,6 +761,33 @@ fn whoever_asks_a_session_that_is_over_hears_how_it_ended() {
 }
 
 #[test]
+fn a_session_that_is_over_is_not_told_that_an_arm_stands_which_moves_in_another() {
+    let mut bench = Bench::enabled();
+    bench.command(Command::Shutdown);
+    let next = OpenRequest { session: SESSION + 1, ..request() };
+    bench.tell(ToArm::Open(next));
+    for command in [Command::SwitchOn, Command::EnableOperation] {
+        bench.tell(ToArm::Control { session: next.session, command });
+    }
+    let says_that_it_stands = |bench: &mut Bench| {
+        bench.messages.clear();
+        bench.command(Command::QuickStop);
+        let status = bench.messages.iter().find_map(|message| match message {
+            FromArm::Status(status) if status.session == SESSION => Some(*status),
+            _ => None,
+        });
+        status.unwrap().standstill
+    };
+    assert!(says_that_it_stands(&mut bench));
+    for tick in 1..=DEPTH {
+        bench.tell(ToArm::Setpoint { session: next.session, setpoint: setpoint(tick) });
+    }
+    bench.period();
+    assert!(!bench.arm.status().standstill);
+    assert!(!says_that_it_stands(&mut bench));
+}
+
+#[test]
 fn setpoints_before_operation_is_enabled_move_nothing() {
     let up = [Command::Shutdown, Command::SwitchOn];
     for steps in 0..=up.len() {
