@@ -166,7 +166,7 @@ fn draw_panel<B: DrawingBackend>(area: &DrawingArea<B, Shift>, panel: &Panel) ->
     let bands = points().flat_map(|[_, mean, spread]| [mean - spread, mean + spread]);
     let values = match panel.log_if_wide {
         // What lies a deviation below the mean may have no logarithm: the means decide.
-        true => Axis::log_if_wide(points().map(|point| point[1]), bands),
+        true => Axis::log_if_wide(points().map(|point| point[1]), 0.0, bands),
         false => Axis::around(bands, 0.0, false),
     };
     let y_name = format!("{}{}", panel.y_name, values.note());

@@ -19,6 +19,8 @@ const SIDE: u32 = 200;
 /// Height of the lines below the panels.
 const LEGEND: u32 = 62;
 const CURRICULUM: RGBColor = RGBColor(248, 243, 228);
+/// Room above and below curves that hardly change, of their height.
+const LEAST_MARGIN: f64 = 0.01;
 /// More epochs than this are counted, not listed.
 const MAX_LISTED: usize = 6;
 
@@ -57,6 +59,8 @@ type Drawn = Result<(), Box<dyn std::error::Error>>;
 /// One line of a panel, and what stands beside the panel in its colour.
 struct Line {
     note: String,
+    /// What the plan has of it, where the epoch's own figure is another one.
+    of_plan: Option<f64>,
     /// Of the epochs, so that some stand out; not of what they are held against.
     marked: bool,
     colour: RGBColor,
@@ -122,26 +126,33 @@ impl Curves<'_> {
 
     fn loss(&self) -> Panel {
         let points = self.points(|record| record.loss);
-        let values = Axis::log_if_wide(points.iter().map(|point| point.1), std::iter::empty());
+        let of_plan = self.plan.map(|plan| plan.loss_m);
+        let all = points.iter().map(|point| point.1).chain(of_plan);
+        let flat = all.clone().fold(0.0, f64::max) * LEAST_MARGIN;
+        let values = Axis::log_if_wide(all, flat, std::iter::empty());
         let note = self.note(|found| format!("{:.3} m", found.loss_m));
-        let lines = vec![Line { marked: true, note, colour: COLOURS[0], points }];
+        let lines = vec![Line { marked: true, note, of_plan, colour: COLOURS[0], points }];
         Panel { caption: "loss (m)", values, lines, epoch_axis: false }
     }
 
     fn arrival(&self) -> Panel {
         let arrives = self.points(|record| 1e3 * self.amounts.kg(record.census.target));
-        let wanted = self.points(|_| 1e3 * self.amounts.wanted_kg);
-        let all = arrives.iter().chain(&wanted).map(|point| point.1);
+        // From end to end: one epoch makes no line.
+        let wanted: Vec<_> =
+            [0.0, self.axis().range().end].map(|epoch| (epoch, 1e3 * self.amounts.wanted_kg)).to_vec();
+        let of_plan = self.plan.map(|plan| 1e3 * plan.mass_kg);
+        let all = arrives.iter().chain(&wanted).map(|point| point.1).chain(of_plan);
         let values = Axis::around(all, 0.01 * 1e3 * self.amounts.wanted_kg, false);
         let note = self.note(|found| mass(found.mass_kg));
         let lines = vec![
             Line {
                 marked: false,
+                of_plan: None,
                 note: format!("wanted: {}", mass(self.amounts.wanted_kg)),
                 colour: COLOURS[6],
                 points: wanted,
             },
-            Line { marked: true, note, colour: COLOURS[1], points: arrives },
+            Line { marked: true, note, of_plan, colour: COLOURS[1], points: arrives },
         ];
         Panel { caption: "powder that arrives (g)", values, lines, epoch_axis: false }
     }
@@ -155,6 +166,7 @@ impl Curves<'_> {
         let is_here = |k: &usize| (SKILL_PARAMETERS[*k].1 == "rad") == (unit == "deg");
         let line = |k: usize| Line {
             marked: true,
+            of_plan: None,
             note: SKILL_PARAMETERS[k].0.into(),
             colour: COLOURS[k],
             points: self.points(|record| factor * self.map.parameters(&record.theta)[k]),
@@ -164,9 +176,14 @@ impl Curves<'_> {
         Panel { caption, values: Axis::around(values, 1.0, false), lines, epoch_axis: unit == "deg" }
     }
 
+    /// The epochs.
+    fn axis(&self) -> Axis {
+        Axis::from_zero(f64::from(self.epochs), 15, true)
+    }
+
     fn panel(&self, area: &Area<'_>, panel: &Panel) -> Drawn {
         let (plot, side) = area.split_horizontally(SIZE.0 - SIDE);
-        let epochs = Axis::from_zero(f64::from(self.epochs), 15, true);
+        let epochs = self.axis();
         let caption = format!("{}{}", panel.caption, panel.values.note());
         let mut chart = ChartBuilder::on(&plot)
             .caption(caption, (FONT, 17).into_font().color(&INK))
@@ -199,7 +216,7 @@ impl Curves<'_> {
         Ok(())
     }
 
-    /// A line with its points: a ring about the one that is shipped, crosses over those passed over.
+    /// A line with its points: a ring about the one that is shipped, where the plan is; crosses over those passed over.
     fn line(&self, chart: &mut Chart<'_, '_>, line: &Line) -> Drawn {
         let points = || line.points.iter().copied();
         chart.draw_series(LineSeries::new(points(), line.colour.stroke_width(2)))?;
@@ -209,7 +226,8 @@ impl Curves<'_> {
         chart.draw_series(points().map(|point| Circle::new(point, 2, line.colour.filled())))?;
         for (record, point) in self.history.iter().zip(points()) {
             if Some(record.epoch) == self.shipped {
-                chart.draw_series([Circle::new(point, 6, INK.stroke_width(2))])?;
+                let of_plan = (point.0, line.of_plan.unwrap_or(point.1));
+                chart.draw_series([Circle::new(of_plan, 6, INK.stroke_width(2))])?;
             } else if self.passed_over.contains(&record.epoch) {
                 chart.draw_series([Cross::new(point, 5, INK.stroke_width(2))])?;
             }
@@ -224,8 +242,10 @@ impl Curves<'_> {
         let (mut x, mut y) = (76, 10);
         if let Some(shipped) = self.shipped() {
             area.draw(&Circle::new((x + 9, y + 7), 6, INK.stroke_width(2)))?;
-            area.draw(&Text::new(format!("shipped: epoch {}", shipped.epoch), (x + 26, y), font()))?;
-            x += 190;
+            // A plan's motion is rounded to whole counts, and no epoch's is.
+            let rounded = if self.plan.is_some() { "; curves before rounding" } else { "" };
+            area.draw(&Text::new(format!("shipped: epoch {}{rounded}", shipped.epoch), (x + 26, y), font()))?;
+            x += if self.plan.is_some() { 360 } else { 190 };
         }
         if !self.passed_over.is_empty() {
             area.draw(&Cross::new((x + 9, y + 7), 5, INK.stroke_width(2)))?;
@@ -285,16 +305,22 @@ mod tests {
     }
 
     fn svg(evaluated: u32, epochs: u32, from: f64) -> String {
+        svg_with(evaluated, epochs, from, None)
+    }
+
+    fn svg_with(evaluated: u32, epochs: u32, from: f64, loss_of_plan_m: Option<f64>) -> String {
         let history: Vec<_> = (0..evaluated).map(|epoch| record(epoch, from)).collect();
         let scene = Scene::load("bench").unwrap();
         let (map, amounts) = (SkillMap::new(&scene), Amounts::from(&scene));
+        let census = Census { target: 10, spilled: 1, ..Census::default() };
+        let plan = loss_of_plan_m.map(|loss_m| Outcome::new(&amounts, census, loss_m));
         let curves = Curves {
             title: ["bench, seed 1", "The plan brings nothing."],
             history: &history,
             epochs,
             curriculum_epochs: 2,
             shipped: evaluated.checked_sub(2),
-            plan: None,
+            plan: plan.as_ref(),
             passed_over: if evaluated > 0 { &[evaluated - 1] } else { &[] },
             map: &map,
             amounts: &amounts,
@@ -339,6 +365,27 @@ mod tests {
         }
         // Seven curves and the legend.
         assert_eq!(svg.matches("r=\"6\"").count(), 8);
+    }
+
+    /// The plan's figures stand beside the panel, and so the ring does where they are, within the panel.
+    #[test]
+    fn the_ring_is_where_the_plan_is() {
+        let rings = |loss_m| -> Vec<f64> {
+            let svg = svg_with(3, 3, 1.0, loss_m);
+            assert_eq!(svg.contains("curves before rounding"), loss_m.is_some());
+            let ring = |tag: &str| tag.split_once("cy=\"")?.1.split_once('"')?.0.parse().ok();
+            svg.split("<circle").filter(|tag| tag.contains("r=\"6\"")).filter_map(ring).collect()
+        };
+        let (own, lower) = (rings(None), rings(Some(0.5)));
+        assert!(lower[0] > own[0] + 20.0 && lower[0] < own[1], "{own:?} {lower:?}");
+        assert_eq!(own[1..], lower[1..]);
+    }
+
+    #[test]
+    fn one_epoch_has_an_axis_that_can_be_read() {
+        let svg = svg(1, 1, 5.7);
+        // 7.2 m: no marks of hundredths of a millimetre.
+        assert!(svg.contains(">\n7.2\n") || svg.contains(">\n7.20\n"), "{svg}");
     }
 
     #[test]

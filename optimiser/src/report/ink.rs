@@ -66,17 +66,18 @@ impl Axis {
         Self { marks: linear_marks(&range, 6, is_whole), range, is_log: false }
     }
 
-    /// Around the values; logarithmic if they are above zero and span more than a decade, otherwise around what is drawn
+    /// Around the values, with that margin at least; logarithmic if they are above zero and span more than a decade, otherwise around what is drawn
     /// `beside` them too.
     pub(crate) fn log_if_wide(
         values: impl Iterator<Item = f64> + Clone,
+        least_margin: f64,
         beside: impl Iterator<Item = f64>,
     ) -> Self {
         let ends = |(low, high): (f64, f64), value: f64| (low.min(value), high.max(value));
         let (low, high) = values.clone().fold((f64::INFINITY, f64::NEG_INFINITY), ends);
         // Without values, the lowest is infinite.
         if !(low > 0.0 && high > WIDE * low) {
-            return Self::around(values.chain(beside), 0.0, false);
+            return Self::around(values.chain(beside), least_margin, false);
         }
         let range = between_marks(low, high);
         Self { marks: log_marks(&range), range, is_log: true }
@@ -258,7 +259,7 @@ pub(crate) mod tests {
             ["-0.3", "-0.2", "-0.1", "0.0", "0.1", "0.2", "0.3", "0.4"]
         );
         assert_eq!(bears(&around(&[1e-3, 1.4e-3])), ["0.0010", "0.0011", "0.0012", "0.0013", "0.0014"]);
-        let log = |values: &[f64]| Axis::log_if_wide(values.iter().copied(), std::iter::empty());
+        let log = |values: &[f64]| Axis::log_if_wide(values.iter().copied(), 0.0, std::iter::empty());
         assert_eq!(bears(&log(&[1.5, 95.5])), ["1", "2", "5", "10", "20", "50", "100"]);
         assert_eq!(bears(&log(&[0.02, 900.0])), ["0.01", "0.1", "1", "10", "100", "1000"]);
         assert_eq!(bears(&log(&[15.0, 95.5])), bears(&around(&[15.0, 95.5])));
@@ -276,7 +277,7 @@ pub(crate) mod tests {
             let axis = match is_log {
                 true => {
                     let values = [low.abs() + 1e-3, low.abs() + 10f64.powi(exponent)];
-                    Axis::log_if_wide(values.into_iter(), std::iter::empty())
+                    Axis::log_if_wide(values.into_iter(), 0.0, std::iter::empty())
                 }
                 false => Axis::around([low, high].into_iter(), 0.0, is_whole),
             };

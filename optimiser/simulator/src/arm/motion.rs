@@ -101,7 +101,7 @@ pub enum Refusal {
     #[error(
         "at {:.3} s its {} would {}, and {:.1} mm is the least that is kept{}; another place for the base, or the tool turned \
          otherwise in the flange, would be right",
-        clearance.time_s, clearance.link.name(), clearance, 1e3 * least_m,
+        clearance.time_s, clearance.link.name(), clearance.words_beside(*least_m), 1e3 * least_m,
         if *all_postures { ", and no other posture gets further" } else { "" }
     )]
     TooNear {
@@ -151,6 +151,17 @@ fn remedy(error: &ArmError) -> String {
             "put the base nearer, so that the arm is not stretched out".into()
         }
         ArmError::Singular { .. } => "turn the tool in the flange, or put the base elsewhere".into(),
+    }
+}
+
+impl Clearance {
+    /// The same beside what it falls short of, so that a hair less does not read as just enough.
+    fn words_beside(&self, least_m: f64) -> String {
+        let short_m = least_m - self.distance_m;
+        if self.distance_m >= 0.0 && short_m < 1e-4 {
+            return format!("be a hair less than {:.1} mm from {}", 1e3 * least_m, self.obstacle);
+        }
+        self.to_string()
     }
 }
 
@@ -455,5 +466,25 @@ impl Figures {
         if margin < self.margin {
             (self.singular_joint, self.margin) = (joint, margin);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_distance_that_falls_short_does_not_read_as_enough() {
+        let refusal = |distance_m| {
+            let clearance =
+                Clearance { link: Link::Wrist3, obstacle: Obstacle::Table, distance_m, time_s: 0.028 };
+            Refusal::TooNear { clearance, least_m: 0.02, all_postures: false }.to_string()
+        };
+        assert!(
+            refusal(0.01999)
+                .starts_with("at 0.028 s its wrist 3 would be a hair less than 20.0 mm from the table, and")
+        );
+        assert!(refusal(0.0189).contains("would be 18.9 mm from the table, and 20.0 mm is the least"));
+        assert!(refusal(-0.0001).contains("would be 0.1 mm deep in the table"));
     }
 }

@@ -3,11 +3,14 @@
 use super::figures::{about, mass};
 use super::solid::Vec3;
 use super::{Aim, Scene, ToolShape};
+use std::fmt;
 use thiserror::Error;
 
 /// Values of the transport displacement, and of the pitch, that stand for their ranges.
 const TRANSPORTS: u32 = 128;
 const ANGLES: u32 = 32;
+/// The shortest transport displacement that a scene may have, metres.
+const LEAST_TRANSPORT_M: f64 = 0.001;
 
 /// Why the wanted amount cannot arrive, and what would be right.
 #[derive(Clone, Debug, PartialEq, Error)]
@@ -30,36 +33,73 @@ pub enum Infeasible {
     /// The lip never comes over the target.
     #[error(
         "objective.target {target:?} is out of reach: within the bounds the tool's lip comes no nearer to its opening than {} mm; \
-         {}",
-        about(1e3 * gap_m, 2), remedy(*aside_m, *wanted_m, *bounds_m)
+         {remedy}",
+        about(1e3 * gap_m, 2)
     )]
     OutOfReach {
         /// The target container.
         target: String,
         /// Horizontal distance that is missing, metres.
         gap_m: f64,
-        /// How far the tool passes beside the middle of the target, metres.
-        aside_m: f64,
-        /// The transport displacement that would bring the lip over the middle of the target, metres.
+        /// What would bring it there.
+        remedy: Remedy,
+    },
+}
+
+/// What would bring the lip over the target.
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum Remedy {
+    /// The way leads over it, but ends before it or behind it.
+    Transport {
+        /// The transport displacement that would end over its middle, metres.
         wanted_m: f64,
         /// Bounds of the transport displacement, metres.
         bounds_m: [f64; 2],
     },
+    /// The way leads past it.
+    Heading {
+        /// That of the way, degrees.
+        now_deg: f64,
+        /// How far beside the middle of the target it passes, metres.
+        aside_m: f64,
+        /// That from the start to the middle of the target, degrees.
+        right_deg: f64,
+        /// A transport displacement that would end there then, metres, if none within the bounds does.
+        wanted_m: Option<f64>,
+    },
+    /// The way leads over it, but the sweep alone takes the tool beyond it.
+    Farther,
 }
 
-fn remedy(aside_m: f64, wanted_m: f64, [low_m, high_m]: [f64; 2]) -> String {
-    if (low_m..=high_m).contains(&wanted_m) || wanted_m <= 0.0 {
-        return format!(
-            "the way along skill.heading_deg passes {} mm beside its middle, another heading would be right",
-            about(1e3 * aside_m.abs(), 2)
-        );
+impl fmt::Display for Remedy {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match *self {
+            Self::Transport { wanted_m, bounds_m: [low_m, high_m] } => write!(
+                f,
+                "skill.transport_displacement_m goes from {} to {}, and one that holds {} would be right",
+                about(low_m, 3),
+                about(high_m, 3),
+                about(wanted_m, 2)
+            ),
+            Self::Heading { now_deg, aside_m, right_deg, wanted_m } => {
+                write!(
+                    f,
+                    "the way along skill.heading_deg = {} passes {} mm beside its middle; skill.heading_deg = {}",
+                    about(now_deg, 4),
+                    about(1e3 * aside_m.abs(), 2),
+                    about(right_deg, 4)
+                )?;
+                if let Some(wanted_m) = wanted_m {
+                    write!(f, " and a skill.transport_displacement_m that holds {}", about(wanted_m, 2))?;
+                }
+                f.write_str(" would be right, with source, tool.start_position_m and limits that leave room for it")
+            }
+            Self::Farther => f.write_str(
+                "skill.sweep_m alone takes the tool beyond it; a start farther from the target would be right",
+            ),
+        }
     }
-    format!(
-        "skill.transport_displacement_m goes from {} to {}, and one that holds {} would be right",
-        about(low_m, 3),
-        about(high_m, 3),
-        about(wanted_m, 2)
-    )
 }
 
 impl Scene {
@@ -98,14 +138,39 @@ impl Scene {
         if gap_m <= 0.0 {
             return Ok(());
         }
+        Err(Infeasible::OutOfReach { target: target.name.clone(), gap_m, remedy: self.remedy(ahead_m) })
+    }
+
+    /// What would bring a lip that is so far ahead of the tool's origin over the target.
+    fn remedy(&self, ahead_m: f64) -> Remedy {
+        let (target, bounds_m) = (self.target(), self.skill.transport_displacement_m);
         let (along_m, aside_m) = self.seen_from_start_m(target.position_m);
-        Err(Infeasible::OutOfReach {
-            target: target.name.clone(),
-            gap_m,
+        let transport_m = |distance_m: f64, ahead_m: f64| distance_m - self.skill.sweep_m - ahead_m;
+        let passes_over = target.gap_to_opening_m(self.origin_after(along_m, 0.0)) <= 0.0;
+        if passes_over && along_m > 0.0 {
+            let wanted_m = transport_m(along_m, ahead_m);
+            return if wanted_m >= LEAST_TRANSPORT_M {
+                Remedy::Transport { wanted_m, bounds_m }
+            } else {
+                Remedy::Farther
+            };
+        }
+        let distance_m = libm::hypot(along_m, aside_m);
+        let [low_m, high_m] = bounds_m;
+        let within = |ahead_m: &f64| (low_m..=high_m).contains(&transport_m(distance_m, *ahead_m));
+        let lips_m = self.lips_ahead_m();
+        let wanted_m = (!lips_m.iter().any(within)).then(|| transport_m(distance_m, 0.0));
+        if wanted_m.is_some_and(|wanted_m| wanted_m < LEAST_TRANSPORT_M) {
+            return Remedy::Farther;
+        }
+        let right_deg = self.skill.heading_deg + libm::atan2(aside_m, along_m).to_degrees();
+        Remedy::Heading {
+            now_deg: self.skill.heading_deg,
             aside_m,
-            wanted_m: along_m - self.skill.sweep_m - ahead_m,
-            bounds_m,
-        })
+            // As a person would write it.
+            right_deg: (0.01 * (100.0 * right_deg).round()).rem_euclid(360.0),
+            wanted_m,
+        }
     }
 
     /// Distances ahead of the tool's origin at which powder may leave it: of the lip, at pitches a pour goes through, and 0.
@@ -199,6 +264,50 @@ mod tests {
         scene.skill.transport_displacement_m = [0.060, 0.160];
         scene.skill.heading_deg = 60.0;
         let text = scene.check_feasible().unwrap_err().to_string();
-        assert!(text.contains("another heading would be right"), "{text}");
+        assert!(
+            text.contains("passes 110 mm beside its middle; skill.heading_deg = 0 would be right"),
+            "{text}"
+        );
+    }
+
+    /// Wherever the target stands, what is said to be right brings the lip over it.
+    #[test]
+    fn advice_about_the_way_helps() {
+        let field = |text: &str, name: &str| -> Option<f64> {
+            text.split_once(name)?.1.split([' ', ';']).next()?.parse().ok()
+        };
+        let mut kinds = [0; 3];
+        for (turn_deg, distance_m) in
+            (0..24).flat_map(|part| [0.012, 0.03, 0.08, 0.12, 0.3].map(|m| (15.0 * f64::from(part), m)))
+        {
+            let mut scene = Scene::load("bench").unwrap();
+            scene.skill.heading_deg = 30.0;
+            let (sin, cos) = libm::sincos(f64::to_radians(turn_deg));
+            let [x, y, _] = scene.tool.start_position_m;
+            let target = scene.containers.iter_mut().find(|one| one.name == "target").unwrap();
+            target.position_m = [x + distance_m * cos, y + distance_m * sin, 0.004];
+            target.shape =
+                crate::scene::ContainerShape::Cylinder { inner_radius_m: 0.012, inner_height_m: 0.03 };
+            let Err(error) = scene.check_feasible() else { continue };
+            let Infeasible::OutOfReach { remedy, .. } = error else { panic!("{error:?}") };
+            let text = error.to_string();
+            match remedy {
+                Remedy::Transport { .. } => kinds[0] += 1,
+                Remedy::Heading { .. } => kinds[1] += 1,
+                Remedy::Farther => {
+                    kinds[2] += 1;
+                    assert!(distance_m < 0.1, "{text}");
+                    continue;
+                }
+            }
+            if let Some(right_deg) = field(&text, "middle; skill.heading_deg = ") {
+                scene.skill.heading_deg = right_deg;
+            }
+            if let Some(wanted_m) = field(&text, "that holds ") {
+                scene.skill.transport_displacement_m = [wanted_m, wanted_m];
+            }
+            assert_eq!(scene.check_feasible(), Ok(()), "{turn_deg} {distance_m}: {text}");
+        }
+        assert!(kinds.iter().all(|count| *count > 0), "{kinds:?}");
     }
 }

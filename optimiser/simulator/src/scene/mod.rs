@@ -72,7 +72,7 @@ pub use derived::{
 };
 pub use embedded::{DEFAULT_SCENE, EMBEDDED_SCENES, embedded_scene};
 pub use error::SceneError;
-pub use feasible::Infeasible;
+pub use feasible::{Infeasible, Remedy};
 pub use gate::{Gate, GateOpening, GateShape, MAX_GATES};
 pub use powderline_shared::limits::Limits;
 pub use read::MAX_SCENE_BYTES;
@@ -139,9 +139,9 @@ pub struct Domain {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Powder {
-    /// Lower corner of the box filled with powder, metres, world frame; inside the source container.
+    /// Lower corner of the box filled with powder, metres, world frame; clear of walls, as a rule inside the source container.
     pub fill_min_m: [f64; 3],
-    /// Upper corner of the box filled with powder, metres, world frame; inside the source container.
+    /// Upper corner of the box filled with powder, metres, world frame.
     pub fill_max_m: [f64; 3],
     /// What of that box is filled; all of it if the file does not say.
     #[serde(default)]

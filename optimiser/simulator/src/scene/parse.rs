@@ -146,9 +146,11 @@ fn example(table: &str, key: &str) -> Option<String> {
     let table = table.split('[').next()?;
     let headers = [format!("[{table}]"), format!("[[{table}]]")];
     let is_header = |line: &str| headers.iter().any(|header| line.starts_with(header));
+    // What may be left out stands there as a comment.
+    let stated = |line: &'static str| line.strip_prefix("# ").unwrap_or(line);
     let is_it = |line: &&str| line.strip_prefix(key).is_some_and(|rest| rest.trim_start().starts_with('='));
     let lines = embedded_scene(DEFAULT_SCENE)?.lines().skip_while(|line| !is_header(line)).skip(1);
-    lines.take_while(|line| !line.starts_with('[')).find(is_it).map(one_line)
+    lines.take_while(|line| !line.starts_with('[')).map(stated).find(is_it).map(one_line)
 }
 
 /// What serde says of the value at `path`. It speaks of Rust types; the reader of a scene file knows numbers, lists and
@@ -175,9 +177,11 @@ fn in_plain_words(path: &str, message: &str) -> String {
     }
     let missing = plain.strip_prefix("missing field `").and_then(|rest| rest.strip_suffix('`'));
     let wants_table = || [A_KIND, A_CHOICE].iter().any(|words| plain.contains(words));
+    // Of a table within a table, such as a shape, the whole line.
+    let own_line = || path.rsplit_once('.').and_then(|(table, key)| example(table, key));
     let example = match missing {
-        Some(key) => example(path, key),
-        None => path.rsplit_once('.').filter(|_| wants_table()).and_then(|(table, key)| example(table, key)),
+        Some(key) => example(path, key).or_else(own_line),
+        None => own_line().filter(|_| wants_table()),
     };
     if let Some(example) = example {
         return format!("{plain}; in the scene `{DEFAULT_SCENE}` it is: {example}");

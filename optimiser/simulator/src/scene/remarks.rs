@@ -1,8 +1,9 @@
 //! What is allowed in a scene but worth knowing.
 
-use super::figures::{about, list};
+use super::figures::{about, list, mass};
+use super::solid::{Hull, Vec3, dot};
 use super::tool_body::PlacedTool;
-use super::{Container, ContainerShape, Objective, Scene, ToolShape};
+use super::{Container, ContainerShape, Objective, Powder, Scene, ToolShape};
 
 /// Gap between expectation and geometry that is worth a remark, in cells.
 const REMARKABLE_CELLS: f64 = 0.25;
@@ -14,15 +15,18 @@ const CELLS_PER_RADIUS: f64 = 12.0;
 const BADLY_PLACED_CELLS: f64 = 0.1;
 
 impl Scene {
-    /// Sentences about a valid scene that may hide a mistake: a start height at odds with the approach, faces that the grid
-    /// holds badly, a target point that is not in the target, cells too coarse for the tool, and bonds that never break.
+    /// Sentences about a valid scene that may hide a mistake: powder that starts outside the source, a start height at odds with the
+    /// approach, faces that the grid holds badly, a target point that is not in the target, cells too coarse for the tool, bonds that never break, and a base that
+    /// stands in something.
     pub fn warnings(&self) -> Vec<String> {
         [
+            self.remark_powder(),
             self.remark_approach(),
             self.remark_faces(),
             self.remark_target(),
             self.remark_cells(),
             self.remark_bond(),
+            self.remark_base(),
         ]
         .into_iter()
         .flatten()
@@ -45,7 +49,59 @@ impl Scene {
         })
     }
 
+    /// The column from base to shoulder is no link, so that nobody else looks where it is.
+    fn remark_base(&self) -> Option<String> {
+        let arm = self.arm.as_ref()?;
+        let (foot, figures) = (arm.base_position_m, arm.kind.figures());
+        let radius_m = figures.radius_m[0];
+        let [(sr, cr), (sp, cp), (sy, cy)] = arm.base_rotation_deg.map(|deg| libm::sincos(deg.to_radians()));
+        let up = [cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr];
+        let column = |d: Vec3| {
+            let along = dot(up, d);
+            dot(foot, d)
+                + (along * figures.d1_m).max(0.0)
+                + radius_m * libm::sqrt((dot(d, d) - along * along).max(0.0))
+        };
+        let [x, y, _] = self.domain.size_m;
+        let block = (arm.table_height_m < 0.0).then(|| {
+            let hull = Hull::aligned_box([0.0, 0.0, arm.table_height_m], [x, y, 0.0]);
+            ("the block that the simulated volume stands on".to_owned(), hull)
+        });
+        let containers = self.containers.iter().map(|one| (format!("container {:?}", one.name), one.outer()));
+        let (what, _) = block.into_iter().chain(containers).find(|(_, hull)| !hull.clear_of(column))?;
+        Some(format!(
+            "arm.base_position_m = {} puts the arm's base, taken for a column {} mm wide, into {what}; farther away would be right",
+            list(&foot),
+            about(2e3 * radius_m, 3)
+        ))
+    }
+
+    fn remark_powder(&self) -> Option<String> {
+        let Powder { fill_min_m, fill_max_m, seed, .. } = &self.powder;
+        let source = self.containers.iter().find(|container| container.name == self.objective.source)?;
+        if source.holds_powder(&self.powder) {
+            return None;
+        }
+        let positions = self.particle_positions_m(*seed);
+        let outside = positions.iter().filter(|p| !source.holds_point(**p)).count();
+        Some(format!(
+            "powder.fill_min_m = {} and powder.fill_max_m = {} let {} of {} start outside the source {:?}: it falls from there before \
+             and while the tool moves, depths are measured from a surface skill.approach_m below the start, and what ends in no \
+             container counts as on rims or spilled",
+            list(fill_min_m),
+            list(fill_max_m),
+            mass(outside as f64 * self.particle_mass_kg()),
+            mass(positions.len() as f64 * self.particle_mass_kg()),
+            source.name
+        ))
+    }
+
     fn remark_approach(&self) -> Option<String> {
+        let source = self.containers.iter().find(|container| container.name == self.objective.source)?;
+        if !source.holds_powder(&self.powder) {
+            // Nobody knows where its surface will be.
+            return None;
+        }
         let start = PlacedTool::new(self, self.tool.start_position_m, self.tool.start_pitch_deg);
         let lowest_m = -start.body_support([0.0, 0.0, -1.0]) - self.skill.approach_m;
         let above_m = lowest_m - self.powder.fill_max_m[2];
@@ -158,6 +214,48 @@ mod tests {
         scene.objective.p_target_m[0] += 0.28;
         let remark = scene.remark_target().unwrap();
         assert!(remark.contains("mm outside the target \"vial\"; ["), "{remark}");
+    }
+
+    #[test]
+    fn powder_that_starts_outside_the_source_is_remarked() {
+        for name in ["bench", "bench-small", "bench-fine", "vial", "workcell"] {
+            assert_eq!(Scene::load(name).unwrap().remark_powder(), None, "{name}");
+        }
+        // Half of it above the rim.
+        let mut scene = Scene::load("bench").unwrap();
+        scene.powder.fill_min_m[2] = 0.030;
+        scene.powder.fill_max_m[2] = 0.038;
+        let remark = scene.remark_powder().unwrap();
+        let about = "let 16.38 g of 32.77 g start outside the source \"source\"";
+        assert!(remark.contains(about), "{remark}");
+        assert_eq!(scene.remark_approach(), None);
+    }
+
+    #[test]
+    fn a_base_in_the_bench_is_remarked() {
+        let at = |base_position_m: [f64; 3], base_rotation_deg: [f64; 3]| {
+            let mut scene = Scene::load("bench").unwrap();
+            let arm = scene.arm.as_mut().unwrap();
+            (arm.base_position_m, arm.base_rotation_deg) = (base_position_m, base_rotation_deg);
+            scene.remark_base()
+        };
+        for (position_m, rotation_deg, into) in [
+            ([0.128, 0.048, -0.1], [0.0; 3], Some("into the block")),
+            // The column is 200 mm wide.
+            ([0.128, -0.099, -0.1], [0.0; 3], Some("into the block")),
+            ([0.128, -0.101, -0.1], [0.0; 3], None),
+            // On the bench, between the containers or not; over them, hanging.
+            ([0.100, 0.048, 0.0], [0.0; 3], Some("into container \"source\"")),
+            ([0.128, 0.048, 0.9], [180.0, 0.0, 0.0], None),
+            ([0.128, 0.048, 0.05], [0.0; 3], None),
+        ] {
+            let remark = at(position_m, rotation_deg);
+            assert_eq!(remark.is_some(), into.is_some(), "{position_m:?} {remark:?}");
+            assert!(remark.unwrap_or_default().contains(into.unwrap_or_default()));
+        }
+        for name in ["bench", "bench-small", "bench-fine", "vial", "workcell"] {
+            assert_eq!(Scene::load(name).unwrap().remark_base(), None, "{name}");
+        }
     }
 
     #[test]

@@ -300,6 +300,31 @@ impl Container {
             && columns.into_iter().all(|(middle, radius_m)| self.holds_column(middle, radius_m))
     }
 
+    /// What of the container the powder would be in at its start, in words, and by how much, metres; nothing if it is clear.
+    pub(super) fn powder_in(&self, powder: &Powder) -> Option<(String, f64)> {
+        let filled = powder.fill_hull();
+        let depth_m = |hull: &Hull| {
+            let clear = hull.clear_of(|direction| powder.fill_support(direction));
+            (!clear).then(|| hull.overlap_m(&filled))
+        };
+        let from_inside = self.holds_column(powder.fill_middle_m(), 0.0);
+        // From inside it is the inner face that counts, however thick the wall.
+        let wall_depth_m = |wall: &Wall| {
+            let beyond_m = || wall.beyond_m(|direction| powder.fill_support(direction));
+            depth_m(&wall.hull).map(|depth_m| if from_inside { beyond_m() } else { depth_m })
+        };
+        // Round walls are of straight pieces here, and the powder may be as round as they are.
+        let columns = powder.columns();
+        let between_walls = columns.into_iter().all(|(middle, radius_m)| self.holds_column(middle, radius_m));
+        let walls = if between_walls { Vec::new() } else { self.walls() };
+        let in_walls = walls.iter().filter_map(|wall| Some((wall.name.clone(), wall_depth_m(wall)?)));
+        let deepest = in_walls.max_by(|a, b| a.1.total_cmp(&b.1));
+        deepest.or_else(|| {
+            let [floor, ..] = &self.pieces()[..] else { return None };
+            Some((format!("floor of container {:?}", self.name), depth_m(floor)?))
+        })
+    }
+
     /// Whether these heights lie between the inner floor and the rim, both included.
     pub(super) fn holds_heights(&self, low_m: f64, high_m: f64) -> bool {
         let floor_m = self.position_m[2];

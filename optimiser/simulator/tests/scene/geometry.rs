@@ -138,6 +138,42 @@ fn a_column_is_as_wide_as_the_round_source_that_holds_it() {
     assert!(sentence.is_err_and(|sentence| !sentence.contains("powder")));
 }
 
+#[test]
+fn powder_starts_anywhere_but_in_walls_and_floors() {
+    let mut scene = bench();
+    let mut refusal = |min_m, max_m| {
+        (scene.powder.fill_min_m, scene.powder.fill_max_m) = (min_m, max_m);
+        scene.validate("scene").err().map(|error| error.to_string())
+    };
+    for (min_m, max_m, what) in [
+        ([0.024, 0.016, 0.004], [0.088, 0.080, 0.040], "heaped above the rim"),
+        ([0.040, 0.020, 0.120], [0.088, 0.080, 0.150], "above the source and the tool"),
+        ([0.100, 0.016, 0.000], [0.132, 0.080, 0.020], "on the bench top between the containers"),
+        ([0.180, 0.016, 0.004], [0.208, 0.080, 0.044], "in the target"),
+        ([0.144, 0.008, 0.060], [0.240, 0.088, 0.080], "above the target, and wider"),
+    ] {
+        assert_eq!(refusal(min_m, max_m), None, "{what}");
+    }
+    for (min_m, max_m, what) in [
+        (
+            [0.100, 0.016, 0.000],
+            [0.142, 0.080, 0.020],
+            "0.002 m into the -x wall of container \"target\"; clear",
+        ),
+        (
+            [0.160, 0.016, 0.003],
+            [0.208, 0.080, 0.020],
+            "0.001 m into the floor of container \"target\"; clear",
+        ),
+        ([0.100, 0.016, 0.000], [0.252, 0.080, 0.060], "wall of container \"target\"; clear"),
+        ([0.100, 0.016, 0.190], [0.252, 0.080, 0.210], "outside the domain"),
+        ([0.040, 0.016, 0.060], [0.080, 0.080, 0.100], "the tool overlaps the powder"),
+    ] {
+        let found = refusal(min_m, max_m).unwrap_or_default();
+        assert!(found.contains(what), "{found}");
+    }
+}
+
 /// A pipe that stands on the source's floor.
 fn pipe(inner_radius_m: f64) -> Gate {
     Gate {

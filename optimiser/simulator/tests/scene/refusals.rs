@@ -109,7 +109,7 @@ const STRUCTURE: &[Case] = &[
     (
         r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
         r#"shape = { kind = "box" }"#,
-        r#": container "source".shape at line 39: missing field `inner_size_m`"#,
+        r#": container "source".shape at line 39: missing field `inner_size_m`; in the scene `bench` it is: shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] } # each at least one cell, at most 10"#,
     ),
     (
         r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
@@ -564,12 +564,12 @@ const RULES_BETWEEN_FIELDS: &[Case] = &[
     (
         "fill_max_m = [0.088, 0.080, 0.026]",
         "fill_max_m = [0.090, 0.080, 0.026]",
-        r#": powder.fill_min_m is [0.024, 0.016, 0.004] and powder.fill_max_m [0.09, 0.08, 0.026], but that box goes 0.002 m into the +x wall of container "source""#,
+        r#": powder.fill_min_m is [0.024, 0.016, 0.004] and powder.fill_max_m [0.09, 0.08, 0.026], but that box goes 0.002 m into the +x wall of container "source"; clear of it would be right"#,
     ),
     (
-        "fill_max_m = [0.088, 0.080, 0.026]",
-        "fill_max_m = [0.088, 0.080, 0.036]",
-        r#": powder.fill_min_m is [0.024, 0.016, 0.004] and powder.fill_max_m [0.088, 0.08, 0.036], but that box is not inside container "source", which goes from z = 0.004 to 0.034"#,
+        "fill_min_m = [0.024, 0.016, 0.004]",
+        "fill_min_m = [0.024, 0.016, 0.003]",
+        r#": powder.fill_min_m is [0.024, 0.016, 0.003] and powder.fill_max_m [0.088, 0.08, 0.026], but that box goes 0.001 m into the floor of container "source"; clear of it would be right"#,
     ),
     (
         "fill_max_m = [0.088, 0.080, 0.026]",
@@ -640,6 +640,11 @@ const RULES_BETWEEN_FIELDS: &[Case] = &[
         "amount = { particles = 850 }",
         "amount = { mass_kg = 0.1 }",
         ": objective.amount.mass_kg is 0.1, but the scene holds no more than 0.09011 kg of powder",
+    ),
+    (
+        "amount = { particles = 850 }",
+        "amount = { mass_kg = 9.6 }",
+        ": objective.amount.mass_kg is 9.6, but the scene holds no more than 0.09011 kg of powder; did you mean kilograms, that is 0.0096?",
     ),
     (
         "amount = { particles = 850 }",
@@ -729,12 +734,12 @@ const RULES_BETWEEN_FIELDS: &[Case] = &[
     (
         "yaw_deg = 0.0",
         "yaw_deg = 8.0",
-        r#": powder.fill_min_m is [0.024, 0.016, 0.004] and powder.fill_max_m [0.088, 0.08, 0.026], but that box goes 0.0041 m into the +y wall of container "source", turned by 8 degrees"#,
+        r#": powder.fill_min_m is [0.024, 0.016, 0.004] and powder.fill_max_m [0.088, 0.08, 0.026], but that box goes 0.0041 m into the +y wall of container "source", turned by 8 degrees; clear of it would be right"#,
     ),
     (
         r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
         r#"shape = { kind = "cylinder", inner_radius_m = 0.036, inner_height_m = 0.030 }"#,
-        r#": powder.fill_min_m is [0.024, 0.016, 0.004] and powder.fill_max_m [0.088, 0.08, 0.026], but that box goes 0.0092 m into the wall of container "source" at 138 degrees from +x"#,
+        r#": powder.fill_min_m is [0.024, 0.016, 0.004] and powder.fill_max_m [0.088, 0.08, 0.026], but that box goes 0.0092 m into the wall of container "source" at 138 degrees from +x; clear of it would be right"#,
     ),
     (
         "transport_displacement_m = [0.060, 0.160]",
@@ -910,8 +915,8 @@ const GATES_AND_COLUMNS: &[Case] = &[
     ),
     (
         "fill_max_m = [0.088, 0.080, 0.026]",
-        "fill_max_m = [0.088, 0.080, 0.036]\nfill_shape = \"cylinder\"",
-        r#": powder.fill_min_m is [0.024, 0.016, 0.004] and powder.fill_max_m [0.088, 0.08, 0.036], but that column is not inside container "source", which goes from z = 0.004 to 0.034"#,
+        "fill_max_m = [0.090, 0.082, 0.026]\nfill_shape = \"cylinder\"",
+        r#": powder.fill_min_m is [0.024, 0.016, 0.004] and powder.fill_max_m [0.09, 0.082, 0.026], but that column goes 0.002 m into the +y wall of container "source"; clear of it would be right"#,
     ),
     (
         "fill_max_m = [0.088, 0.080, 0.026]",
@@ -950,6 +955,7 @@ const ARMS: &[Case] = &[
     ("table_height_m = -0.1", "table_height_m = 0.1", ": arm.table_height_m is 0.1, but it must be from -10 to 0"),
     ("clearance_m = 0.02", "clearance_m = -0.02", ": arm.clearance_m is -0.02, but it must be from 0 to 1"),
     ("payload_kg = 0.4", "payload_kg = 5.1", ": arm.payload_kg is 5.1, but it must be from 0 to 5"),
+    (", wrist = \"positive\"", "", ": arm.posture at line 111: missing field `wrist`; in the scene `bench` it is: posture = { shoulder = \"forward\", elbow = \"up\", wrist = \"positive\" }"),
     ("shoulder = \"forward\"", "shoulder = \"left\"", ": arm.posture.shoulder at line 111: unknown variant `left`, expected `forward` or `backward`"),
 ];
 

@@ -50,6 +50,41 @@ fn simulator<T: Real>(scene: &Scene, threads: usize, memory_bytes: u64) -> Simul
     Simulator::new(scene, &settings).expect("threads")
 }
 
+/// Powder in a pipe over the source's edge, on a plate that goes: of what falls some is in the source, some on its rim, some beside
+/// it, some falls yet, and no grain is in two places or in none.
+#[test]
+fn powder_that_starts_outside_the_source_is_all_accounted_for() {
+    let mut scene = column(0.05, GateOpening::Vanish {});
+    let source = scene.source().clone();
+    let edge_m = source.position_m[0] - 0.022;
+    let [_, y, z] = source.position_m;
+    let height_m = z + source.inner_height_m() + 0.060;
+    scene.powder.fill_min_m = [edge_m - 0.008, y - 0.008, height_m + 0.004];
+    scene.powder.fill_max_m = [edge_m + 0.008, y + 0.008, height_m + 0.016];
+    scene.gates.truncate(1);
+    let lid = Gate {
+        name: "lid".into(),
+        position_m: [edge_m, y, height_m],
+        shape: GateShape::Box { size_m: [0.024, 0.024, 0.004] },
+        ..scene.gates[0].clone()
+    };
+    scene.gates[0].position_m = [edge_m, y, height_m + 0.004];
+    scene.gates[0].opens_at_s = 9000.0;
+    scene.gates.push(lid);
+    assert_eq!(scene.validate("funnel"), Ok(()));
+    let mut s = simulator::<f32>(&scene, 2, 1 << 30);
+    let mut last = None;
+    for steps in [2, 10, 60] {
+        let controls = controls(&scene, steps);
+        let census = s.simulate(&controls, &mut |_, _| true).expect("runs").census;
+        assert_eq!(census.all() as usize, scene.particle_count(), "{census:?}");
+        println!("{steps} {census:?}");
+        last = Some(census);
+    }
+    let census = last.expect("there were some");
+    assert!(census.source > 0 && census.spilled > 0, "{census:?}");
+}
+
 #[test]
 fn threads_and_kept_states_change_no_bit_of_a_gradient_past_gates() {
     // So that powder sleeps in the pipe, far enough below the tool, and wakes when it has gone.

@@ -4,7 +4,7 @@ use super::checker::{Checked, Checker, container_paths};
 use crate::scene::closest_match::did_you_mean;
 use crate::scene::error::MAX_NAME_CHARS;
 use crate::scene::figures::{about, at_most, list, plain};
-use crate::scene::solid::{Hull, TOUCH_M, Vec3, Wall};
+use crate::scene::solid::{Hull, TOUCH_M, Vec3};
 use crate::scene::tool_body::PlacedTool;
 use crate::scene::{
     BLOCK_CELLS, FillShape, MAX_CELLS, MAX_CFL, MAX_PARTICLES, MAX_SUBSTEPS, MAX_VISCOUS_LOSS, Scene,
@@ -300,10 +300,17 @@ pub(super) fn check_objective(checker: &Checker<'_>, scene: &Scene) -> Checked {
     match objective.amount.wanted {
         Quantity::Particles(wanted) => particles("objective.amount.particles", wanted)?,
         Quantity::MassKg(wanted_kg) if wanted_kg > whole_kg * (1.0 + 1e-9) => {
+            let in_kg = 1e-3 * wanted_kg;
+            // Ten times as much as there is was hardly meant.
+            let meant = if in_kg <= whole_kg && wanted_kg > 10.0 * whole_kg {
+                format!("; did you mean kilograms, that is {}?", about(in_kg, 6))
+            } else {
+                String::new()
+            };
             return Err(checker.invalid(
                 "objective.amount.mass_kg",
                 plain(wanted_kg),
-                format!("the scene holds no more than {} kg of powder", about(whole_kg, 4)),
+                format!("the scene holds no more than {} kg of powder{meant}", about(whole_kg, 4)),
             ));
         }
         Quantity::MassKg(_) => {}
@@ -334,7 +341,7 @@ fn named_container(checker: &Checker<'_>, scene: &Scene, field: &str, name: &str
     ))
 }
 
-/// Powder inside the domain and inside the source container.
+/// Powder inside the domain and in nobody's wall or floor. In which container it starts, or whether in any, is its own affair.
 pub(super) fn check_powder(checker: &Checker<'_>, scene: &Scene) -> Checked {
     let powder = &scene.powder;
     let below_zero = powder.fill_min_m.iter().any(|low| *low < -TOUCH_M);
@@ -344,32 +351,18 @@ pub(super) fn check_powder(checker: &Checker<'_>, scene: &Scene) -> Checked {
         ("powder.fill_max_m", powder.fill_max_m)
     };
     inside_domain(checker, scene, field, &value, "the powder", |direction| powder.fill_support(direction))?;
-    let source = scene.source();
-    if source.holds_powder(powder) {
+    let Some((solid, depth_m)) = scene.containers.iter().find_map(|container| container.powder_in(powder))
+    else {
         return Ok(());
-    }
-    let (floor_m, rim_m) = (source.position_m[2], source.position_m[2] + source.inner_height_m());
-    let reaches = |wall: &Wall| wall.beyond_m(|direction| powder.fill_support(direction));
+    };
     let filled = match powder.fill_shape {
         FillShape::Box => "box",
         FillShape::Cylinder => "column",
     };
-    let walls = source.walls();
-    let why = match walls.iter().max_by(|a, b| reaches(a).total_cmp(&reaches(b))) {
-        Some(wall) if source.holds_heights(powder.fill_min_m[2], powder.fill_max_m[2]) => {
-            format!("that {filled} goes {} m into the {}", about(reaches(wall), 2), wall.name)
-        }
-        _ => format!(
-            "that {filled} is not inside container {:?}, which goes from z = {} to {}",
-            source.name,
-            plain(floor_m),
-            about(rim_m, 6)
-        ),
-    };
     Err(checker.invalid(
         "powder.fill_min_m",
         format!("{} and powder.fill_max_m {}", list(&powder.fill_min_m), list(&powder.fill_max_m)),
-        why,
+        format!("that {filled} goes {} m into the {solid}; clear of it would be right", about(depth_m, 2)),
     ))
 }
 

@@ -17,7 +17,7 @@ impl Scene {
     /// [`super::MAX_PARTICLES`]; substeps of a rollout within [`super::MAX_SUBSTEPS`]; CFL number
     /// and viscous loss; cohesion needs friction; containers within the domain and clear of each
     /// other, names unique; source and target among them, the target point within the domain, no
-    /// more wanted than there is; the powder within the source; gates, their names unique, within
+    /// more wanted than there is; the powder clear of walls and floors; gates, their names unique, within
     /// the domain and clear of the powder while they are shut, none too fast; the tool at its start
     /// within domain and workspace, clear of containers, shut gates and powder, its deepest scoop
     /// above the source's floor;
@@ -42,7 +42,7 @@ impl Scene {
         reach::check(&checker, self)
     }
 
-    /// The container that the powder starts in.
+    /// The container that the tool scoops from, and that the powder starts in as a rule.
     ///
     /// # Panics
     /// If the scene was not validated and names no such container.
