@@ -10,7 +10,7 @@ use anyhow::{Context, anyhow, bail};
 use clap::{Arg, ArgMatches, CommandFactory, FromArgMatches, Parser, value_parser};
 use clap_complete::Shell;
 use powderline_executor::Config;
-use powderline_executor::guard::rehearse;
+use powderline_executor::guard::{Unplayable, rehearse};
 use powderline_executor::schedule::DEFAULT_LOOK_AHEAD;
 use powderline_executor_cli::pace::{VirtualTime, WallClock};
 use powderline_executor_cli::report::{PlanFacts, Report};
@@ -292,10 +292,23 @@ fn key(arguments: &Arguments) -> anyhow::Result<Option<Key>> {
 fn check_wire(arguments: &Arguments, plan: &PlanReader<'_>, config: &Config) -> Result<String, WireError> {
     let period_us = config.period_us.unwrap_or(plan.header().control_period_us);
     let (lsb, span) = scale(&arguments.to, plan);
-    rehearse(plan, lsb, period_us, span).map_err(|error| {
-        WireError(format!("{} cannot be played to {}: {error}", arguments.plan.display(), arguments.to))
-    })?;
     let rate_hz = 1e6 / f64::from(period_us);
+    rehearse(plan, lsb, period_us, span).map_err(|error| {
+        let (file, to) = (arguments.plan.display(), &arguments.to);
+        let own_us = plan.header().control_period_us;
+        let times = f64::from(own_us) / f64::from(period_us);
+        match error {
+            // It is the haste, not the wire, that breaks the limit.
+            Unplayable::Limit(violation) if times > 1.0 && rehearse(plan, lsb, own_us, span).is_ok() => {
+                WireError(format!(
+                    "{file} cannot be played {times:.2} times as fast as it was planned: with --rate {rate_hz:.0} {violation}; its own \
+                     rate is {:.0}",
+                    1e6 / f64::from(own_us)
+                ))
+            }
+            _ => WireError(format!("{file} cannot be played to {to}: {error}")),
+        }
+    })?;
     let mut words = format!(", {rate_hz:.0} setpoints a second");
     if let Some(medium) = wire::medium(&arguments.to)? {
         let percent = medium.load_percent(period_us);

@@ -68,6 +68,20 @@ fn a_good_plan_is_performed() {
 }
 
 #[test]
+fn haste_that_breaks_a_limit_is_not_laid_to_the_wire() {
+    let dir = TempDir::new().unwrap();
+    let plan = written(&dir, "skill.plan", &good_plan());
+    let output = execute(&[&plan, "--rate", "2000"]);
+    let error = str::from_utf8(&output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(6), "{error}");
+    assert!(
+        error.contains("cannot be played 20.00 times as fast as it was planned: with --rate 2000 the"),
+        "{error}"
+    );
+    assert!(error.trim_end().ends_with("; its own rate is 100") && !error.contains("rounded"), "{error}");
+}
+
+#[test]
 fn json_is_one_object_with_the_facts() {
     let dir = TempDir::new().unwrap();
     let plan = written(&dir, "skill.plan", &good_plan());
