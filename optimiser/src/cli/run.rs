@@ -7,6 +7,7 @@ use super::{
 use crate::{
     optim::{EpochRecord, Method, Request, Search, SearchError, Step, initial_theta},
     report::{
+        amounts::Amounts,
         curves::Curves,
         finding::{Finding, Outcome},
         folder::{CURVES, METRICS, PLAN, RunFolder, SCENE, STATE},
@@ -25,7 +26,10 @@ use powderline_simulator::{
     skill::{QuantisedControls, SkillMap, Theta, colliding_skill},
 };
 use serde::Serialize;
-use std::path::{Path, PathBuf};
+use std::{
+    collections::BTreeMap,
+    path::{Path, PathBuf},
+};
 
 /// Arguments of `optimise run`.
 #[derive(Clone, Debug, Args)]
@@ -94,6 +98,8 @@ struct Run {
     folder: RunFolder,
     method: Method,
     record: RunRecord,
+    /// What epochs' motions bring once they are rounded to whole counts, as far as that was asked.
+    rounded: BTreeMap<usize, Evaluation>,
 }
 
 /// A skill, its motion in whole counts, and what that brings.
@@ -193,7 +199,8 @@ impl Run {
         // A scene without a state would be in the way of a second attempt, and nothing to resume from either.
         folder.replace(STATE, &state.to_bytes()).inspect_err(|_| folder.discard(SCENE))?;
         let method = Method::new(&scene, seed);
-        Ok((Self { folder, method, record: RunRecord::new(scene, state) }, simulator))
+        let record = RunRecord::new(scene, state);
+        Ok((Self { folder, method, record, rounded: BTreeMap::new() }, simulator))
     }
 
     fn resume(arguments: &RunArgs, path: &Path, context: &Context<'_>) -> Result<Begun, CliError> {
@@ -206,7 +213,7 @@ impl Run {
         record.map.check_all_corners()?;
         let simulator = simulator(arguments, &record.scene, &record.state, context)?;
         let method = Method::new(&record.scene, record.state.seed);
-        let run = Self { folder, method, record };
+        let run = Self { folder, method, record, rounded: BTreeMap::new() };
         // The state leads: a line too many or too few, from a run that was ended between two writes, is put right.
         run.write_metrics()?;
         run.folder.replace(STATE, &run.record.state.to_bytes())?;
@@ -227,10 +234,31 @@ impl Run {
             progress.line(&format!("skills such as theta = {theta:?} are passed over: {collision}"));
         }
         let result = self
-            .evaluate_epochs(simulator, &mut progress, &context.interrupt)
-            .and_then(|()| self.write_plan(simulator, &mut progress, &context.interrupt));
+            .search(simulator, &mut progress, &context.interrupt)
+            .and_then(|performed| self.write_plan(&performed));
         progress.clear();
         result
+    }
+
+    /// Epochs until one is found whose motion brings the wanted amount also in whole counts, or until the last.
+    fn search(
+        &mut self,
+        simulator: &mut dyn Evaluate,
+        progress: &mut Progress<'_>,
+        interrupt: &Interrupt,
+    ) -> Result<Performed, CliError> {
+        loop {
+            self.evaluate_epochs(simulator, progress, interrupt)?;
+            let performed = self.performed(simulator, progress, interrupt)?;
+            let amounts = Amounts::from(&self.record.scene);
+            let search = &mut self.record.state.search;
+            if !search.is_settled() || amounts.is_met(performed.evaluation.census.target) == Some(true) {
+                return Ok(performed);
+            }
+            progress
+                .line("  rounded to whole counts, no motion stays within the tolerance: the search goes on");
+            search.unsettle();
+        }
     }
 
     fn evaluate_epochs(
@@ -365,16 +393,10 @@ impl Run {
         Ok(self.folder.replace(CURVES, svg.as_bytes())?)
     }
 
-    /// The chosen epoch's skill, quantised, simulated again as it will be performed, and written.
-    fn write_plan(
-        &mut self,
-        simulator: &mut dyn Evaluate,
-        progress: &mut Progress<'_>,
-        interrupt: &Interrupt,
-    ) -> Result<(), CliError> {
-        let Performed { theta, quantised, evaluation } = self.performed(simulator, progress, interrupt)?;
+    /// Writes the chosen skill's motion, and what it brings as it will be performed.
+    fn write_plan(&mut self, Performed { theta, quantised, evaluation }: &Performed) -> Result<(), CliError> {
         let RunRecord { scene, map, state, .. } = &self.record;
-        let arm = arm_motion(scene, map, &quantised).map_err(|refusal| {
+        let arm = arm_motion(scene, map, quantised).map_err(|refusal| {
             CliError::Failed(format!("the arm cannot make the plan's motion: {refusal}"))
         })?;
         let parts = PlanParts {
@@ -382,9 +404,9 @@ impl Run {
             map,
             seed: state.seed,
             precision: state.precision,
-            theta: &theta,
-            quantised: &quantised,
-            evaluation: &evaluation,
+            theta,
+            quantised,
+            evaluation,
             arm: arm.as_ref().map(|arm| Mounting::from(&arm.model)),
         };
         let unfit = |error| CliError::Failed(format!("no plan can be made: {error}"));
@@ -400,7 +422,7 @@ impl Run {
     /// The best skill whose motion still brings the wanted amount when it is rounded to whole counts; if none does, the one that then
     /// misses it least.
     fn performed(
-        &self,
+        &mut self,
         simulator: &mut dyn Evaluate,
         progress: &mut Progress<'_>,
         interrupt: &Interrupt,
@@ -408,15 +430,13 @@ impl Run {
         let Finding { rule, amounts, passed_over, .. } = self.finding()?;
         let mut nearest: Option<Performed> = None;
         for epoch in rule.candidates(&amounts, &self.record.epochs) {
-            stop_if_requested(interrupt)?;
             let theta = self.record.epochs[epoch].record.theta;
             let quantised = self.record.map.quantise(&theta)?;
-            progress.begin("the plan, as shipped", 0, &[]);
-            let mut tick = |done, total| {
-                progress.tick(done, total);
-                !interrupt.is_requested()
+            let evaluation = match self.rounded.get(&epoch) {
+                Some(found) => *found,
+                None => rehearsed(&quantised, simulator, progress, interrupt)?,
             };
-            let evaluation = simulator.simulate(&quantised.controls, &mut tick)?;
+            self.rounded.insert(epoch, evaluation);
             let miss = |found: &Evaluation| amounts.miss(found.census.target).abs();
             let is_nearer = nearest.as_ref().is_none_or(|other| miss(&evaluation) < miss(&other.evaluation));
             let is_met = amounts.is_met(evaluation.census.target) == Some(true);
@@ -448,6 +468,22 @@ impl Run {
         }
         finding.shortfall().map_or(Ok(()), |shortfall| Err(CliError::Missed(shortfall)))
     }
+}
+
+/// What a motion in whole counts brings.
+fn rehearsed(
+    quantised: &QuantisedControls,
+    simulator: &mut dyn Evaluate,
+    progress: &mut Progress<'_>,
+    interrupt: &Interrupt,
+) -> Result<Evaluation, CliError> {
+    stop_if_requested(interrupt)?;
+    progress.begin("the plan, as shipped", 0, &[]);
+    let mut tick = |done, total| {
+        progress.tick(done, total);
+        !interrupt.is_requested()
+    };
+    Ok(simulator.simulate(&quantised.controls, &mut tick)?)
 }
 
 /// What evaluates, and those who watch it.

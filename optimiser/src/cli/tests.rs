@@ -48,6 +48,8 @@ struct Ends {
     interrupt: Interrupt,
     /// Ticks left until Ctrl-C.
     patience: Rc<Cell<u64>>,
+    /// How many motions in whole counts bring nothing yet.
+    spoilt: Cell<u32>,
 }
 
 impl Ends {
@@ -106,7 +108,12 @@ impl Evaluate for Ends {
         progress: Progress<'_>,
     ) -> Result<Evaluation, RolloutError> {
         let anchor = *self.map.start_pose();
-        self.simulate_from(&anchor, controls, progress)
+        let mut evaluation = self.simulate_from(&anchor, controls, progress)?;
+        if let Some(left) = self.spoilt.get().checked_sub(1) {
+            self.spoilt.set(left);
+            evaluation.census.target = 0;
+        }
+        Ok(evaluation)
     }
 
     /// Powder leaves where the pitch comes too close to what is wished.
@@ -176,11 +183,16 @@ impl Done {
 
 /// Runs `optimise` with Ctrl-C after `patience` ticks.
 fn optimise_for(patience: u64, arguments: &[&str]) -> Done {
+    optimise_with(patience, 0, arguments)
+}
+
+/// The same where the first `spoilt` motions bring nothing in whole counts.
+fn optimise_with(patience: u64, spoilt: u32, arguments: &[&str]) -> Done {
     let interrupt = Interrupt::default();
     let patience = Rc::new(Cell::new(patience));
     let factory = |scene: &Scene, _: &SimulatorSettings| -> Result<Box<dyn Evaluate>, RolloutError> {
         let (interrupt, patience) = (interrupt.clone(), patience.clone());
-        Ok(Box::new(Ends { map: SkillMap::new(scene), interrupt, patience }))
+        Ok(Box::new(Ends { map: SkillMap::new(scene), interrupt, patience, spoilt: Cell::new(spoilt) }))
     };
     let (mut out, mut err) = (Vec::new(), Vec::new());
     let mut context = Context {
@@ -648,6 +660,56 @@ fn a_run_that_has_the_amount_ends_early_says_so_and_is_not_prolonged() {
     let again = optimise_for(1, &["--resume", &folder, "--epochs", "20"]);
     assert!(again.code == 0 && again.err.contains("optimiser.patience_epochs = 0"), "{}", again.err);
     assert_eq!([METRICS, PLAN, STATE].map(|name| bytes(&folder, name)), saved);
+}
+
+/// A run of a scene whose amount every epoch brings, in `folder`, where the first `spoilt` motions bring nothing in whole counts.
+fn easy_run(place: &Place, folder: &str, spoilt: u32, change: impl Fn(&mut Scene)) -> Done {
+    let mut scene = Scene::load("bench-small").unwrap();
+    scene.objective.amount = Amount { tolerance: 0.99, ..Amount::new(Quantity::Particles(200)) };
+    change(&mut scene);
+    let path = place.text("easy.toml");
+    fs::write(&path, scene.to_toml()).unwrap();
+    optimise_with(u64::MAX, spoilt, &[&path, "--seed", "4", "--epochs", "5", "--out", folder])
+}
+
+/// The epoch that is marked as the plan's.
+fn shipped(folder: &str) -> u64 {
+    let chosen = |line: &Value| line["shipped"] == true;
+    metrics(folder).iter().find(|line| chosen(line)).and_then(|line| line["epoch"].as_u64()).unwrap()
+}
+
+#[test]
+fn a_motion_that_rounding_spoils_makes_room_for_the_next() {
+    let place = Place::new();
+    let run = |name: &str, spoilt: u32| {
+        let folder = place.text(name);
+        let done = easy_run(&place, &folder, spoilt, |scene| scene.optimiser.patience_epochs = 0);
+        assert_eq!((done.code, metrics(&folder).len()), (0, 6), "{}", done.err);
+        (done.out, shipped(&folder))
+    };
+    let ((first, best), (second, next)) = (run("first", 0), run("second", 1));
+    assert!(next != best && !first.contains("came before it"), "{best} {next} {first}");
+    assert!(second.contains(&format!("Epoch {best} came before it")), "{second}");
+}
+
+#[test]
+fn a_search_goes_on_while_rounding_spoils_all_that_it_found() {
+    let place = Place::new();
+    let run = |name: &str, spoilt: u32| {
+        let folder = place.text(name);
+        // A step that moves no parameter: each epoch leads nowhere, and the next would begin anew.
+        let done = easy_run(&place, &folder, spoilt, |scene| scene.optimiser.learning_rate = 1e-300);
+        (done, folder)
+    };
+    let (once, folder) = run("once", 1);
+    assert_eq!((once.code, metrics(&folder).len(), shipped(&folder)), (0, 2, 1), "{}", once.err);
+    assert!(once.err.contains("no motion stays within the tolerance: the search goes on"), "{}", once.err);
+    // To the last epoch: the miss comes first, and more epochs are an advice that can be followed.
+    let (never, folder) = run("never", u32::MAX);
+    assert_eq!((never.code, metrics(&folder).len()), (MISSED, 6), "{}", never.err);
+    assert!(never.out.contains("--epochs") && !never.out.contains("The search ended there"), "{}", never.out);
+    let longer = optimise(&["--resume", &folder, "--epochs", "9"]);
+    assert!(longer.code == 0 && !longer.err.contains("is finished"), "{}", longer.err);
 }
 
 #[test]

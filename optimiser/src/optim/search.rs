@@ -390,6 +390,11 @@ impl Search {
         self.settled = !self.history.is_empty();
     }
 
+    /// Goes on after all: what was found is not good enough.
+    pub fn unsettle(&mut self) {
+        self.settled = false;
+    }
+
     /// Whether it was ended before its last epoch.
     pub fn is_settled(&self) -> bool {
         self.settled && !self.is_complete()
@@ -614,7 +619,7 @@ mod tests {
     }
 
     #[test]
-    fn a_settled_search_is_done_and_stays_so() {
+    fn a_settled_search_is_done_and_stays_so_until_it_is_to_go_on() {
         let mut search = Search::new([-0.5; 5], 10);
         search.settle();
         assert!(!search.is_done(), "nothing is found yet");
@@ -625,6 +630,8 @@ mod tests {
             search.is_done() && search.is_settled() && search.is_sound() && search.next(&METHOD).is_none()
         );
         assert_eq!((search.history().len(), search.epochs()), (4, 20));
+        search.unsettle();
+        assert!(!search.is_done() && search.next(&METHOD).is_some());
     }
 
     #[test]

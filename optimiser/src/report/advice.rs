@@ -28,8 +28,8 @@ const STILL_SHRINKING: f64 = 0.7;
 pub(super) fn advice(scene: &Scene, epochs: &[Judged], shipped: Option<usize>) -> Vec<String> {
     let Some(plan) = shipped.map(|index| &epochs[index]) else { return Vec::new() };
     let measured = Measured { scene, amounts: Amounts::from(scene), epochs, plan };
-    let found = match measured.nothing_moved() {
-        Some(flat) => vec![flat],
+    let found = match measured.nothing_moved().or_else(|| measured.lost_by_rounding()) {
+        Some(reason) => vec![reason],
         None => [
             measured.nearer_but_passed_over(),
             measured.too_little_carried(),
@@ -121,6 +121,17 @@ impl Measured<'_> {
                 self.tried(1),
                 self.key(DEPTH),
                 self.key(1)
+            )
+        })
+    }
+
+    fn lost_by_rounding(&self) -> Option<String> {
+        (self.amounts.is_met(self.plan.record.census.target) == Some(true)).then(|| {
+            format!(
+                "the amount hangs by a few grains, for rounding a motion to whole counts is enough to miss it: --resume with --epochs {} \
+                 looks for other motions, and a tolerance of more than {} leaves room for such",
+                2 * (self.epochs.len() - 1).max(1),
+                self.amounts.tolerance()
             )
         })
     }
@@ -306,6 +317,14 @@ mod tests {
 
         let text = said(&scene, &epochs(&[(1300, 0, 0), (1150, 50, 0), (1255, 0, 0)]), 2);
         assert!(text.contains("too much and others too little: --resume with --epochs 4"), "{text}");
+
+        // The plan is told to have missed: only its rounded motion did.
+        let text = said(&scene, &epochs(&[(900, 300, 0), (1201, 50, 0), (1100, 0, 0)]), 1);
+        assert!(
+            text.starts_with("the amount hangs by a few grains") && text.contains("--epochs 4"),
+            "{text}"
+        );
+        assert_eq!(text.lines().count(), 1);
 
         let text = said(&scene, &epochs(&[(1300, 0, 0), (1250, 0, 0), (1255, 0, 0)]), 1);
         assert_eq!(text, "another --seed begins from another skill and packing");
