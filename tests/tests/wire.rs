@@ -401,7 +401,7 @@ fn a_rate_at_which_a_plan_breaks_its_limits_is_refused_before_anything_is_sent()
     let error = String::from_utf8(output.stderr).unwrap();
     assert_eq!(output.status.code(), Some(6), "{error}");
     assert!(
-        error.contains("rounded to the counts of this wire") && error.contains("the limit is"),
+        error.contains("40.00 times as fast as it was planned") && error.contains("the limit is"),
         "{error}"
     );
 }
