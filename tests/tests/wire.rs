@@ -586,12 +586,15 @@ fn python(script: &str, arguments: &[&str]) {
 fn vcan_a_client_that_knows_the_protocol_only_moves_the_arm_and_cantools_reads_it() {
     let dir = TempDir::new().unwrap();
     let log = dir.path().join("candump.log");
-    let (_arm, _) = arm("can:vcan0", &[]);
-    let candump = fs::File::create(&log).unwrap();
-    let mut candump = Tool::start(Command::new("candump").args(["-L", "vcan0"]).stdout(candump));
-    thread::sleep(Duration::from_millis(300));
-    // Slowly, for the machine that tests may be slow.
-    python("outside_client.py", &["vcan0", "--period-us", "60000"]);
-    candump.interrupt();
-    python("check_dbc.py", &[log.to_str().unwrap()]);
+    let [key, _] = keys(dir.path());
+    for with in [&[][..], &["--key", &key]] {
+        let (_arm, _) = arm("can:vcan0", with);
+        let candump = fs::File::create(&log).unwrap();
+        let mut candump = Tool::start(Command::new("candump").args(["-L", "vcan0"]).stdout(candump));
+        thread::sleep(Duration::from_millis(300));
+        // Slowly, for the machine that tests may be slow.
+        python("outside_client.py", &[&["vcan0", "--period-us", "60000"], with].concat());
+        candump.interrupt();
+        python("check_dbc.py", &[log.to_str().unwrap()]);
+    }
 }
