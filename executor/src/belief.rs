@@ -30,6 +30,13 @@ pub enum Doubt {
         /// The last setpoint sent.
         sent: u32,
     },
+    /// It says that a setpoint is there which has not been sent.
+    Invented {
+        /// Of which tick.
+        tick: u32,
+        /// The last setpoint sent.
+        sent: u32,
+    },
     /// It has been at a later one before.
     Back {
         /// What the arm reports.
@@ -43,6 +50,13 @@ pub enum Doubt {
         tick: u32,
         /// The latest that it can be at by now.
         latest: u32,
+    },
+    /// It goes on, but has not said for long where it is.
+    Unlocated {
+        /// The tick that it is at.
+        tick: u32,
+        /// The last at which it said where it was.
+        known: u32,
     },
     /// A fault of a number that this version has none for.
     UnknownFault {
@@ -59,11 +73,18 @@ impl fmt::Display for Doubt {
             Self::Unsent { tick, sent } => {
                 write!(f, "it reported tick {tick}, but the last setpoint sent was that of tick {sent}")
             }
+            Self::Invented { tick, sent } => write!(
+                f,
+                "it reported that the setpoint of tick {tick} is there, but the last one sent was that of tick {sent}"
+            ),
             Self::Back { tick, known } => {
                 write!(f, "it reported tick {tick} after it had reported tick {known}")
             }
             Self::Early { tick, latest } => {
                 write!(f, "it reported tick {tick}, but cannot be beyond tick {latest} by now")
+            }
+            Self::Unlocated { tick, known } => {
+                write!(f, "it reported tick {tick}, but not where it was at any after tick {known}")
             }
             Self::Astray(astray) => astray.fmt(f),
             Self::UnknownFault { number } => write!(f, "it reported fault {number}"),
@@ -129,7 +150,7 @@ impl Belief {
             let ahead = u16::BITS.saturating_sub(status.have.leading_zeros());
             let tick = tick.saturating_add(ahead);
             if tick > self.sent {
-                return Err(Doubt::Unsent { tick, sent: self.sent });
+                return Err(Doubt::Invented { tick, sent: self.sent });
             }
         }
         self.tick = tick;
@@ -213,7 +234,7 @@ mod tests {
     fn what_was_not_sent_cannot_have_been_taken() {
         let mut belief = streaming();
         assert_eq!(belief.hear(99 * H, &status(19, 0)), Err(Doubt::Unsent { tick: 19, sent: 16 }));
-        assert_eq!(belief.hear(99 * H, &status(10, 0b100_0000)), Err(Doubt::Unsent { tick: 17, sent: 16 }));
+        assert_eq!(belief.hear(99 * H, &status(10, 0b100_0000)), Err(Doubt::Invented { tick: 17, sent: 16 }));
         assert_eq!(belief.hear(99 * H, &status(10, 0b11_1111)), Ok(()));
         let mut ending = Belief::new(10_000, 3, 4);
         (1..=3).for_each(|tick| ending.sent(0, tick));

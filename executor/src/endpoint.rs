@@ -31,6 +31,7 @@ pub struct Endpoint<'a> {
     sent: u32,
     received: u32,
     rejected: u32,
+    wrong_tags: u32,
 }
 
 impl<'a> Endpoint<'a> {
@@ -51,6 +52,7 @@ impl<'a> Endpoint<'a> {
             sent: 0,
             received: 0,
             rejected: 0,
+            wrong_tags: 0,
         }
     }
 
@@ -68,6 +70,9 @@ impl<'a> Endpoint<'a> {
             }
             Err(rejected) => {
                 self.rejected = self.rejected.saturating_add(1);
+                if self.context.key.is_some() && matches!(rejected, Rejected::Checksum { .. }) {
+                    self.wrong_tags = self.wrong_tags.saturating_add(1);
+                }
                 if self.tags.is_too_many(self.encoder.dialect(), &self.context, &rejected) {
                     self.executor.handle_wrong_tags(now_us);
                 }
@@ -139,5 +144,11 @@ impl<'a> Endpoint<'a> {
     #[must_use]
     pub fn frame_counts(&self) -> [u32; 3] {
         [self.sent, self.received, self.rejected]
+    }
+
+    /// Frames and records dropped, in a session with a key, for a tag that was not made with it; a damaged one looks like that.
+    #[must_use]
+    pub fn wrong_tags(&self) -> u32 {
+        self.wrong_tags
     }
 }

@@ -173,8 +173,12 @@ pub struct Executor<'a> {
     arm: Option<Status>,
     /// The last of those that belong to the session.
     ours: Option<Status>,
+    /// Where the arm has said that it stands while it is enabled.
+    anchor: Option<Pose>,
     /// Where the arm has reported to be, as a displacement from the anchor.
     reached: Option<Setpoint>,
+    /// Since when it is not known where the arm is at the ticks that it reports.
+    lost_us: Option<u64>,
     fault: Option<Fault>,
     violation: Option<Violation>,
     refusal: Option<Refusal>,
@@ -229,7 +233,9 @@ impl<'a> Executor<'a> {
             outbox: Deque::new(),
             arm: None,
             ours: None,
+            anchor: None,
             reached: None,
+            lost_us: None,
             fault: None,
             violation: None,
             refusal: None,
@@ -359,7 +365,7 @@ impl<'a> Executor<'a> {
                 let setpoint_us = self.player.peek().and_then(|next| self.schedule.due_us(next.tick));
                 let resend_us = self.missing().map(|_| self.resend_at_us);
                 let due = [setpoint_us, resend_us].into_iter().flatten();
-                due.fold(self.silent_at_us().min(self.stalled_at_us()), u64::min)
+                due.fold(self.silent_at_us().min(self.stalled_at_us()).min(self.lost_at_us()), u64::min)
             }
             Stage::Opening | Stage::Enabling | Stage::Leaving => self.retry_at_us.min(self.give_up_at_us),
             Stage::Stopping => self.retry_at_us.min(self.give_up_at_us).min(self.stop_ends_at_us),
@@ -538,6 +544,10 @@ impl<'a> Executor<'a> {
 
     fn anchored(&mut self, now_us: u64, anchor: &Pose) {
         self.heard_us = now_us;
+        // One arm has one anchor in a session.
+        if self.anchor.is_some_and(|known| known != *anchor) {
+            return self.stop(now_us, FaultCode::ArmDuplicate);
+        }
         if self.stage != Stage::Enabling {
             return;
         }
@@ -553,6 +563,7 @@ impl<'a> Executor<'a> {
         }
         let PlanHeader { limits, step_count, .. } = self.header;
         self.guard = Some(Guard::new(*anchor, limits, self.lsb, self.period_us, step_count));
+        self.anchor = Some(*anchor);
         self.reached = Some(Setpoint::ANCHOR);
         self.progress_us = now_us;
         self.enter(now_us, Stage::Streaming);
@@ -575,6 +586,7 @@ impl<'a> Executor<'a> {
             let off = displacement_between(sent, reached, self.lsb);
             self.telemetry.handle_tracking(&off, first);
             if first {
+                self.lost_us = None;
                 self.follow(now_us, sent, &off);
             }
         }
@@ -678,6 +690,9 @@ impl<'a> Executor<'a> {
             self.furthest = (tick.max(status.applied_tick), phase.max(status.phase));
         }
         let running = matches!(status.phase, Some(Phase::Streaming | Phase::Completing));
+        // It says where it is at a tick before it says that it has taken the next one; before it is anchored it is nowhere.
+        let located = self.reached.is_none_or(|known| known.tick.saturating_add(1) >= status.applied_tick);
+        self.lost_us = if located { None } else { Some(self.lost_us.unwrap_or(now_us)) };
         self.schedule.handle_progress(now_us, status.applied_tick, status.credit_until(), running);
         let round_trip_us = self.window.arrived(now_us, status.applied_tick, status.have);
         round_trip_us.into_iter().for_each(|time_us| self.telemetry.round_trip.record(time_us));
@@ -690,11 +705,12 @@ impl<'a> Executor<'a> {
         self.leave_at_end(now_us);
     }
 
-    /// Goes on once the arm has reported both that it holds the last setpoint and where that is, in whatever order.
+    /// Goes on once the arm has reported both that it stands on the last setpoint and where that is, in whatever order.
     fn leave_at_end(&mut self, now_us: u64) {
         let Some(end) = self.end_setpoint() else { return };
-        let holds =
-            self.ours.is_some_and(|arm| arm.phase == Some(Phase::Holding) && arm.applied_tick == end.tick);
+        let holds = self.ours.is_some_and(|arm| {
+            arm.phase == Some(Phase::Holding) && arm.standstill && arm.applied_tick == end.tick
+        });
         if self.stage != Stage::Streaming || !holds {
             return;
         }
@@ -914,6 +930,10 @@ impl<'a> Executor<'a> {
             Stage::Streaming => {
                 if now_us >= self.silent_at_us() {
                     self.stop(now_us, FaultCode::ArmSilent);
+                } else if now_us >= self.lost_at_us() {
+                    let (tick, known) = (self.belief.tick(), self.reached.map_or(0, |reached| reached.tick));
+                    self.doubt = Some(Doubt::Unlocated { tick, known });
+                    self.stop(now_us, FaultCode::ArmSilent);
                 } else if now_us >= self.stalled_at_us() {
                     self.stop(now_us, FaultCode::ArmStalled);
                 }
@@ -941,14 +961,22 @@ impl<'a> Executor<'a> {
     }
 
     fn silent_at_us(&self) -> u64 {
-        self.heard_us.saturating_add(self.config.silence_us.max(self.some_periods_us()))
+        self.heard_us.saturating_add(self.longest_silence_us())
+    }
+
+    /// When an arm that goes on, and does not say where it is, counts as silent.
+    fn lost_at_us(&self) -> u64 {
+        self.lost_us.map_or(u64::MAX, |since_us| since_us.saturating_add(self.longest_silence_us()))
+    }
+
+    fn longest_silence_us(&self) -> u64 {
+        self.config.silence_us.max(self.some_periods_us())
     }
 
     /// When an arm that has not moved on, or that moves on so slowly that it falls behind its clock by as much, is given up;
     /// later than one that says nothing at all.
     fn stalled_at_us(&self) -> u64 {
-        let silence_us = self.config.silence_us.max(self.some_periods_us());
-        let allowance_us = self.config.handshake_us.max(silence_us.saturating_mul(2));
+        let allowance_us = self.config.handshake_us.max(self.longest_silence_us().saturating_mul(2));
         let stands_at_us = self.progress_us.saturating_add(allowance_us);
         self.belief.overdue_us(allowance_us).map_or(stands_at_us, |late_us| late_us.min(stands_at_us))
     }

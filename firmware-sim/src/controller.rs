@@ -281,7 +281,6 @@ impl Controller {
             }
             ToArm::Control { session, .. } if self.is_over(session) => self.repeat_farewell(),
             ToArm::Setpoint { session, setpoint } if self.is_current(session) => {
-                self.heard_us = now_us;
                 self.setpoint(now_us, setpoint);
             }
             ToArm::Heartbeat { session } if self.is_current(session) => self.heard_us = now_us,
@@ -634,6 +633,10 @@ impl Controller {
                 Err(Refused::BeyondCredit) => Err(FaultCode::SetpointBeyondCredit),
             }
         };
+        // One that is said again says nothing of whoever said it first.
+        if found != Ok(false) {
+            self.heard_us = now_us;
+        }
         match found {
             Ok(true) if self.is_still() => {
                 self.start_if_filled(now_us);

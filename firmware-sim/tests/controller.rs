@@ -827,6 +827,25 @@ fn a_session_that_is_not_heard_of_is_over() {
 }
 
 #[test]
+fn setpoints_that_are_said_again_keep_no_arm_enabled() {
+    // Less than starts its clock; then an arm at rest on the last setpoint.
+    for (ticks, again) in [(START_LEVEL as u32 - 1, 1), (END, END)] {
+        let mut bench = Bench::enabled();
+        bench.stream(ticks, |tick| (tick <= ticks).then(|| setpoint(tick)));
+        (0..20).for_each(|_| bench.period());
+        assert_eq!((bench.arm.state(), bench.arm.status().standstill), (State::OperationEnabled, true));
+        bench.alive = false;
+        let silent_us = bench.now_us;
+        while bench.arm.state() == State::OperationEnabled {
+            bench.set(setpoint(again));
+            bench.period();
+            assert!(bench.now_us - silent_us <= DEFAULT_WATCHDOG_US, "after {ticks}");
+        }
+        assert_eq!(bench.fault(), Some(FaultCode::ExecutorSilent));
+    }
+}
+
+#[test]
 fn an_executor_that_falls_silent_stops_the_arm_though_it_has_setpoints_left() {
     let mut bench = Bench::enabled_with(OpenRequest { period_us: 100_000, end_tick: 20, ..request() });
     bench.alive = false;

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""outside_client.py INTERFACE: moves an arm over classic SocketCAN, knowing nothing but shared/PROTOCOL.md.
+"""outside_client.py INTERFACE [--key FILE]: moves an arm over classic SocketCAN, knowing nothing but shared/PROTOCOL.md.
 
 Written with python-can (pip install python-can) and no line of the product, so that it fails where the document does not
 say what the arm does. It expects a fresh arm, for instance `firmware-sim --on can:vcan0`, and
@@ -9,17 +9,19 @@ say what the arm does. It expects a fresh arm, for instance `firmware-sim --on c
 2. is refused the same session once more, opens the next one, whose anchor must be where the first one ended, stops
    the arm in mid-motion by the stop frame, sees the stop latched and resets it with the nonce that the arm has given out.
 
-Every frame of the arm must decode. Exits with 1 and one sentence at the first mismatch.
+With a key, which the arm must have too, it is first refused for asking without one. Every frame of the arm must decode. Exits with 1 and one sentence at the first mismatch.
 """
 
 import argparse
 import math
 import random
+import secrets
 import struct
 import sys
 import time
 import zlib
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import can
 
@@ -88,6 +90,42 @@ def crc8(data):
     return crc ^ 0xFF
 
 
+def siphash(secret, data):
+    """SipHash-2-4 with 128 bits (J.-P. Aumasson and D. J. Bernstein, 2012)."""
+    k0, k1 = struct.unpack("<QQ", secret)
+    v = [k0 ^ 0x736F6D6570736575, k1 ^ 0x646F72616E646F6D ^ 0xEE, k0 ^ 0x6C7967656E657261, k1 ^ 0x7465646279746573]
+
+    def turned(value, bits):
+        return (value << bits | value >> 64 - bits) % 2**64
+
+    def rounds(count):
+        for _ in range(count):
+            v[0] = (v[0] + v[1]) % 2**64
+            v[2] = (v[2] + v[3]) % 2**64
+            v[1], v[3] = turned(v[1], 13) ^ v[0], turned(v[3], 16) ^ v[2]
+            v[0] = turned(v[0], 32)
+            v[2] = (v[2] + v[1]) % 2**64
+            v[0] = (v[0] + v[3]) % 2**64
+            v[1], v[3] = turned(v[1], 17) ^ v[2], turned(v[3], 21) ^ v[0]
+            v[2] = turned(v[2], 32)
+
+    padded = data + bytes(-(len(data) + 1) % 8) + bytes([len(data) % 256])
+    for (word,) in struct.iter_unpack("<Q", padded):
+        v[3] ^= word
+        rounds(2)
+        v[0] ^= word
+    halves = []
+    for place, mark in ((2, 0xEE), (1, 0xDD)):
+        v[place] ^= mark
+        rounds(4)
+        halves.append(v[0] ^ v[1] ^ v[2] ^ v[3])
+    return struct.pack("<QQ", *halves)
+
+
+def gray(number):
+    return number ^ number >> 1
+
+
 def sign_extended(value, bits):
     return (value + 2 ** (bits - 1)) % 2**bits - 2 ** (bits - 1)
 
@@ -99,10 +137,11 @@ def nearest(reference, low, bits):
 
 @dataclass(frozen=True)
 class Session:
-    """Number and seal, or neither."""
+    """Number and seal, or neither; with a key, what tags are made with."""
 
     number: int = 0
     seal: int = 0
+    secret: bytes | None = None
 
     def key(self):
         if self.number == 0:
@@ -113,16 +152,48 @@ class Session:
         place = {SETPOINT_T: 0, ACTUAL_T: 0, SETPOINT_R: 1, ACTUAL_R: 1}.get(identifier, 2)
         return self.key()[place]
 
-    def crc(self, identifier, tick, payload):
-        return crc8(struct.pack("<HBI", identifier, self.key_of(identifier), tick) + payload)
+    def sum(self, identifier, tick, payload, counts=None):
+        """The last byte of a classic frame; the counts in full, if it has the low halves of some."""
+        tick %= 2**32
+        if self.secret:
+            return siphash(self.secret, struct.pack("<HI", identifier, tick) + (counts_in_full(counts) or payload))[0]
+        if counts:
+            unsent = struct.pack("<I", gray(tick >> 8))[:3]
+            unsent += struct.pack("<3H", *(gray((count & 0xFFFFFFFF) >> 16) for count in counts))
+        else:
+            unsent = struct.pack("<H", gray(tick >> 16))
+        return crc8(struct.pack("<HB", identifier, self.key_of(identifier)) + unsent + payload)
 
-    def sealed(self, identifier, payload):
-        """A frame with four bytes of checksum."""
+    def sealed(self, identifier, payload, count):
+        """A frame with four bytes of checksum; the first of its kind has count 1."""
+        if self.secret:
+            return identifier, payload + siphash(self.secret, struct.pack("<HI", identifier, count) + payload)[:4]
         return identifier, payload + struct.pack("<I", zlib.crc32(struct.pack("<HQ", identifier, self.seal) + payload))
 
     @staticmethod
-    def opened(number, digest, nonce):
-        return Session(number, fnv1a(struct.pack("<QI", digest, nonce)))
+    def opened(number, digest, nonce, secret=None):
+        return Session(number, fnv1a(struct.pack("<QI", digest, nonce)), secret)
+
+
+def counts_in_full(counts):
+    return struct.pack("<3i", *counts) if counts else b""
+
+
+@dataclass(frozen=True)
+class Proof:
+    """What a client with a key knows of its request."""
+
+    key: bytes
+    nonce: int
+
+    def of(self, kind, *what):
+        """Tag of 16 bytes; the last half of the key is for sessions."""
+        own = self.key[16:] if kind == 3 else self.key[:16]
+        return siphash(own, struct.pack("<BQ", kind, self.nonce) + b"".join(what))
+
+    def added_to(self, body):
+        """OpenKeyed instead of Open."""
+        return b"\x01" + body[1:] + varint(self.nonce) + self.of(1, body)[:8]
 
 
 def following_number(number):
@@ -157,6 +228,10 @@ class Fields:
             shift += 7
             if byte < 0x80:
                 return value
+
+    def take(self, count):
+        taken, self.rest = self.rest[:count], self.rest[count:]
+        return taken
 
     def f64s(self, count):
         values = struct.unpack_from(f"<{count}d", self.rest)
@@ -220,8 +295,9 @@ class Status:
 class Heard:
     """The arm's words, by an end that has asked for a session, and is in it once it is opened."""
 
-    #: Number and body of the request.
+    #: Number and body of the request, without proof.
     asked: tuple = (0, b"")
+    proof: Proof | None = None
     session: Session = NONE
     status: Status | None = None
     opened: bool = False
@@ -252,8 +328,8 @@ class Heard:
             raise Mismatch(f"frame {identifier:#05x} has {len(data)} bytes instead of 8")
         handlers[identifier](identifier, data)
 
-    def check(self, session, identifier, tick, payload, crc):
-        if session.crc(identifier, tick % 2**32, payload) != crc:
+    def check(self, session, identifier, tick, payload, crc, counts=None):
+        if session.sum(identifier, tick, payload, counts) != crc:
             raise Mismatch(f"frame {identifier:#05x} with {payload.hex()} has a wrong checksum for tick {tick}")
 
     def is_foreign(self, of_session):
@@ -308,7 +384,7 @@ class Heard:
         near = self.actual[1] if abs(tick - last) <= max(3, abs(tick - sent)) else self.sent[sent]
         begin = 0 if identifier == ACTUAL_T else 3
         counts = tuple(nearest(count, bits, 16) for count, bits in zip(near[begin : begin + 3], low))
-        self.check(self.session, identifier, tick, struct.pack("<3i", *counts), crc)
+        self.check(self.session, identifier, tick, data[:-1], crc, counts)
         self.halves[identifier] = (tick, counts)
         pair = [self.halves.get(of) for of in (ACTUAL_T, ACTUAL_R)]
         if all(pair) and pair[0][0] == pair[1][0]:
@@ -336,25 +412,35 @@ class Heard:
     def take_record(self, body):
         fields = Fields(body)
         variant, number = fields.varint(), fields.varint()
-        if variant == 0 and number == self.asked[0]:
-            nonce, digest = fields.varint(), fields.varint()
-            expect(digest, fnv1a(self.asked[1]), "the digest of what was opened")
-            session = Session.opened(number, digest, nonce)
-            if 0 in session.key() or (self.opened and session != self.session):
-                raise Mismatch(f"the arm opens session {number:#06x} with nonce {nonce:#010x}")
-            if not self.opened:
-                self.status = None
-            self.session, self.opened = session, True
+        if variant == (3 if self.proof else 0) and number == self.asked[0]:
+            self.take_opened(number, fields.varint(), fields.varint(), fields.take(8) if self.proof else b"")
         elif variant == 1:
             reason = REASONS[fields.varint()]
             details = {"Latched": 3, "Version": 1}.get(reason, 0)
             self.refused = (number, reason, tuple(fields.varint() for _ in range(details)))
-        elif variant == 2 and number == self.session.number:
+        elif variant == (4 if self.session.secret else 2) and number == self.session.number:
             self.anchor = fields.f64s(7)
+            if self.session.secret:
+                covered = struct.pack("<HI", FROM_ARM, 0) + b"\x02" + body[1:-8]
+                expect(fields.take(8), siphash(self.session.secret, covered)[:8], "the tag of the anchor")
         else:
             raise Mismatch(f"the arm answers with record {variant} for session {number:#06x}")
         if fields.rest:
             raise Mismatch(f"record {variant} has {len(fields.rest)} bytes too many")
+
+    def take_opened(self, number, nonce, digest, tag):
+        expect(digest, fnv1a(self.asked[1]), "the digest of what was opened")
+        secret = None
+        if self.proof:
+            agreed = struct.pack("<IHQ", nonce, number, digest)
+            expect(tag, self.proof.of(2, agreed)[:8], "the tag of the answer")
+            secret = self.proof.of(3, agreed)
+        session = Session.opened(number, digest, nonce, secret)
+        if 0 in session.key() or (self.opened and session != self.session):
+            raise Mismatch(f"the arm opens session {number:#06x} with nonce {nonce:#010x}")
+        if not self.opened:
+            self.status = None
+        self.session, self.opened = session, True
 
 
 # --- the client ---
@@ -363,9 +449,11 @@ class Heard:
 class Client:
     """One end of a bus; whatever is waited for, it goes on listening and sending its heartbeat."""
 
-    def __init__(self, bus, period_us, plan_hash):
-        self.bus, self.period_us, self.plan_hash = bus, period_us, plan_hash
+    def __init__(self, bus, period_us, plan_hash, key):
+        self.bus, self.period_us, self.plan_hash, self.key = bus, period_us, plan_hash, key
         self.heard = Heard()
+        #: How many controls and heartbeats were sent in the session.
+        self.said = {CONTROL: 0, OWN_HEARTBEAT: 0}
         self.heartbeat_at_s = math.inf
         #: Tick to when it was sent last.
         self.sent_at_s = {}
@@ -377,16 +465,18 @@ class Client:
         for identifier, data in frames:
             self.bus.send(can.Message(arbitration_id=identifier, data=data, is_extended_id=False), timeout=0.1)
 
+    def send_sealed(self, identifier, payload):
+        self.said[identifier] += 1
+        self.send(self.heard.session.sealed(identifier, payload, self.said[identifier]))
+
     def control(self, word):
-        session = self.heard.session
-        self.send(session.sealed(CONTROL, struct.pack("<HH", word, session.number)))
+        self.send_sealed(CONTROL, struct.pack("<HH", word, self.heard.session.number))
 
     def setpoint(self, tick):
         counts, session = minimum_jerk(tick), self.heard.session
         for identifier, half in ((SETPOINT_T, counts[:3]), (SETPOINT_R, counts[3:])):
-            crc = session.crc(identifier, tick, struct.pack("<3i", *half))
-            low = struct.pack("<3HBB", *(count & 0xFFFF for count in half), tick & 0xFF, crc)
-            self.send((identifier, low))
+            low = struct.pack("<3HB", *(count & 0xFFFF for count in half), tick & 0xFF)
+            self.send((identifier, low + bytes([session.sum(identifier, tick, low, half)])))
         self.sent_at_s[tick] = time.monotonic()
         self.heard.sent[tick] = counts
 
@@ -399,7 +489,7 @@ class Client:
         if now >= self.heartbeat_at_s:
             self.heartbeat_at_s = now + HEARTBEAT_S
             number = self.heard.session.number
-            self.send(self.heard.session.sealed(OWN_HEARTBEAT, struct.pack("<BH", 5, number)))
+            self.send_sealed(OWN_HEARTBEAT, struct.pack("<BH", 5, number))
 
     def wait_for(self, what, condition, ask=lambda: None, patience_s=PATIENCE_S):
         """Asks, and asks again, until the condition holds."""
@@ -423,14 +513,22 @@ class Client:
     def ask_to_open(self, number, reset=0):
         """Asks for a session until there is an answer: opened, or why not."""
         body = open_request(number, self.plan_hash, self.period_us, reset)
-        self.heard = Heard((number, body))
-        request = segments(body)
+        self.heard = Heard((number, body), self.new_proof())
+        self.said = dict.fromkeys(self.said, 0)
+        request = segments(self.proven(body))
 
         def answered(heard):
             return heard.opened or (heard.refused and heard.refused[0] == number)
 
         self.wait_for("an answer to Open", answered, lambda: self.send(*request))
         return None if self.heard.opened else self.heard.refused[1:]
+
+    def new_proof(self):
+        """With a nonce that no other session has."""
+        return Proof(self.key, secrets.randbits(64)) if self.key else None
+
+    def proven(self, body):
+        return self.heard.proof.added_to(body) if self.heard.proof else body
 
     def open(self, number, reset=0):
         refused = self.ask_to_open(number, reset)
@@ -563,6 +661,13 @@ def play(client, number):
     return displaced(anchor, END)
 
 
+def check_keyless(client, number):
+    """An arm with a key opens nothing for somebody without one."""
+    key, client.key = client.key, None
+    expect(client.ask_to_open(number), ("KeyWanted", ()), "the answer to Open without a key")
+    client.key = key
+
+
 def check_closed(client, number):
     """What is over is not opened again."""
     expect(client.ask_to_open(number), ("Closed", ()), "the answer to Open of a session that is over")
@@ -601,7 +706,8 @@ def check_latched(client, number, fault):
     client.wait_for("half a second", lambda heard: time.monotonic() >= still_at_s)
     expect(client.heard.status.state, "quick stop active", "the state half a second after the stop")
     for reset in (0, 1):
-        request = segments(open_request(following_number(number), client.plan_hash, client.period_us, reset))
+        body = open_request(following_number(number), client.plan_hash, client.period_us, reset)
+        request = segments(client.proven(body))
         client.heard.refused = None
         client.wait_for("a refusal", lambda heard: heard.refused, lambda: client.send(*request))
         _, reason, (*found, nonce) = client.heard.refused
@@ -609,17 +715,25 @@ def check_latched(client, number, fault):
     return nonce
 
 
+def key_in(path):
+    content = Path(path).read_bytes()
+    return content if len(content) == 32 else bytes.fromhex(content.decode())
+
+
 def main():
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("interface", help="SocketCAN interface, for instance vcan0")
     arguments.add_argument("--period-us", type=int, default=10_000, help="control period (default %(default)s)")
+    arguments.add_argument("--key", type=key_in, help="file with the arm's key: 32 bytes, or 64 hexadecimal digits")
     arguments.add_argument("--session", type=int, default=random.randint(1, 0xFFFF), help="number (default: random)")
     arguments = arguments.parse_args()
     plan = b"".join(struct.pack("<6i", *minimum_jerk(tick)) for tick in range(1, TICKS + 1))
     number = arguments.session
     try:
         with can.Bus(interface="socketcan", channel=arguments.interface) as bus:
-            client = Client(bus, arguments.period_us, fnv1a(plan))
+            client = Client(bus, arguments.period_us, fnv1a(plan), arguments.key)
+            if client.key:
+                check_keyless(client, number)
             end = play(client, number)
             check_closed(client, number)
             stop_in_motion(client, following_number(number), end)

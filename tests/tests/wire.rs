@@ -305,6 +305,25 @@ fn assert_keys_that_differ_are_told(on: &str) {
     }
 }
 
+/// Half of a key opens a session, and gets no further: the arm is not silent, it is not believed.
+#[test]
+fn half_a_key_is_not_taken_for_an_arm_that_does_not_answer() {
+    assert_half_a_key_is_told("pty", 404);
+}
+
+fn assert_half_a_key_is_told(on: &str, code: u16) {
+    let dir = TempDir::new().unwrap();
+    let (plan, [key, _]) = (plan(dir.path()), keys(dir.path()));
+    let half = dir.path().join("half");
+    fs::write(&half, [[0xA7; 16], [0xA8; 16]].concat()).unwrap();
+    let (_arm, wire) = arm(on, &["--key", &key]);
+    let report = json(execute(&plan, &wire, &["--json", "--key", half.to_str().unwrap()]), 1);
+    assert_eq!(report["stop"]["code"], code, "{report}");
+    let dropped = report["frames"]["wrong_tags"].as_u64().unwrap();
+    let words = format!("{dropped} frames with a wrong tag were dropped; both ends need the same --key FILE");
+    assert!(dropped >= 8 && report["stop"]["detail"] == words, "{report}");
+}
+
 #[test]
 fn files_that_hold_no_key_are_refused_in_one_sentence() {
     let dir = TempDir::new().unwrap();
@@ -420,6 +439,9 @@ fn vcan_a_key_is_asked_for_over_classic_can_and_over_can_fd() {
         assert_played_with_a_key(on);
         assert_keys_that_differ_are_told(on);
     }
+    // On 8 bytes it is taken for somebody who guesses.
+    assert_half_a_key_is_told("can:vcan0", 411);
+    assert_half_a_key_is_told("canfd:vcan0", 404);
 }
 
 #[test]
@@ -586,12 +608,15 @@ fn python(script: &str, arguments: &[&str]) {
 fn vcan_a_client_that_knows_the_protocol_only_moves_the_arm_and_cantools_reads_it() {
     let dir = TempDir::new().unwrap();
     let log = dir.path().join("candump.log");
-    let (_arm, _) = arm("can:vcan0", &[]);
-    let candump = fs::File::create(&log).unwrap();
-    let mut candump = Tool::start(Command::new("candump").args(["-L", "vcan0"]).stdout(candump));
-    thread::sleep(Duration::from_millis(300));
-    // Slowly, for the machine that tests may be slow.
-    python("outside_client.py", &["vcan0", "--period-us", "60000"]);
-    candump.interrupt();
-    python("check_dbc.py", &[log.to_str().unwrap()]);
+    let [key, _] = keys(dir.path());
+    for with in [&[][..], &["--key", &key]] {
+        let (_arm, _) = arm("can:vcan0", with);
+        let candump = fs::File::create(&log).unwrap();
+        let mut candump = Tool::start(Command::new("candump").args(["-L", "vcan0"]).stdout(candump));
+        thread::sleep(Duration::from_millis(300));
+        // Slowly, for the machine that tests may be slow.
+        python("outside_client.py", &[&["vcan0", "--period-us", "60000"], with].concat());
+        candump.interrupt();
+        python("check_dbc.py", &[log.to_str().unwrap()]);
+    }
 }

@@ -303,9 +303,20 @@ impl Stop {
             code: fault.code.number(),
             tick: fault.tick,
             reason: fault.code.sentence(),
-            detail: refusal.or(doubt).or(numbers),
+            detail: refusal.or(doubt).or(numbers).or_else(|| wrong_key(fault, run)),
         }
     }
+}
+
+/// What tells a wrong key from an arm that says nothing. Who has the half of it that opens a session gets no further.
+fn wrong_key(fault: Fault, run: &RunResult) -> Option<String> {
+    use FaultCode::{ArmSilent, HandshakeTimeout, WrongTags};
+    let wrong = run.frames.map_or(0, |frames| frames.wrong_tags);
+    let is_its_doing = wrong > 0 && matches!(fault.code, ArmSilent | HandshakeTimeout | WrongTags);
+    is_its_doing.then(|| {
+        let frames = counted(wrong, "frame with a wrong tag was", "frames with a wrong tag were");
+        format!("{frames} dropped; both ends need the same --key FILE")
+    })
 }
 
 /// Without the plan's facts, which are shown before the run.
@@ -364,7 +375,7 @@ impl Report {
     fn fmt_stream(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Stream { resent, retries, tracked, tracking_m, tracking_rad, .. } = self.stream;
         if let Some(frames) = self.frames {
-            let FrameCounts { sent, received, rejected, not_taken, garbled } = frames;
+            let FrameCounts { sent, received, rejected, not_taken, garbled, .. } = frames;
             writeln!(
                 f,
                 "  frames    {sent} sent, {received} received, {rejected} not understood, {not_taken} not taken by the wire, \

@@ -61,6 +61,8 @@ pub struct FrameCounts {
     pub received: u32,
     /// Received, and dropped: damaged, of another session, or of nobody known.
     pub rejected: u32,
+    /// Of these, those that were not made with the key of the session.
+    pub wrong_tags: u32,
     /// Given up because the wire had no room for too long.
     pub not_taken: u64,
     /// Pieces of a serial line that were no frames.

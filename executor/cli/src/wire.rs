@@ -162,6 +162,7 @@ impl Player<'_, '_> {
                 sent,
                 received,
                 rejected,
+                wrong_tags: self.endpoint.wrong_tags(),
                 not_taken: self.wire.not_taken,
                 garbled: self.wire.wire.garbled(),
             }),

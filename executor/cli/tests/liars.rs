@@ -15,6 +15,7 @@ use powderline_executor::{Action, Config, Executor, Outcome};
 use powderline_firmware_sim::controller::{ArmConfig, Controller};
 use powderline_host::clock;
 use powderline_host::transport::{Incoming, Pty, Transport};
+use powderline_shared::displacement::Setpoint;
 use powderline_shared::fault::{FaultCode, Reported};
 use powderline_shared::plan::{PlanHeader, PlanReader};
 use powderline_shared::wire::Context;
@@ -134,7 +135,7 @@ fn assert_stopped(outcome: Outcome, code: FaultCode, stands: bool) {
 fn a_tick_that_cannot_be_stops_the_arm() {
     for (lie, words) in [
         (boasts as Lie, "it reported tick 110, but the last setpoint sent was that of tick 6"),
-        (has_what_was_not_sent, "but the last setpoint sent was that of tick 6"),
+        (has_what_was_not_sent, " is there, but the last one sent was that of tick 6"),
         (leaps, "it reported tick 60, but cannot be beyond tick 5"),
         (goes_back, "it reported tick 40 after it had reported tick 49"),
     ] {
@@ -240,6 +241,59 @@ fn an_arm_that_is_not_where_it_is_due_is_stopped() {
             assert_eq!((outcome, doubt), (Outcome::Completed, None));
         }
     }
+}
+
+/// Until it is at the end, where it was at another tick than the one that it is at.
+fn located(message: FromArm, tick: impl Fn(u32) -> u32) -> FromArm {
+    match message {
+        FromArm::Actual { session, reached }
+            if reached.tick < one_move().iter().map(|part| part.steps).sum() =>
+        {
+            let reached = Setpoint { tick: tick(reached.tick), ..Setpoint::ANCHOR };
+            FromArm::Actual { session, reached }
+        }
+        other => other,
+    }
+}
+
+#[test]
+fn an_arm_that_does_not_say_where_it_is_is_stopped() {
+    // Nothing but the anchor; always so long ago that nobody knows any more where it was due.
+    for word in [(|message| located(message, |_| 0)) as Word, |message| {
+        located(message, |tick| tick.saturating_sub(33))
+    }] {
+        let (outcome, doubt, ended_us) = hear(word);
+        assert_stopped(outcome, FaultCode::ArmSilent, true);
+        assert!(doubt.unwrap().contains(", but not where it was"));
+        assert!(ended_us < 1_000_000, "{ended_us}");
+    }
+    // One that says so a little late.
+    let (outcome, doubt, _) = hear(|message| message);
+    assert_eq!((outcome, doubt), (Outcome::Completed, None));
+}
+
+#[test]
+fn an_arm_that_has_two_anchors_is_stopped() {
+    static SAID: AtomicI32 = AtomicI32::new(0);
+    // Once more, in place of a report on its way.
+    let (outcome, ..) = hear(|message| match message {
+        FromArm::Status(status) if status.applied_tick == 9 && SAID.swap(1, Ordering::Relaxed) == 0 => {
+            let mut pose = header().start_pose();
+            pose.position_m.x += 1e-4;
+            FromArm::Anchored { session: status.session, pose }
+        }
+        other => other,
+    });
+    assert_stopped(outcome, FaultCode::ArmDuplicate, true);
+}
+
+#[test]
+fn an_arm_that_never_says_that_it_stands_has_not_completed() {
+    let (outcome, ..) = hear(|message| match message {
+        FromArm::Status(status) => FromArm::Status(Status { standstill: false, ..status }),
+        other => other,
+    });
+    assert_stopped(outcome, FaultCode::ArmStalled, false);
 }
 
 #[test]

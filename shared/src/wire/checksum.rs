@@ -12,6 +12,7 @@ use crc::{CRC_8_AUTOSAR, CRC_32_ISO_HDLC, Crc, NoTable, Table};
 
 use super::{
     auth::{SessionKey, Tag},
+    fields::{Put, low16},
     ids,
     message::{NO_SESSION, OpenRequest},
 };
@@ -88,19 +89,45 @@ impl Context {
     }
 }
 
-/// Checksum of a classic frame, or its tag.
+/// Checksum of a classic frame, or its tag. The low half of the tick is in the payload, if there is one.
 pub(super) fn sum8(id: u16, context: &Context, tick: u32, payload: &[u8]) -> u8 {
-    let Some(key) = &context.key else { return crc8(id, context, tick, payload) };
+    let Some(key) = &context.key else {
+        let [low, high, ..] = gray(tick >> 16).to_le_bytes();
+        return crc8(id, context, &[low, high], payload);
+    };
     let Tag([tag, ..]) = key.frame(id, tick, payload);
     tag
 }
 
-fn crc8(id: u16, context: &Context, tick: u32, payload: &[u8]) -> u8 {
+/// The same for three counts of which the low halves are sent, and a tick of which the low byte is.
+pub(super) fn sum8_counts(id: u16, context: &Context, tick: u32, counts: [i32; 3]) -> u8 {
+    if let Some(key) = &context.key {
+        let Tag([tag, ..]) = key.frame(id, tick, Put::new().counts(&counts).as_slice());
+        return tag;
+    }
+    let counts = counts.map(i32::cast_unsigned);
+    let [tick_low, ..] = tick.to_le_bytes();
+    let [low, middle, high, _] = gray(tick >> 8).to_le_bytes();
+    let halves = |put: Put, of: fn(u32) -> u16| counts.iter().fold(put, |put, count| put.u16(of(*count)));
+    let unsent = halves(Put::new().bytes(&[low, middle, high]), |count| low16(gray(count >> 16)));
+    let sent = halves(Put::new(), low16).u8(tick_low);
+    crc8(id, context, unsent.as_slice(), sent.as_slice())
+}
+
+/// Neighbours differ by one bit: a wrong bit that is sent moves what is rebuilt of the rest by one at most.
+fn gray(number: u32) -> u32 {
+    number ^ (number >> 1)
+}
+
+/// What is sent comes last, and nothing of it twice: together with the checksum it is the last 64 bits. CRC-8/AUTOSAR finds any
+/// odd number of wrong bits and any two, but for two that are 127 apart, as bit i of the tick and bit i + 1 of the checksum once
+/// were.
+fn crc8(id: u16, context: &Context, unsent: &[u8], sent: &[u8]) -> u8 {
     let mut digest = CRC8.digest();
     digest.update(&id.to_le_bytes());
     digest.update(&[key_of(id, context)]);
-    digest.update(&tick.to_le_bytes());
-    digest.update(payload);
+    digest.update(unsent);
+    digest.update(sent);
     digest.finalize()
 }
 
@@ -148,12 +175,12 @@ mod tests {
     fn everything_unsent_counts() {
         let context = Context { session: 3, seal: 5, key: None };
         let sums = [
-            crc8(0x201, &context, 7, b"x"),
-            crc8(0x301, &context, 7, b"x"),
-            crc8(0x201, &Context { session: 4, ..context }, 7, b"x"),
-            crc8(0x201, &Context { seal: 6, ..context }, 7, b"x"),
-            crc8(0x201, &context, 7 + 256, b"x"),
-            crc8(0x201, &context, 7, b"y"),
+            crc8(0x201, &context, b"u", b"x"),
+            crc8(0x301, &context, b"u", b"x"),
+            crc8(0x201, &Context { session: 4, ..context }, b"u", b"x"),
+            crc8(0x201, &Context { seal: 6, ..context }, b"u", b"x"),
+            crc8(0x201, &context, b"v", b"x"),
+            crc8(0x201, &context, b"u", b"y"),
         ];
         // Each of them alone; two changes together may well make up for each other in 8 bits.
         let [right, wrong @ ..] = sums;
@@ -165,7 +192,7 @@ mod tests {
         let context = |session| Context { session, seal: 0x1234_5678_9abc_def0, key: None };
         let ids = [ids::SETPOINT_T, ids::SETPOINT_R, ids::STATUS];
         let same =
-            |a: &Context, b: &Context| ids.map(|id| crc8(id, a, 5, b"data") == crc8(id, b, 5, b"data"));
+            |a: &Context, b: &Context| ids.map(|id| sum8(id, a, 5, b"data") == sum8(id, b, 5, b"data"));
         let alike = (2..60_000).filter(|other| {
             let [t, r, rest] = same(&context(1), &context(*other));
             assert_eq!(context(1).resembles(&context(*other)), (t && r) || rest);

@@ -1,7 +1,7 @@
 //! The cyclic frames of classic CAN: at most 8 bytes, the last of them the checksum, or the last four of what enables an arm and
 //! keeps it so.
 
-use super::checksum::{Context, sum8, sum32};
+use super::checksum::{Context, sum8, sum8_counts, sum32};
 use super::fields::{Put, Take, low8, low16, nearest_with_low8, nearest_with_low16};
 use super::frame::Frame;
 use super::history::{Half, Part};
@@ -74,7 +74,7 @@ pub(super) fn pair(ids: [u16; 2], context: &Context, setpoint: Setpoint) -> [Fra
 }
 
 fn half_frame(id: u16, context: &Context, tick: u32, counts: [i32; 3]) -> Frame {
-    let crc = sum8(id, context, tick, Put::new().counts(&counts).as_slice());
+    let crc = sum8_counts(id, context, tick, counts);
     let low = counts.into_iter().fold(Put::new(), |put, count| put.u16(low16(count.cast_unsigned())));
     low.u8(low8(tick)).u8(crc).into_frame(id)
 }
@@ -100,7 +100,7 @@ pub(super) fn half(
     for (count, low) in counts.iter_mut().zip(low) {
         *count = nearest_with_low16(count.cast_unsigned(), low).cast_signed();
     }
-    if sum8(frame.id, context, tick, Put::new().counts(&counts).as_slice()) != crc {
+    if sum8_counts(frame.id, context, tick, counts) != crc {
         return Err(Rejected::Checksum { id: frame.id });
     }
     Ok(Half { session: context.session, tick, counts })

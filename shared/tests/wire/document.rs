@@ -1,6 +1,7 @@
 //! `PROTOCOL.md` says what the code does.
 
 use powderline_shared::fault::FaultCode;
+use powderline_shared::plan::PlanReader;
 use powderline_shared::wire::auth::MOST_WRONG_TAGS;
 use powderline_shared::wire::frame::{Dialect, Frame};
 use powderline_shared::wire::ids;
@@ -194,6 +195,81 @@ fn loads() {
         let found =
             [10_000, 4_000, 2_000, 1_000].map(|period_us| format!("{:.1} %", medium.load_percent(period_us)));
         assert_eq!(row[1..], found);
+    }
+}
+
+/// Reads a plan by the table, row by row, and nothing else; to its last byte.
+#[test]
+fn plan_files() {
+    let file = include_bytes!("../golden/plan-v3.plan");
+    let plan = PlanReader::new(file).unwrap();
+    let mut walk = Walk { rest: file, numbers: Vec::new() };
+    for row in table("## Plan files", 0) {
+        let steps = walk.numbers.get(PLAN_STEPS).map_or(1, |steps| *steps as usize);
+        match row[1].split(':').next().unwrap() {
+            "of each step" => walk.take(row[0], steps),
+            _ => walk.take(row[0], 1),
+        }
+    }
+    assert!(walk.rest.is_empty() && plan.header().arm.is_some());
+    let of_steps = 6 * plan.header().step_count as usize;
+    let (before, [crc]) = walk.numbers.split_at(walk.numbers.len() - 1) else { unreachable!() };
+    assert_eq!(*crc as u32, crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(&file[..file.len() - 4]));
+    let steps = &before[before.len() - of_steps..];
+    let ends: [i64; 6] = std::array::from_fn(|axis| steps.iter().skip(axis).step_by(6).sum());
+    assert_eq!(ends, plan.end_setpoint().counts.map(i64::from));
+    assert_eq!(before[PLAN_STEPS - 1], i64::from(plan.header().control_period_us));
+}
+
+/// Which of the whole numbers of a plan is that of its steps: after version, program, seed, precision and period.
+const PLAN_STEPS: usize = 7;
+
+/// What is left of a file, and the whole numbers of what has been taken.
+struct Walk<'a> {
+    rest: &'a [u8],
+    numbers: Vec<i64>,
+}
+
+impl Walk<'_> {
+    /// So many fields of a type, that many times.
+    fn take(&mut self, kind: &str, times: usize) {
+        let (many, kind) = kind.split_once(' ').unwrap_or(("1", kind));
+        for _ in 0..times * many.parse::<usize>().unwrap() {
+            let number = match kind {
+                "byte" | "bytes" => return self.skip(times * many.parse::<usize>().unwrap()),
+                "f64" => {
+                    self.skip(8);
+                    continue;
+                }
+                "u16" => self.whole(2),
+                "u32" => self.whole(4),
+                "varint" => self.varint(),
+                "zigzag" => {
+                    let number = self.varint();
+                    (number >> 1) ^ -(number & 1)
+                }
+                _ => panic!("{kind}"),
+            };
+            self.numbers.push(number);
+        }
+    }
+
+    fn skip(&mut self, many: usize) {
+        self.rest = &self.rest[many..];
+    }
+
+    fn whole(&mut self, many: usize) -> i64 {
+        let value = self.rest[..many].iter().rev().fold(0, |value, byte| value << 8 | i64::from(*byte));
+        self.skip(many);
+        value
+    }
+
+    fn varint(&mut self) -> i64 {
+        let many = self.rest.iter().position(|byte| byte & 0x80 == 0).unwrap() + 1;
+        let value =
+            self.rest[..many].iter().rev().fold(0_u64, |value, byte| value << 7 | u64::from(byte & 0x7F));
+        self.skip(many);
+        value.cast_signed()
     }
 }
 

@@ -8,7 +8,7 @@ use powderline_shared::wire::ids;
 use std::path::PathBuf;
 
 /// Session of all targets, and of the golden frames.
-pub const CONTEXT: Context = Context { session: 0x1234, seal: 0x0123_4567_89ab_cdef, key: None };
+pub const CONTEXT: Context = Context { session: 0x1234, seal: 0xcef0_4bf9_5369_9a72, key: None };
 
 /// The plan whose bytes are pinned.
 pub const GOLDEN_PLAN: &[u8] = include_bytes!("../../../shared/tests/golden/plan-v3.plan");
@@ -71,12 +71,17 @@ pub fn message_seeds(messages: &[Vec<Frame>]) -> Vec<Vec<u8>> {
 /// The frames whose bytes are pinned, in one message after the other. `way` is `to` or `from`, as seen by the arm.
 ///
 /// # Panics
-/// The file is not as it is written.
+/// The file is not as it is written, or of another session: no seed would get past its checksum.
 pub fn golden(dialect: Dialect, way: &str) -> Vec<Vec<Frame>> {
     let text = match dialect {
         Dialect::Classic => GOLDEN_CLASSIC,
         Dialect::Fd => GOLDEN_FD,
     };
+    let ours = format!("session {:#06x}, seal {:#018x}.", CONTEXT.session, CONTEXT.seal);
+    assert!(
+        text.lines().next().is_some_and(|first| first.ends_with(&ours)),
+        "golden frames are not of {ours}"
+    );
     let sections = text.split("\n# ").filter(|section| section.starts_with(&format!("{way} arm")));
     let messages = sections.map(|section| {
         let lines = section.lines().skip(1).filter(|line| !line.is_empty());
