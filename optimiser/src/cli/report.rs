@@ -420,14 +420,19 @@ fn run_charts(record: &RunRecord, finding: &Finding) -> Vec<Chart> {
         Chart::new(
             "Powder that arrives",
             "epoch",
-            "mass, g",
+            "mass, g, before rounding to whole counts",
             vec![
                 over_epochs("arrives", epochs, grams),
                 Series { reference: true, ..over_epochs("wanted", epochs, wanted) },
             ],
         ),
-        Chart::new("Loss", "epoch", "loss, m", vec![over_epochs("loss", epochs, |record| record.loss)])
-            .scaled(Scale::LogIfWide),
+        Chart::new(
+            "Loss",
+            "epoch",
+            "loss, m, before rounding to whole counts",
+            vec![over_epochs("loss", epochs, |record| record.loss)],
+        )
+        .scaled(Scale::LogIfWide),
         Chart::new("Skill: lengths", "epoch", "mm", parameters("m", 1e3)),
         Chart::new("Skill: angles", "epoch", "deg", parameters("rad", 180.0 / std::f64::consts::PI)),
         Chart::new("Gradient", "epoch", "loss by theta, m", by_parameter(epochs, gradient)),
