@@ -135,6 +135,12 @@ pub use real::Real;
 #[cfg_attr(doc, doc = include_str!("../examples/restarted_gradient.rs"))]
 /// ```
 ///
+/// # What its settings do, and what happens at its cuts: `restarted_ablation`
+///
+/// ```ignore
+#[cfg_attr(doc, doc = include_str!("../examples/restarted_ablation.rs"))]
+/// ```
+///
 /// # A bench built in code: `scene_in_code`
 ///
 /// ```ignore

@@ -2,14 +2,14 @@
 
 use super::{CliError, Context, Interrupt, Progress, Resources, options::PrecisionArg, slopes};
 use crate::report::words::precision_name;
-use clap::Args;
+use clap::{Args, ValueEnum};
 use powderline_shared::plan::{Precision, SKILL_PARAMETERS};
 use powderline_simulator::Real;
 use powderline_simulator::rollout::gradcheck::{
     CHECKED_THETA, HALF_STEPS, Smoothed, Window, check_window, smoothed,
 };
 use powderline_simulator::rollout::{RolloutError, Simulator, SimulatorSettings, Workload, check_memory};
-use powderline_simulator::scene::{DEFAULT_SCENE, Scene};
+use powderline_simulator::scene::{Aim, DEFAULT_SCENE, Scene};
 use powderline_simulator::skill::SkillMap;
 use serde::Serialize;
 use std::fmt::Write;
@@ -30,8 +30,14 @@ pub(super) struct GradcheckArgs {
     /// the scene as it is
     #[arg(long, value_name = "N", conflicts_with_all = ["steps", "short"], value_parser = clap::value_parser!(u32).range(2..=1000))]
     pub skills: Option<u32>,
+    /// The same for this skill: five numbers in [-1, 1]; can be given more than once
+    #[arg(long, value_name = "D,A,L,T,P", allow_hyphen_values = true, conflicts_with_all = ["steps", "short", "skills", "first"])]
+    pub theta: Vec<String>,
+    /// What the loss asks for, if it is not what the scene says
+    #[arg(long)]
+    pub aim: Option<AimArg>,
     /// Packings that each of the skills is measured with, the first of them of the seed
-    #[arg(long, value_name = "N", requires = "skills", default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=100))]
+    #[arg(long, value_name = "N", conflicts_with_all = ["steps", "short"], default_value_t = 2, value_parser = clap::value_parser!(u32).range(1..=100))]
     pub packings: u32,
     /// Which of the drawn skills is the first to be tried
     #[arg(long, value_name = "N", requires = "skills", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..=1_000_000))]
@@ -39,7 +45,7 @@ pub(super) struct GradcheckArgs {
     /// Seed of the packing [default: 1]
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
-    /// Precision of the simulation [default: f64, with --skills f32]
+    /// Precision of the simulation [default: f64, with --skills or --theta f32]
     #[arg(long)]
     pub precision: Option<PrecisionArg>,
     /// Threads and memory.
@@ -48,6 +54,24 @@ pub(super) struct GradcheckArgs {
     /// Print one JSON object
     #[arg(long)]
     pub json: bool,
+}
+
+/// What the loss asks for.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+pub(super) enum AimArg {
+    /// The wanted amount, and the rest where it came from.
+    Amount,
+    /// All powder.
+    All,
+}
+
+impl From<AimArg> for Aim {
+    fn from(aim: AimArg) -> Self {
+        match aim {
+            AimArg::Amount => Self::Amount,
+            AimArg::All => Self::All,
+        }
+    }
 }
 
 #[derive(Serialize)]
@@ -65,9 +89,12 @@ struct Report {
 /// # Errors
 /// One sentence.
 pub(super) fn execute(arguments: &GradcheckArgs, context: &mut Context<'_>) -> Result<(), CliError> {
-    let scene = Scene::load(arguments.scene.as_deref().unwrap_or(DEFAULT_SCENE))?;
-    if let Some(skills) = arguments.skills {
-        return slopes::execute(skills, arguments, &scene, context);
+    let mut scene = Scene::load(arguments.scene.as_deref().unwrap_or(DEFAULT_SCENE))?;
+    if let Some(aim) = arguments.aim {
+        scene.objective.aim = aim.into();
+    }
+    if arguments.skills.is_some() || !arguments.theta.is_empty() {
+        return slopes::execute(arguments, &scene, context);
     }
     let report = check(arguments, &scene, context)?;
     if arguments.json {

@@ -258,7 +258,7 @@ fn scene_found(plan: &Path, header: &PlanHeader) -> Result<Scene, CliError> {
 }
 
 /// Five numbers in [-1, 1], separated by commas.
-fn parse_theta(text: &str) -> Result<Theta, CliError> {
+pub(super) fn parse_theta(text: &str) -> Result<Theta, CliError> {
     let wrong = |why: &str| {
         CliError::Input(format!(
             "--theta is `{text}`, but five numbers in [-1, 1], separated by commas, would be right: {why}"

@@ -99,6 +99,11 @@ pub(crate) struct Model<T> {
 }
 
 impl<T: Real> Model<T> {
+    /// The same that gives nothing back. Its adjoint takes what is given back for a constant.
+    pub(crate) fn without_residue(&self) -> Self {
+        Self { residue: None, ..self.clone() }
+    }
+
     pub(crate) fn new(scene: &Scene) -> Self {
         let grid = layout::Grid::new(scene);
         let dx = scene.domain.cell_m;

@@ -339,7 +339,7 @@ pub trait ParticleSimulator: Evaluate {
         theta: &Theta,
         restarts: &restart::Restarts,
         progress: Progress<'_>,
-    ) -> Result<Evaluation, RolloutError>;
+    ) -> Result<restart::Restarted, RolloutError>;
 
     /// A custom loss at the end of such a motion, and its derivative with respect to each
     /// displacement, the others held: per metre and per radian, whatever the loss's own unit is.

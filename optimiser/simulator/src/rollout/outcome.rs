@@ -4,7 +4,7 @@ use crate::scene::{Container, ContainerShape, Scene, ToolShape};
 use powderline_shared::{census::Census, pose::Pose};
 
 /// Powder that moves faster is not at rest, m/s: a grain has fallen for 5 ms, over an eighth of a millimetre.
-const AT_REST_M_S: f64 = 0.05;
+pub(super) const AT_REST_M_S: f64 = 0.05;
 
 /// A particle may stand in a wall's surface by this share of its thickness, as contact is soft.
 const IN_WALL: f64 = 0.25;
@@ -125,8 +125,12 @@ fn place(c: &Container, p: &[f64; 3]) -> Place {
 
 /// In the ball (or box) around the tool's inner space.
 pub(super) fn held(scene: &Scene, tool: &Pose, p: &[f64; 3]) -> bool {
+    held_within(scene, tool, p, scene.tool.wall_thickness_m)
+}
+
+/// The same with that much room around it, metres.
+pub(super) fn held_within(scene: &Scene, tool: &Pose, p: &[f64; 3], t: f64) -> bool {
     let y = tool.tool_from_world(&(*p).into());
-    let t = scene.tool.wall_thickness_m;
     match &scene.tool.shape {
         ToolShape::Bowl { inner_radius_m } => y.norm() <= inner_radius_m + t,
         ToolShape::BoxScoop { inner_size_m: [l, w, h] } => {

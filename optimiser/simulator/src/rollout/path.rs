@@ -21,6 +21,14 @@ pub(crate) struct PoseBar {
     pub(crate) rotation: Vector3<f64>,
 }
 
+impl PoseBar {
+    /// Position before rotation.
+    pub(crate) fn components(&self) -> [f64; 6] {
+        let (p, r) = (self.position, self.rotation);
+        [p.x, p.y, p.z, r.x, r.y, r.z]
+    }
+}
+
 /// A control sequence from an anchor pose.
 pub(crate) struct Trajectory {
     /// Substeps of the motion that are done where it begins.
@@ -147,10 +155,14 @@ impl TrajectoryAdjoint<'_> {
         }
     }
 
-    /// Adds a cotangent of the pose at the beginning of the control step whose substeps have been taken last.
-    pub(crate) fn take_over(&mut self, bar: &PoseBar) {
-        self.position_bar += bar.position;
-        self.rotation_bar += bar.rotation;
+    /// Cotangent of the pose at the beginning of the control step whose substeps have been taken last.
+    pub(crate) fn pose_bar(&self) -> PoseBar {
+        PoseBar { position: self.position_bar, rotation: self.rotation_bar }
+    }
+
+    /// Goes on with another one.
+    pub(crate) fn go_on_with(&mut self, bar: &PoseBar) {
+        (self.position_bar, self.rotation_bar) = (bar.position, bar.rotation);
     }
 
     fn finish(&mut self, step: usize) {

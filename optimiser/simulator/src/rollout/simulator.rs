@@ -15,7 +15,7 @@ use crate::mpm::timings::{Stage, StageTimings};
 use crate::real::Real;
 use crate::rollout::branches::{self, Batch, Worker};
 use crate::rollout::path::{PoseBar, Trajectory, resting};
-use crate::rollout::restart::{Cut, Restarts};
+use crate::rollout::restart::{Cut, CutReport, Later, Restarted, Restarts};
 use crate::rollout::schedule::{Action, advances, schedule};
 use crate::rollout::{
     Destination, DisplacementGradient, Evaluate, Evaluation, LossFn, Observer, ParticleSimulator, Progress,
@@ -201,7 +201,8 @@ impl<T: Real> Simulator<T> {
         controls: &[Displacement],
         progress: Progress<'_>,
     ) -> Result<(Evaluation, Vec<Control>), RolloutError> {
-        self.control_gradient_of(Asked::default(), from, controls, progress)
+        let (evaluation, bars, _) = self.control_gradient_of(Asked::default(), from, controls, progress)?;
+        Ok((evaluation, bars))
     }
 
     /// The same of another loss, or by another adjoint.
@@ -211,7 +212,7 @@ impl<T: Real> Simulator<T> {
         from: &RolloutState<T>,
         controls: &[Displacement],
         progress: Progress<'_>,
-    ) -> Result<(Evaluation, Vec<Control>), RolloutError> {
+    ) -> Result<(Evaluation, Vec<Control>, Vec<CutReport>), RolloutError> {
         let path = self.path(from, controls.to_vec());
         let reserved_bytes = self.bytes_of_workers_to_come();
         self.in_pool_for(asked, |r| r.gradient(&from.state, &path, reserved_bytes), progress)
@@ -322,14 +323,24 @@ impl<T: Real> ParticleSimulator for Simulator<T> {
         theta: &Theta,
         restarts: &Restarts,
         progress: Progress<'_>,
-    ) -> Result<Evaluation, RolloutError> {
+    ) -> Result<Restarted, RolloutError> {
         let linear = self.skill.linearise(theta)?;
         let start = self.initial_state(progress)?;
         let asked = Asked { restarts: Some(restarts), ..Asked::default() };
-        let (mut evaluation, bars) = self.control_gradient_of(asked, &start, &linear.controls, progress)?;
+        let (mut evaluation, bars, mut cuts) =
+            self.control_gradient_of(asked, &start, &linear.controls, progress)?;
         self.recycle(start);
         evaluation.gradient = Some(linear.pull_back(&bars));
-        Ok(evaluation)
+        cuts.reverse();
+        let steps = cuts.iter().map(|cut| cut.step);
+        let ends: Vec<usize> = std::iter::once(0).chain(steps).chain([bars.len()]).collect();
+        let share = |ends: &[usize]| {
+            let mut share = vec![[0.0; 6]; bars.len()];
+            share[ends[0]..ends[1]].copy_from_slice(&bars[ends[0]..ends[1]]);
+            linear.pull_back(&share)
+        };
+        let shares = ends.windows(2).map(share).collect();
+        Ok(Restarted { evaluation, cuts, shares })
     }
 
     fn gradient_of_custom_loss(
@@ -340,7 +351,7 @@ impl<T: Real> ParticleSimulator for Simulator<T> {
     ) -> Result<(f64, Vec<DisplacementGradient>), RolloutError> {
         let start = self.initial_state(progress)?;
         let asked = Asked { loss: Some(loss), ..Asked::default() };
-        let (evaluation, bars) = self.control_gradient_of(asked, &start, controls, progress)?;
+        let (evaluation, bars, _) = self.control_gradient_of(asked, &start, controls, progress)?;
         Ok((evaluation.loss, bars.into_iter().map(DisplacementGradient::from).collect()))
     }
 }
@@ -510,6 +521,9 @@ struct Retreat<T> {
     values: Vec<Option<f64>>,
     /// Cotangents of the particles.
     bar: Vec<Group<T>>,
+    /// What the cut before has left, or the end.
+    later: Later,
+    cuts: Vec<CutReport>,
 }
 
 impl<T: Real> Rollout<'_, T> {
@@ -582,7 +596,7 @@ impl<T: Real> Rollout<'_, T> {
         start: &State<T>,
         path: &Trajectory,
         reserved_bytes: u64,
-    ) -> Result<(Evaluation, Vec<Control>), RolloutError> {
+    ) -> Result<(Evaluation, Vec<Control>, Vec<CutReport>), RolloutError> {
         self.workspace.prepare(self.model, start);
         // The state at work is the last one kept, until it is advanced: then it is `working`.
         let copy = start.copied(&mut self.workspace.spare);
@@ -593,6 +607,9 @@ impl<T: Real> Rollout<'_, T> {
         let mut done = 0;
         let mut back = path.pull_back();
         let mut end: Option<Retreat<T>> = None;
+        let lacks_residue = self.asked.restarts.is_some_and(|restarts| !restarts.through_residue);
+        let without_residue = lacks_residue.then(|| self.model.without_residue());
+        let model_back = without_residue.as_ref().unwrap_or(self.model);
         let (mut at, mut is_kept) = (0, true);
         let mut schedule = schedule(path.len(), slots);
         while let Some(action) = schedule.next() {
@@ -631,13 +648,13 @@ impl<T: Real> Rollout<'_, T> {
                     };
                     let bar = &mut retreat.bar;
                     let bodies = path.bodies(&self.model.gates, step);
-                    let tool_bar = self.workspace.substep_adjoint(self.model, &bodies, state, grid, bar);
+                    let tool_bar = self.workspace.substep_adjoint(model_back, &bodies, state, grid, bar);
                     self.check_finite(step, &tool_bar, state, bar)?;
                     back.take(step, tool_bar);
                     self.workspace.timings.skip();
                     if self.restarts_before(step) {
-                        let over = self.restart(path, step, state, &mut retreat);
-                        back.take_over(&over);
+                        let pose = self.restart(path, step, state, &mut retreat, back.pose_bar());
+                        back.go_on_with(&pose);
                     }
                     self.workspace.sort_adjoint(state, &mut retreat.bar);
                     end = Some(retreat);
@@ -647,7 +664,7 @@ impl<T: Real> Rollout<'_, T> {
                 }
             }
         }
-        let Retreat { evaluation, bar, .. } = match end {
+        let Retreat { evaluation, bar, cuts, .. } = match end {
             Some(end) => end,
             // A motion of no step ends where it began.
             None => self.end_of(path, &kept[0].state)?,
@@ -655,7 +672,7 @@ impl<T: Real> Rollout<'_, T> {
         self.workspace.bar = bar;
         working.recycle_into(&mut self.workspace.spare);
         kept.into_iter().for_each(|kept| self.recycle_checkpoint(kept));
-        Ok((evaluation, back.finished()))
+        Ok((evaluation, back.finished(), cuts))
     }
 
     /// States that may be kept at a time, those that are kept among them: as many as memory allows if the next ones are as large as
@@ -691,8 +708,9 @@ impl<T: Real> Rollout<'_, T> {
         substep: usize,
         state: &State<T>,
         retreat: &mut Retreat<T>,
+        pose: PoseBar,
     ) -> PoseBar {
-        let Some(restarts) = self.asked.restarts else { return PoseBar::default() };
+        let Some(restarts) = self.asked.restarts else { return pose };
         let mut state = state.copied(&mut self.workspace.spare);
         state.fill();
         let cut = Cut {
@@ -700,11 +718,15 @@ impl<T: Real> Rollout<'_, T> {
             model: self.model,
             bodies: &path.bodies(&self.model.gates, substep - 1),
             tool: path.pose_before(substep / self.scene.time.substeps as usize),
+            step: substep / self.scene.time.substeps as usize,
             restarts,
         };
-        let over = cut.restart(&state.particles, &retreat.values, &mut retreat.bar);
+        let bars = (&mut retreat.bar[..], &pose);
+        let (later, report) = cut.restart(&state.particles, &retreat.values, bars, &retreat.later);
+        retreat.later = later;
+        retreat.cuts.push(report);
         state.recycle_into(&mut self.workspace.spare);
-        over
+        retreat.later.pose
     }
 
     /// Last step, loss, and the loss's cotangent in the order of the last step's particles.
@@ -732,7 +754,8 @@ impl<T: Real> Rollout<'_, T> {
             && restarts.begins_with_slopes
         {
             let bodies = &path.bodies(&self.model.gates, path.len() - 1);
-            let cut = Cut { scene: self.scene, model: self.model, bodies, tool, restarts };
+            let cut =
+                Cut { scene: self.scene, model: self.model, bodies, tool, step: path.steps(), restarts };
             gradient = cut.slopes(&state.particles.positions_by_id(), &values);
         }
         let mut bar = std::mem::take(&mut self.workspace.bar);
@@ -743,7 +766,9 @@ impl<T: Real> Rollout<'_, T> {
         }
         self.workspace.sort_adjoint(&state, &mut bar);
         state.recycle_into(&mut self.workspace.spare);
-        Ok(Retreat { evaluation, values, bar })
+        let slopes = if self.asked.restarts.is_some() { gradient } else { Vec::new() };
+        let later = Later { slopes, pose: PoseBar::default() };
+        Ok(Retreat { evaluation, values, bar, later, cuts: Vec::new() })
     }
 
     /// Particles are searched once per control step, and whenever the tool's cotangent, a sum over all contacts, is not finite.

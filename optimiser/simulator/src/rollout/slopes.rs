@@ -11,7 +11,7 @@
 //! points about as well as d. Hence c stands beside the gradients as a control, and of each gradient it is also said how well the
 //! rest of it, without its part along c, fits the rest of d. A sign counts where abs d_k > n_k.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::bench::cpu_seconds;
 use crate::rollout::restart::Restarts;
@@ -28,7 +28,7 @@ pub const LEAST_DELIVERED: u32 = 20;
 const GRADIENT_WORK: u64 = 8;
 
 /// One skill with one packing.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Measured {
     /// Particles that arrive.
@@ -44,7 +44,7 @@ pub struct Measured {
 }
 
 /// Processor time of all threads together, seconds; wall-clock time where the system does not tell.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Seconds {
     /// Of one rollout, the mean of those of the differences.
@@ -108,7 +108,7 @@ pub fn measure(
         delivered,
         slope,
         exact: exact.unwrap_or_default(),
-        restarted: restarted.gradient.unwrap_or_default(),
+        restarted: restarted.evaluation.gradient.unwrap_or_default(),
         seconds: Seconds { rollout, exact: between_s - from_s, restarted: cpu_seconds() - between_s },
     }))
 }

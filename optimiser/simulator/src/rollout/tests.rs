@@ -79,9 +79,11 @@ fn restarts_change_no_bit_by_threads_or_memory_and_are_what_makes_the_difference
     assert_eq!(one, restarted(2, 1 << 30, &usual), "two threads");
     assert_eq!(one, restarted(3, 48 << 20, &usual), "three threads and few checkpoints");
     let exact = simulator(2, 1 << 30).evaluate(&theta, true, &mut |_, _| true).expect("runs");
-    assert!(one.loss.to_bits() == exact.loss.to_bits() && one.gradient != exact.gradient);
+    assert!(
+        one.evaluation.loss.to_bits() == exact.loss.to_bits() && one.evaluation.gradient != exact.gradient
+    );
     let never = Restarts { steps: Vec::new(), begins_with_slopes: false, ..usual };
-    assert_eq!(exact, restarted(2, 1 << 30, &never));
+    assert_eq!(exact, restarted(2, 1 << 30, &never).evaluation);
 }
 
 #[test]

@@ -1,0 +1,172 @@
+//! The restarted gradient of named skills with its settings changed one at a time, beside the slope, and what happens at its cuts.
+//!
+//!     cargo run --release -p powderline-simulator --example restarted_ablation SCENE SKILLS [VARIANT...]
+//!
+//! SKILLS are numbers of the list below, as in `0,3,6`. A VARIANT is a list of words; without any, all of `VARIANTS` are tried.
+//!
+//! | word | sets |
+//! |---|---|
+//! | `cuts=scoop:4+lift+pour:4` | cuts at that many equal parts' ends of a segment, its end the last; `rest:N` of what is after the pour |
+//! | `radius=0.006` | `Restarts::radius_m` |
+//! | `room=0.004` | `Restarts::room_m` |
+//! | `digging=exact`, `clear=leavers` | what becomes of the resultant: `dropped`, `exact` or `leavers` |
+//! | `residue=1` | `Restarts::through_residue` |
+//! | `end=0` | `Restarts::begins_with_slopes` |
+//! | `trace=1` | shows the cuts |
+
+use powderline_simulator::rollout::restart::{Restarted, Restarts, Resultant};
+use powderline_simulator::rollout::slopes::{HALF_STEP, cosine};
+use powderline_simulator::rollout::{ParticleSimulator, RolloutError, SimulatorSettings, boxed_simulator};
+use powderline_simulator::scene::Scene;
+use powderline_simulator::skill::{SegmentKind, SkillMap, Theta};
+
+type Failure = Box<dyn std::error::Error>;
+
+/// Those by which the settings were chosen: not drawn, so that drawn ones can judge.
+const SKILLS: [Theta; 7] = [
+    [0.3, 0.0, 0.0, 0.0, 0.3],
+    [0.21, -0.37, 0.12, 0.33, 0.45],
+    [-0.31, 0.42, -0.22, -0.15, 0.18],
+    [0.45, 0.25, 0.38, 0.08, -0.12],
+    [-0.08, -0.18, -0.41, 0.27, 0.36],
+    [0.05, 0.35, 0.2, -0.4, -0.33],
+    [0.6, 0.5, 0.0, 0.1, 0.8],
+];
+
+const VARIANTS: [&str; 12] = [
+    "",
+    "clear=exact",
+    "clear=dropped",
+    "digging=dropped",
+    "residue=0",
+    "residue=1",
+    "cuts=scoop+lift+transport+pour:4",
+    "cuts=scoop:8+lift+transport+pour:4",
+    "radius=0.004",
+    "radius=0.008",
+    "room=0.0065",
+    "end=0",
+];
+
+fn main() -> Result<(), Failure> {
+    let arguments: Vec<String> = std::env::args().skip(1).collect();
+    let scene = Scene::load(arguments.first().map_or("bench-small", String::as_str))?;
+    let skills = arguments.get(1).map_or("0,1", String::as_str);
+    let given: Vec<&str> = arguments.iter().skip(2).map(String::as_str).collect();
+    let variants = if given.is_empty() { VARIANTS.to_vec() } else { given };
+    let map = SkillMap::new(&scene);
+    let settings = SimulatorSettings { seed: scene.powder.seed, ..SimulatorSettings::default() };
+    let mut simulator = boxed_simulator(&scene, &settings)?;
+    for skill in skills.split(',') {
+        let theta = SKILLS.get(skill.parse::<usize>()?).ok_or("there is no such skill")?;
+        let slope = slope(simulator.as_mut(), theta)?;
+        println!("skill {skill}: slope {}", shown(&slope));
+        for words in &variants {
+            let (restarts, traces) = variant(&scene, &map, theta, words)?;
+            let found = simulator.evaluate_restarted(theta, &restarts, &mut |_, _| true)?;
+            let gradient = found.evaluation.gradient.unwrap_or_default();
+            let longer = length(&gradient) / length(&slope);
+            println!(
+                "{} cosine {:5.2} length {longer:5.2}  {words}",
+                shown(&gradient),
+                cosine(&gradient, &slope)
+            );
+            if traces {
+                trace(&found);
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Central differences over what a search might step, metres.
+fn slope(simulator: &mut dyn ParticleSimulator, theta: &Theta) -> Result<Theta, RolloutError> {
+    let moved = |(k, step): (usize, f64)| {
+        let mut moved = *theta;
+        moved[k] += step;
+        moved
+    };
+    let both: Vec<Theta> = (0..5).flat_map(|k| [(k, HALF_STEP), (k, -HALF_STEP)]).map(moved).collect();
+    let ends = simulator.evaluate_all(&both, &mut |_, _| true)?;
+    Ok(std::array::from_fn(|k| (ends[2 * k].loss - ends[2 * k + 1].loss) / (2.0 * HALF_STEP)))
+}
+
+fn variant(scene: &Scene, map: &SkillMap, theta: &Theta, words: &str) -> Result<(Restarts, bool), Failure> {
+    let mut restarts = Restarts::of_skill(scene, map, theta);
+    let mut traces = false;
+    for word in words.split_whitespace() {
+        let (key, value) = word.split_once('=').ok_or("a word is KEY=VALUE")?;
+        match key {
+            "cuts" => restarts.steps = cuts(scene, map, theta, value)?,
+            "radius" => restarts.radius_m = value.parse()?,
+            "room" => restarts.room_m = value.parse()?,
+            "digging" => restarts.while_digging = resultant(value)?,
+            "clear" => restarts.while_clear = resultant(value)?,
+            "residue" => restarts.through_residue = value == "1",
+            "end" => restarts.begins_with_slopes = value == "1",
+            "trace" => traces = value == "1",
+            _ => return Err(format!("there is no {key}").into()),
+        }
+    }
+    Ok((restarts, traces))
+}
+
+fn resultant(name: &str) -> Result<Resultant, Failure> {
+    match name {
+        "dropped" => Ok(Resultant::Dropped),
+        "exact" => Ok(Resultant::Exact),
+        "leavers" => Ok(Resultant::OfLeavers),
+        _ => Err(format!("{name} is no resultant").into()),
+    }
+}
+
+fn cuts(scene: &Scene, map: &SkillMap, theta: &Theta, text: &str) -> Result<Vec<usize>, Failure> {
+    let (period_s, horizon) = (scene.time.control_period_s(), scene.time.horizon_steps as usize);
+    let segments = map.segments(theta);
+    let mut steps = Vec::new();
+    for part in text.split('+') {
+        let (name, count) = part.split_once(':').unwrap_or((part, "1"));
+        let kind = match name {
+            "insert" => SegmentKind::Insert,
+            "scoop" => SegmentKind::Scoop,
+            "lift" => SegmentKind::Lift,
+            "transport" => SegmentKind::Transport,
+            _ => SegmentKind::Pour,
+        };
+        let segment =
+            segments.iter().find(|segment| segment.kind == kind).ok_or("there is no such segment")?;
+        let rest = name == "rest";
+        let [from, to] =
+            if rest { [segment.end_s, horizon as f64 * period_s] } else { [segment.start_s, segment.end_s] };
+        let count: u32 = count.parse()?;
+        let at = |part: u32| from + (to - from) * f64::from(part) / f64::from(count);
+        steps.extend((1..=count).map(|part| (at(part) / period_s).round() as usize));
+    }
+    steps.retain(|step| (1..horizon).contains(step));
+    steps.sort_unstable();
+    steps.dedup();
+    Ok(steps)
+}
+
+/// What the controls before, between and after the cuts bring, and what the cuts put in the place of what.
+fn trace(found: &Restarted) {
+    let row = |numbers: &[f64]| numbers.iter().map(|x| format!("{x:9.1}")).collect::<String>();
+    for (index, share) in found.shares.iter().enumerate() {
+        println!("    controls   {}", shown(share));
+        let Some(cut) = found.cuts.get(index) else { continue };
+        println!("    cut {:4}   tool {} -> {}", cut.step, row(&cut.tool_before), row(&cut.tool_after));
+        for (name, grains) in [("carried", cut.carried), ("moving", cut.moving), ("resting", cut.resting)] {
+            let (exact, slopes) = (row(&grains.exact), row(&grains.slopes));
+            let largest = row(&[grains.largest_exact, grains.largest_slope]);
+            println!("      {:5} {name:8} {exact} -> {slopes}, largest {largest}", grains.grains);
+        }
+    }
+}
+
+fn length(theta: &Theta) -> f64 {
+    theta.iter().map(|x| x * x).sum::<f64>().sqrt()
+}
+
+fn shown(theta: &Theta) -> String {
+    theta.map(|x| format!("{x:9.3}")).join(" ")
+}
