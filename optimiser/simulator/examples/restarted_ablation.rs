@@ -10,7 +10,8 @@
 //! | `radius=0.006` | `Restarts::radius_m` |
 //! | `room=0.004` | `Restarts::room_m` |
 //! | `digging=exact`, `clear=leavers` | what becomes of the resultant: `dropped`, `exact` or `leavers` |
-//! | `residue=1` | `Restarts::through_residue` |
+//! | `rests=30` | `Restarts::rests_from`, so many control steps after the end of the pour |
+//! | `residue=0` | `Restarts::through_residue` |
 //! | `end=0` | `Restarts::begins_with_slopes` |
 //! | `trace=1` | shows the cuts |
 
@@ -33,13 +34,14 @@ const SKILLS: [Theta; 7] = [
     [0.6, 0.5, 0.0, 0.1, 0.8],
 ];
 
-const VARIANTS: [&str; 12] = [
+const VARIANTS: [&str; 13] = [
     "",
     "clear=exact",
     "clear=dropped",
     "digging=dropped",
     "residue=0",
-    "residue=1",
+    "rests=0",
+    "rests=30",
     "cuts=scoop+lift+transport+pour:4",
     "cuts=scoop:8+lift+transport+pour:4",
     "radius=0.004",
@@ -102,6 +104,7 @@ fn variant(scene: &Scene, map: &SkillMap, theta: &Theta, words: &str) -> Result<
             "room" => restarts.room_m = value.parse()?,
             "digging" => restarts.while_digging = resultant(value)?,
             "clear" => restarts.while_clear = resultant(value)?,
+            "rests" => restarts.rests_from = Some(end_of_pour(scene, map, theta) + value.parse::<usize>()?),
             "residue" => restarts.through_residue = value == "1",
             "end" => restarts.begins_with_slopes = value == "1",
             "trace" => traces = value == "1",
@@ -146,6 +149,11 @@ fn cuts(scene: &Scene, map: &SkillMap, theta: &Theta, text: &str) -> Result<Vec<
     steps.sort_unstable();
     steps.dedup();
     Ok(steps)
+}
+
+fn end_of_pour(scene: &Scene, map: &SkillMap, theta: &Theta) -> usize {
+    let end_s = map.segments(theta).last().map_or(0.0, |segment| segment.end_s);
+    (end_s / scene.time.control_period_s()).round() as usize
 }
 
 /// What the controls before, between and after the cuts bring, and what the cuts put in the place of what.

@@ -60,6 +60,12 @@ impl Trajectory {
         Self { begins_after, poses, controls, substeps, period_s }
     }
 
+    /// The beginning of it, of so many control steps.
+    pub(crate) fn until(&self, steps: usize) -> Self {
+        let steps = steps.min(self.controls.len());
+        Self { poses: self.poses[..steps].to_vec(), controls: self.controls[..steps].to_vec(), ..*self }
+    }
+
     /// Substeps in the whole path.
     pub(crate) fn len(&self) -> usize {
         self.controls.len() * self.substeps as usize
@@ -81,9 +87,12 @@ impl Trajectory {
         self.controls[step].components().map(f64::to_bits)
     }
 
-    /// Pose at the beginning of a control step.
+    /// Pose at the beginning of a control step, or after the last one.
     pub(crate) fn pose_before(&self, step: usize) -> Pose {
-        self.poses[step]
+        self.poses
+            .get(step)
+            .copied()
+            .unwrap_or_else(|| self.poses[step - 1].displaced(&self.controls[step - 1]))
     }
 
     /// Pose after the last step.

@@ -597,7 +597,12 @@ impl<T: Real> Rollout<'_, T> {
         path: &Trajectory,
         reserved_bytes: u64,
     ) -> Result<(Evaluation, Vec<Control>, Vec<CutReport>), RolloutError> {
+        let whole = path;
+        let path = &whole.until(self.goes_back_from().unwrap_or(whole.steps()));
         self.workspace.prepare(self.model, start);
+        // Where the way back turns before the end, its state waits for what the end says.
+        let waits = if path.len() < whole.len() { state_bytes::<T>(start.size(self.model)) } else { 0 };
+        let reserved_bytes = reserved_bytes + waits;
         // The state at work is the last one kept, until it is advanced: then it is `working`.
         let copy = start.copied(&mut self.workspace.spare);
         let mut kept = vec![Checkpoint { step: 0, state: copy, on_grid: None }];
@@ -644,7 +649,11 @@ impl<T: Real> Rollout<'_, T> {
                         if is_kept { (&last.state, last.on_grid.as_ref()) } else { (&working, None) };
                     let mut retreat = match end.take() {
                         Some(end) => end,
-                        None => self.end_of(path, state)?,
+                        None => {
+                            let end = self.end_of([path, whole], state, (done.min(total), total))?;
+                            back.go_on_with(&end.later.pose);
+                            end
+                        }
                     };
                     let bar = &mut retreat.bar;
                     let bodies = path.bodies(&self.model.gates, step);
@@ -653,8 +662,8 @@ impl<T: Real> Rollout<'_, T> {
                     back.take(step, tool_bar);
                     self.workspace.timings.skip();
                     if self.restarts_before(step) {
-                        let pose = self.restart(path, step, state, &mut retreat, back.pose_bar());
-                        back.go_on_with(&pose);
+                        self.restart(path, step, state, &mut retreat, back.pose_bar());
+                        back.go_on_with(&retreat.later.pose);
                     }
                     self.workspace.sort_adjoint(state, &mut retreat.bar);
                     end = Some(retreat);
@@ -667,12 +676,14 @@ impl<T: Real> Rollout<'_, T> {
         let Retreat { evaluation, bar, cuts, .. } = match end {
             Some(end) => end,
             // A motion of no step ends where it began.
-            None => self.end_of(path, &kept[0].state)?,
+            None => self.end_of([path, whole], &kept[0].state, (done, total))?,
         };
         self.workspace.bar = bar;
         working.recycle_into(&mut self.workspace.spare);
         kept.into_iter().for_each(|kept| self.recycle_checkpoint(kept));
-        Ok((evaluation, back.finished(), cuts))
+        let mut bars = back.finished();
+        bars.resize(whole.steps(), [0.0; 6]);
+        Ok((evaluation, bars, cuts))
     }
 
     /// States that may be kept at a time, those that are kept among them: as many as memory allows if the next ones are as large as
@@ -694,6 +705,11 @@ impl<T: Real> Rollout<'_, T> {
         kept.on_grid.into_iter().for_each(|grid| grid.recycle_into(&mut self.workspace.spare));
     }
 
+    /// Control step from whose beginning the adjoint goes back, if it is not the motion's end.
+    fn goes_back_from(&self) -> Option<usize> {
+        self.asked.restarts?.rests_from
+    }
+
     /// Whether the adjoint restarts where this substep begins.
     fn restarts_before(&self, substep: usize) -> bool {
         let n = self.scene.time.substeps as usize;
@@ -709,16 +725,17 @@ impl<T: Real> Rollout<'_, T> {
         state: &State<T>,
         retreat: &mut Retreat<T>,
         pose: PoseBar,
-    ) -> PoseBar {
-        let Some(restarts) = self.asked.restarts else { return pose };
+    ) {
+        let Some(restarts) = self.asked.restarts else { return };
         let mut state = state.copied(&mut self.workspace.spare);
         state.fill();
+        let step = substep / self.scene.time.substeps as usize;
         let cut = Cut {
             scene: self.scene,
             model: self.model,
             bodies: &path.bodies(&self.model.gates, substep - 1),
-            tool: path.pose_before(substep / self.scene.time.substeps as usize),
-            step: substep / self.scene.time.substeps as usize,
+            tool: path.pose_before(step),
+            step,
             restarts,
         };
         let bars = (&mut retreat.bar[..], &pose);
@@ -726,16 +743,45 @@ impl<T: Real> Rollout<'_, T> {
         retreat.later = later;
         retreat.cuts.push(report);
         state.recycle_into(&mut self.workspace.spare);
-        retreat.later.pose
     }
 
-    /// Last step, loss, and the loss's cotangent in the order of the last step's particles.
-    fn end_of(&mut self, path: &Trajectory, state: &State<T>) -> Result<Retreat<T>, RolloutError> {
+    /// Last step, loss, and the loss's cotangent in the order of the last step's particles. Of a motion that the adjoint does not go
+    /// back through to its end, that is the last step that it goes back through, with the loss at the motion's end.
+    fn end_of(
+        &mut self,
+        [path, whole]: [&Trajectory; 2],
+        state: &State<T>,
+        (done, total): (u64, u64),
+    ) -> Result<Retreat<T>, RolloutError> {
         let mut state = state.copied(&mut self.workspace.spare);
         state.fill();
         if let Some(last) = path.len().checked_sub(1) {
             self.step(&mut state, last, &path.bodies(&self.model.gates, last))?;
         }
+        let turn = (path.len() < whole.len()).then(|| state.copied(&mut self.workspace.spare));
+        for substep in path.len()..whole.len() {
+            if substep.is_multiple_of(self.scene.time.substeps as usize) {
+                self.report(done, total)?;
+            }
+            self.step(&mut state, substep, &whole.bodies(&self.model.gates, substep))?;
+        }
+        let mut retreat = self.loss_of(whole, &state)?;
+        let rests = turn.is_some();
+        if let Some(turn) = turn {
+            std::mem::replace(&mut state, turn).recycle_into(&mut self.workspace.spare);
+        }
+        let last = state;
+        self.begin(&last, &mut retreat);
+        if rests {
+            self.restart(path, path.len(), &last, &mut retreat, PoseBar::default());
+        }
+        self.workspace.sort_adjoint(&last, &mut retreat.bar);
+        last.recycle_into(&mut self.workspace.spare);
+        Ok(retreat)
+    }
+
+    /// Loss at the end, and what follows from it, without the cotangents of particles.
+    fn loss_of(&mut self, path: &Trajectory, state: &State<T>) -> Result<Retreat<T>, RolloutError> {
         let (mut evaluation, mut gradient) =
             evaluation(self.scene, &state.particles, &path.end().unwrap_or(*self.anchor));
         if let Some(loss) = self.asked.loss {
@@ -758,17 +804,22 @@ impl<T: Real> Rollout<'_, T> {
                 Cut { scene: self.scene, model: self.model, bodies, tool, step: path.steps(), restarts };
             gradient = cut.slopes(&state.particles.positions_by_id(), &values);
         }
+        let later = Later { slopes: gradient, pose: PoseBar::default() };
+        Ok(Retreat { evaluation, values, bar: Vec::new(), later, cuts: Vec::new() })
+    }
+
+    /// Gives the particles of a state the cotangents that they have at the end.
+    fn begin(&mut self, state: &State<T>, retreat: &mut Retreat<T>) {
         let mut bar = std::mem::take(&mut self.workspace.bar);
         fit(&mut bar, state.particles.groups.len(), Group::ZERO);
         bar.fill(Group::ZERO);
         for (g, l, id) in state.particles.occupied() {
-            set_vec(&mut bar[g].x, l, gradient[id as usize].map(T::from_f64));
+            set_vec(&mut bar[g].x, l, retreat.later.slopes[id as usize].map(T::from_f64));
         }
-        self.workspace.sort_adjoint(&state, &mut bar);
-        state.recycle_into(&mut self.workspace.spare);
-        let slopes = if self.asked.restarts.is_some() { gradient } else { Vec::new() };
-        let later = Later { slopes, pose: PoseBar::default() };
-        Ok(Retreat { evaluation, values, bar, later, cuts: Vec::new() })
+        retreat.bar = bar;
+        if self.asked.restarts.is_none() {
+            retreat.later.slopes = Vec::new();
+        }
     }
 
     /// Particles are searched once per control step, and whenever the tool's cotangent, a sum over all contacts, is not finite.

@@ -4,10 +4,12 @@ mod gates;
 
 use powderline_shared::{displacement::Displacement, plan::Precision};
 
-use crate::rollout::restart::Restarts;
+use crate::mpm::Model;
+use crate::rollout::path::Trajectory;
+use crate::rollout::restart::{Cut, Restarts, Resultant};
 use crate::rollout::{
     Destination, DisplacementGradient, Evaluate, ParticleSimulator, Recording, RolloutError, Simulator,
-    SimulatorSettings, Snapshot, gradcheck, outcome,
+    SimulatorSettings, Snapshot, gradcheck, loss, outcome,
 };
 use crate::scene::{
     Aim, Cuboid, Flow, Infeasible, Scene, Tool, ToolShape, Transfer, VolumeCorrection, YieldSurface,
@@ -66,6 +68,8 @@ fn restarts_change_no_bit_by_threads_or_memory_and_are_what_makes_the_difference
     scene.time.substeps /= 2;
     let theta = gradcheck::CHECKED_THETA;
     let usual = Restarts::of_skill(&scene, &SkillMap::new(&scene), &theta);
+    // The rest left out, as that is more to go wrong.
+    let usual = Restarts { rests_from: usual.steps.last().copied(), ..usual };
     let simulator = |threads: usize, memory_bytes: u64| {
         let settings =
             SimulatorSettings { seed: 1, precision: Precision::F32, threads: Some(threads), memory_bytes };
@@ -82,8 +86,55 @@ fn restarts_change_no_bit_by_threads_or_memory_and_are_what_makes_the_difference
     assert!(
         one.evaluation.loss.to_bits() == exact.loss.to_bits() && one.evaluation.gradient != exact.gradient
     );
-    let never = Restarts { steps: Vec::new(), begins_with_slopes: false, ..usual };
+    let never = Restarts { steps: Vec::new(), rests_from: None, begins_with_slopes: false, ..usual };
     assert_eq!(exact, restarted(2, 1 << 30, &never).evaluation);
+}
+
+/// Where nothing is kept for the tool's pose, what goes back from a cut is the exact derivative of a loss that is linear in the
+/// positions there, of the cut's slopes.
+#[test]
+fn between_cuts_the_derivative_is_the_exact_one() {
+    let mut scene = Scene::load("bench-small").expect("shipped");
+    scene.domain.cell_m *= 2.0;
+    scene.time.substeps /= 2;
+    let (theta, map) = (gradcheck::CHECKED_THETA, SkillMap::new(&scene));
+    let linear = map.linearise(&theta).expect("fits");
+    let usual = Restarts::of_skill(&scene, &map, &theta);
+    let turn = *usual.steps.last().expect("it has cuts");
+    let [while_digging, while_clear] = [Resultant::Dropped; 2];
+    let restarts =
+        Restarts { steps: Vec::new(), rests_from: Some(turn), while_digging, while_clear, ..usual };
+    let mut s = Simulator::<f64>::new(&scene, &SimulatorSettings::default()).expect("threads");
+    let mut positions =
+        |steps: usize| s.final_positions_m(&linear.controls[..steps], &mut |_, _| true).expect("runs");
+    let (there, end) = (positions(turn), positions(linear.controls.len()));
+    let values = loss::values(&scene, &end);
+    let before = linear.controls[..turn].to_vec();
+    let path = Trajectory::new(
+        0,
+        *map.start_pose(),
+        before.clone(),
+        scene.time.substeps,
+        scene.time.control_period_s(),
+    );
+    let model = Model::<f64>::new(&scene);
+    let bodies = &path.bodies(&model.gates, path.len() - 1);
+    let tool = path.end().expect("it moves");
+    let cut = Cut { scene: &scene, model: &model, bodies, tool, step: turn, restarts: &restarts };
+    let slopes = cut.slopes(&there, &values);
+    let loss = |x: &[[f64; 3]]| {
+        let cost = x.iter().zip(&slopes).map(|(x, s)| x[0] * s[0] + x[1] * s[1] + x[2] * s[2]).sum();
+        (cost, slopes.clone())
+    };
+    let (_, bars) = s.gradient_of_custom_loss(&before, &loss, &mut |_, _| true).expect("runs");
+    let bars: Vec<[f64; 6]> = bars.iter().map(DisplacementGradient::components).collect();
+    let restarted = s.evaluate_restarted(&theta, &restarts, &mut |_, _| true).expect("runs");
+    let gradient = restarted.evaluation.gradient.expect("asked for");
+    assert!(gradient.iter().all(|x| *x != 0.0), "{gradient:?}");
+    assert_eq!(gradient.map(f64::to_bits), linear.pull_back(&bars).map(f64::to_bits));
+    // What the controls between cuts bring is all that there is.
+    assert_eq!((restarted.cuts.len(), restarted.shares.len()), (1, 2));
+    assert_eq!(restarted.shares[0].map(f64::to_bits), gradient.map(f64::to_bits));
 }
 
 #[test]
