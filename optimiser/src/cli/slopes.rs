@@ -319,8 +319,9 @@ mod tests {
     use super::*;
 
     fn measured() -> Measured {
+        let one = [1.0; 5];
         serde_json::from_value(serde_json::json!({
-            "delivered": 50, "slope": [1.0; 5], "exact": [1.0; 5], "restarted": [1.0; 5],
+            "delivered": 50, "slope": one, "exact": one, "restarted": one,
             "seconds": { "rollout": 1.0, "exact": 8.0, "restarted": 6.0 }
         }))
         .unwrap()
