@@ -319,9 +319,9 @@ mod tests {
     use super::*;
 
     fn measured() -> Measured {
-        let ones = [1.0; 5];
+        let one = [1.0; 5];
         serde_json::from_value(serde_json::json!({
-            "delivered": 50, "slope": ones, "exact": ones, "restarted": ones,
+            "delivered": 50, "slope": one, "exact": one, "restarted": one,
             "seconds": { "rollout": 1.0, "exact": 8.0, "restarted": 6.0 }
         }))
         .unwrap()
