@@ -198,6 +198,8 @@ pub struct Executor<'a> {
     progress_us: u64,
     /// When that was first asked whose answer is waited for.
     asked_us: Option<u64>,
+    /// Whether anything has been asked yet.
+    has_asked: bool,
     retry_at_us: u64,
     give_up_at_us: u64,
     /// While stopping: when it is given up whatever the arm says.
@@ -249,6 +251,7 @@ impl<'a> Executor<'a> {
             furthest: (0, None),
             progress_us: now_us,
             asked_us: None,
+            has_asked: false,
             retry_at_us: now_us,
             give_up_at_us: now_us.saturating_add(config.handshake_us),
             stop_ends_at_us: u64::MAX,
@@ -808,6 +811,7 @@ impl<'a> Executor<'a> {
 
     /// Asks the arm for whatever the present stage needs.
     fn ask(&mut self, now_us: u64) {
+        self.has_asked = true;
         self.retry_at_us = now_us.saturating_add(self.config.retry_us);
         match self.stage {
             Stage::Opening => self.queue(self.opening()),
@@ -943,7 +947,9 @@ impl<'a> Executor<'a> {
                 if now_us >= self.give_up_at_us || stop_ends {
                     self.give_up(now_us);
                 } else if now_us >= self.retry_at_us {
-                    self.telemetry.retries = self.telemetry.retries.saturating_add(1);
+                    // The very first request is asked here too.
+                    let again = u32::from(self.has_asked);
+                    self.telemetry.retries = self.telemetry.retries.saturating_add(again);
                     self.ask(now_us);
                 }
             }

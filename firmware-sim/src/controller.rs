@@ -433,6 +433,10 @@ impl Controller {
         };
         self.heard_us = now_us;
         if repeated.is_none() {
+            // Power that one session has left on is not another one's.
+            if self.state == State::SwitchedOn {
+                self.state = State::SwitchOnDisabled;
+            }
             let context = self.context_of(request, proof, nonce);
             self.session = Some(Session::new((request, proof), &self.own_limits, (context, nonce)));
         }

@@ -661,6 +661,18 @@ fn what_a_session_has_said_before_does_not_move_the_arm_once_more() {
     }
 }
 
+#[test]
+fn power_that_a_session_leaves_on_is_not_the_next_ones() {
+    let mut bench = Bench::enabled();
+    bench.stream(END, |tick| Some(setpoint(tick)));
+    bench.rest();
+    bench.command(Command::SwitchOn);
+    assert_eq!((bench.arm.state(), bench.arm.status().session), (State::SwitchedOn, NO_SESSION));
+    bench.tell(ToArm::Open(OpenRequest { session: SESSION + 1, ..request() }));
+    let status = bench.arm.status();
+    assert_eq!((status.session, status.state), (SESSION + 1, State::SwitchOnDisabled));
+}
+
 /// A session that nobody keeps up, until it is over.
 fn open_and_leave(bench: &mut Bench, request: OpenRequest) {
     bench.tell(ToArm::Open(request));
