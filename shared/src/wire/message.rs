@@ -206,7 +206,10 @@ impl core::fmt::Display for Refusal {
             Self::Busy => f.write_str("the arm is in another session"),
             Self::Closed => f.write_str("the arm has closed this session; another one needs another number"),
             Self::Latched { fault, .. } => {
-                write!(f, "the arm has stopped ({fault}); look at it first, then --reset takes it out of that")
+                write!(
+                    f,
+                    "the arm has stopped ({fault}); look at it first, then --reset takes it out of that"
+                )
             }
             Self::Period => f.write_str("the arm cannot keep the plan's control period"),
             Self::Meaningless => f.write_str("the session's numbers have no meaning to the arm"),
