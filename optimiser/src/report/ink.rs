@@ -30,6 +30,9 @@ pub(crate) const COLOURS: [RGBColor; 7] = [
 /// Values that span more than this are drawn on a logarithmic axis.
 const WIDE: f64 = 10.0;
 
+/// Values below this are zero but for rounding, and have no place on a logarithmic axis.
+const LEAST_LOGARITHMIC: f64 = 1e-12;
+
 /// What an error of drawing on `B` is.
 pub(crate) type Drawn<B> = Result<(), DrawingAreaErrorKind<<B as DrawingBackend>::ErrorType>>;
 /// A chart between two axes.
@@ -66,8 +69,8 @@ impl Axis {
         Self { marks: linear_marks(&range, 6, is_whole), range, is_log: false }
     }
 
-    /// Around the values, with that margin at least; logarithmic if they are above zero and span more than a decade, otherwise around what is drawn
-    /// `beside` them too.
+    /// Around the values, with that margin at least; logarithmic if they are above zero, rounding left aside, and span more than a
+    /// decade, otherwise around what is drawn `beside` them too.
     pub(crate) fn log_if_wide(
         values: impl Iterator<Item = f64> + Clone,
         least_margin: f64,
@@ -76,7 +79,7 @@ impl Axis {
         let ends = |(low, high): (f64, f64), value: f64| (low.min(value), high.max(value));
         let (low, high) = values.clone().fold((f64::INFINITY, f64::NEG_INFINITY), ends);
         // Without values, the lowest is infinite.
-        if !(low > 0.0 && high > WIDE * low) {
+        if !(low >= LEAST_LOGARITHMIC && high > WIDE * low) {
             return Self::around(values.chain(beside), least_margin, false);
         }
         let range = between_marks(low, high);
@@ -264,6 +267,8 @@ pub(crate) mod tests {
         assert_eq!(bears(&log(&[0.02, 900.0])), ["0.01", "0.1", "1", "10", "100", "1000"]);
         assert_eq!(bears(&log(&[15.0, 95.5])), bears(&around(&[15.0, 95.5])));
         assert!(log(&[]).note().is_empty() && log(&[0.0, 95.0]).note().is_empty());
+        // As small as a float can be: such a number has no power of ten below it.
+        assert!(log(&[5e-324, 95.0]).note().is_empty() && log(&[1e-12, 1e12]).marks.len() == 25);
         let wide = log(&[1.0, 20.0]);
         let at = |value: f64| wide.map(&value, (0, 1000));
         assert!(at(-3.0) == 0 && at(f64::MIN_POSITIVE) == 0);

@@ -114,11 +114,14 @@ const line = (points) => `M${points.map(([x, y]) => `${x.toFixed(1)},${y.toFixed
 const isNumber = (value) => value !== null && Number.isFinite(value);
 const isWhole = (values) => values.filter(isNumber).every(Number.isInteger);
 
+/** Below, a number is zero but for rounding, and has no place on a logarithmic axis. */
+const LEAST_LOGARITHMIC = 1e-12;
+
 /** Whether y goes up by powers of ten: where it may, and where numbers above zero span more than one. */
 function isLog(chart) {
   const ys = chart.series.flatMap((series) => series.points.map(([, y]) => y)).filter(isNumber);
   const [low, high] = [ys.reduce((a, b) => Math.min(a, b), Infinity), ys.reduce((a, b) => Math.max(a, b), -Infinity)];
-  return chart.y_scale === 'log-if-wide' && low > 0 && high > 10 * low;
+  return chart.y_scale === 'log-if-wide' && low >= LEAST_LOGARITHMIC && high > 10 * low;
 }
 
 /** An axis up the picture: its ends, its marks, and the share of its length at which a number lies. */
