@@ -6,16 +6,19 @@
 //!
 //! | word | sets |
 //! |---|---|
-//! | `cuts=scoop:4+lift+pour:4` | cuts at that many equal parts' ends of a segment, its end the last; `rest:N` of what is after the pour |
+//! | `cuts=insert+scoop:4+lift` | cuts at that many equal parts' ends of a segment, its end the last |
 //! | `radius=0.006` | `Restarts::radius_m` |
 //! | `room=0.004` | `Restarts::room_m` |
-//! | `digging=exact`, `clear=leavers` | what becomes of the resultant: `dropped`, `exact` or `leavers` |
-//! | `rests=30` | `Restarts::rests_from`, so many control steps after the end of the pour |
+//! | `from=scoop` | tool and powder as one body from the end of that segment on; `never`: the adjoint goes through all of the motion |
+//! | `over=transport` | the segment over which the body is moved |
+//! | `ways=3` | only so many of the ways, as in `Carrying::ways` |
 //! | `residue=0` | `Restarts::through_residue` |
 //! | `end=0` | `Restarts::begins_with_slopes` |
 //! | `trace=1` | shows the cuts |
 
-use powderline_simulator::rollout::restart::{Restarted, Restarts, Resultant};
+use std::ops::Range;
+
+use powderline_simulator::rollout::restart::{Carrying, Restarted, Restarts};
 use powderline_simulator::rollout::slopes::{HALF_STEP, cosine};
 use powderline_simulator::rollout::{ParticleSimulator, RolloutError, SimulatorSettings, boxed_simulator};
 use powderline_simulator::scene::Scene;
@@ -34,20 +37,16 @@ const SKILLS: [Theta; 7] = [
     [0.6, 0.5, 0.0, 0.1, 0.8],
 ];
 
-const VARIANTS: [&str; 13] = [
+const VARIANTS: [&str; 9] = [
     "",
-    "clear=exact",
-    "clear=dropped",
-    "digging=dropped",
+    "from=never",
+    "from=never cuts=scoop:4+lift+transport+pour:4",
+    "from=scoop",
+    "ways=0",
+    "over=transport",
+    "cuts=scoop",
+    "cuts=insert+scoop:8",
     "residue=0",
-    "rests=0",
-    "rests=30",
-    "cuts=scoop+lift+transport+pour:4",
-    "cuts=scoop:8+lift+transport+pour:4",
-    "radius=0.004",
-    "radius=0.008",
-    "room=0.0065",
-    "end=0",
 ];
 
 fn main() -> Result<(), Failure> {
@@ -102,9 +101,10 @@ fn variant(scene: &Scene, map: &SkillMap, theta: &Theta, words: &str) -> Result<
             "cuts" => restarts.steps = cuts(scene, map, theta, value)?,
             "radius" => restarts.radius_m = value.parse()?,
             "room" => restarts.room_m = value.parse()?,
-            "digging" => restarts.while_digging = resultant(value)?,
-            "clear" => restarts.while_clear = resultant(value)?,
-            "rests" => restarts.rests_from = Some(end_of_pour(scene, map, theta) + value.parse::<usize>()?),
+            "from" if value == "never" => restarts.carrying = None,
+            "from" => carrying(&mut restarts)?.from = spans(scene, map, theta, value)?.end,
+            "over" => carrying(&mut restarts)?.over = spans(scene, map, theta, value)?,
+            "ways" => carrying(&mut restarts)?.ways.truncate(value.parse()?),
             "residue" => restarts.through_residue = value == "1",
             "end" => restarts.begins_with_slopes = value == "1",
             "trace" => traces = value == "1",
@@ -114,46 +114,36 @@ fn variant(scene: &Scene, map: &SkillMap, theta: &Theta, words: &str) -> Result<
     Ok((restarts, traces))
 }
 
-fn resultant(name: &str) -> Result<Resultant, Failure> {
-    match name {
-        "dropped" => Ok(Resultant::Dropped),
-        "exact" => Ok(Resultant::Exact),
-        "leavers" => Ok(Resultant::OfLeavers),
-        _ => Err(format!("{name} is no resultant").into()),
-    }
+fn carrying(restarts: &mut Restarts) -> Result<&mut Carrying, Failure> {
+    Ok(restarts.carrying.as_mut().ok_or("it carries nothing")?)
+}
+
+/// Control steps of a segment.
+fn spans(scene: &Scene, map: &SkillMap, theta: &Theta, name: &str) -> Result<Range<usize>, Failure> {
+    let kind = match name {
+        "insert" => SegmentKind::Insert,
+        "scoop" => SegmentKind::Scoop,
+        "lift" => SegmentKind::Lift,
+        "transport" => SegmentKind::Transport,
+        "pour" => SegmentKind::Pour,
+        _ => return Err(format!("there is no segment {name}").into()),
+    };
+    let segments = map.segments(theta);
+    let segment = segments.iter().find(|segment| segment.kind == kind).ok_or("there is no such segment")?;
+    let step = |time_s: f64| (time_s / scene.time.control_period_s()).round() as usize;
+    Ok(step(segment.start_s)..step(segment.end_s))
 }
 
 fn cuts(scene: &Scene, map: &SkillMap, theta: &Theta, text: &str) -> Result<Vec<usize>, Failure> {
-    let (period_s, horizon) = (scene.time.control_period_s(), scene.time.horizon_steps as usize);
-    let segments = map.segments(theta);
     let mut steps = Vec::new();
     for part in text.split('+') {
         let (name, count) = part.split_once(':').unwrap_or((part, "1"));
-        let kind = match name {
-            "insert" => SegmentKind::Insert,
-            "scoop" => SegmentKind::Scoop,
-            "lift" => SegmentKind::Lift,
-            "transport" => SegmentKind::Transport,
-            _ => SegmentKind::Pour,
-        };
-        let segment =
-            segments.iter().find(|segment| segment.kind == kind).ok_or("there is no such segment")?;
-        let rest = name == "rest";
-        let [from, to] =
-            if rest { [segment.end_s, horizon as f64 * period_s] } else { [segment.start_s, segment.end_s] };
-        let count: u32 = count.parse()?;
-        let at = |part: u32| from + (to - from) * f64::from(part) / f64::from(count);
-        steps.extend((1..=count).map(|part| (at(part) / period_s).round() as usize));
+        let (span, count): (_, usize) = (spans(scene, map, theta, name)?, count.parse()?);
+        steps.extend((1..=count).map(|part| span.start + part * span.len() / count));
     }
-    steps.retain(|step| (1..horizon).contains(step));
     steps.sort_unstable();
     steps.dedup();
     Ok(steps)
-}
-
-fn end_of_pour(scene: &Scene, map: &SkillMap, theta: &Theta) -> usize {
-    let end_s = map.segments(theta).last().map_or(0.0, |segment| segment.end_s);
-    (end_s / scene.time.control_period_s()).round() as usize
 }
 
 /// What the controls before, between and after the cuts bring, and what the cuts put in the place of what.

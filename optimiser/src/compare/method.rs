@@ -15,7 +15,13 @@ pub enum Method {
     GradientCurriculum,
     /// The same, with every segment of the motion in whole control steps
     GradientRounded,
-    /// The same, by the adjoint alone, without central differences
+    /// The same, by the exact adjoint mixed with central differences
+    GradientMixed,
+    /// The same, by the restarted adjoint mixed with central differences
+    GradientRestarted,
+    /// The same, by central differences alone
+    GradientDifferences,
+    /// The same, by the exact adjoint alone, without central differences
     GradientAdjoint,
     /// RMSprop on every displacement of the motion instead of the skill, by the adjoint
     GradientSteps,
@@ -34,6 +40,9 @@ impl Method {
             Self::Gradient => "gradient",
             Self::GradientCurriculum => "gradient-curriculum",
             Self::GradientRounded => "gradient-rounded",
+            Self::GradientMixed => "gradient-mixed",
+            Self::GradientRestarted => "gradient-restarted",
+            Self::GradientDifferences => "gradient-differences",
             Self::GradientAdjoint => "gradient-adjoint",
             Self::GradientSteps => "gradient-steps",
             Self::Sac => "sac",
@@ -55,6 +64,9 @@ impl Method {
         match self {
             Self::GradientCurriculum => scene.optimiser.curriculum_epochs = scene.optimiser.epochs / 2,
             Self::GradientRounded => scene.skill.timing = Timing::Rounded,
+            Self::GradientMixed => scene.optimiser.gradient = GradientEstimator::Mixed,
+            Self::GradientRestarted => scene.optimiser.gradient = GradientEstimator::Restarted,
+            Self::GradientDifferences => scene.optimiser.gradient = GradientEstimator::Differences,
             Self::GradientAdjoint => scene.optimiser.gradient = GradientEstimator::Adjoint,
             Self::Gradient | Self::GradientSteps | Self::Sac | Self::CmaEs | Self::Random => {}
         }

@@ -25,8 +25,9 @@ use powderline_simulator::{
 };
 use serde::{Deserialize, Serialize};
 
-/// What an adjoint takes, in rollouts, beside the rollout that it is the adjoint of.
-pub const ADJOINT_ROLLOUTS: u32 = 4;
+/// What an adjoint, exact or restarted, takes beside the rollout that it is the adjoint of: in rollouts, by processor time, as
+/// `optimise gradcheck bench-small --skills 20` measures it (6.8 and 6.9, the rollout included).
+pub const ADJOINT_ROLLOUTS: u32 = 6;
 
 /// One evaluated motion.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

@@ -1,9 +1,11 @@
-//! What stands for the gradient: the adjoint alone, or the adjoint mixed with central differences of the loss.
+//! What stands for the gradient: the adjoint alone, central differences of the loss alone, or both mixed.
 //!
 //! The adjoint is exact but heavy-tailed: a grain balanced on the rim amplifies perturbations a thousandfold, and its
 //! derivative is a correct answer to the wrong question. The slope over a distance at which such grains average out
 //! is what the optimiser wants. [`GradientEstimator::Mixed`] weighs the two by their measured variances, component by
-//! component (Suh, Simchowitz, Zhang, Tedrake 2022, "Do differentiable simulators give better policy gradients?"):
+//! component (Suh, Simchowitz, Zhang, Tedrake 2022, "Do differentiable simulators give better policy gradients?").
+//! [`GradientEstimator::Restarted`] does the same with the adjoint that restarts, which trades the variance for a bias
+//! ([`powderline_simulator::rollout::restart`]):
 //!
 //! | symbol  | meaning                                                                                      |
 //! |---------|----------------------------------------------------------------------------------------------|
@@ -157,13 +159,17 @@ impl Estimator {
     pub(super) fn widened(&self, ring: usize) -> Option<Self> {
         let half_step = self.half_step * libm::exp2(ring as f64);
         let is_right = ring == 0 || half_step <= WIDEST_HALF_STEP * (1.0 + 1e-9);
-        (self.gradient == GradientEstimator::Mixed && is_right).then_some(Self { half_step, ..*self })
+        (self.gradient != GradientEstimator::Adjoint && is_right).then_some(Self { half_step, ..*self })
     }
 
     /// Whether the adjoint has to be computed.
     pub fn wants_adjoint(&self, state: &EstimatorState, place: &Place) -> bool {
         let useless = |trust: &Trust| trust.useless >= AGREEING && trust.is_fresh(place.epoch);
-        self.gradient == GradientEstimator::Adjoint || !state.components[..place.active].iter().all(useless)
+        match self.gradient {
+            GradientEstimator::Adjoint => true,
+            GradientEstimator::Differences => false,
+            _ => !state.components[..place.active].iter().all(useless),
+        }
     }
 
     /// The points whose losses have to be computed, once it is known what the adjoint is (`None` if it is not

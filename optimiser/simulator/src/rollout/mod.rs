@@ -242,7 +242,8 @@ impl RolloutError {
 
 /// A simulator of one scene.
 pub trait Evaluate {
-    /// Loss of a skill, and its gradient if wanted.
+    /// Loss of a skill, and its gradient if wanted: by the exact adjoint, or by the one that [`restart`]s where the
+    /// scene's `optimiser.gradient` asks for that ([`crate::scene::GradientEstimator::Restarted`]).
     ///
     /// # Errors
     /// See [`RolloutError`].

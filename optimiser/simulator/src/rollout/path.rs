@@ -22,6 +22,12 @@ pub(crate) struct PoseBar {
 }
 
 impl PoseBar {
+    /// Adds that of a point, `arm` away from the pose's position, that moves with it.
+    pub(crate) fn push(&mut self, arm: &Vector3<f64>, force: &Vector3<f64>) {
+        self.position += force;
+        self.rotation += arm.cross(force);
+    }
+
     /// Position before rotation.
     pub(crate) fn components(&self) -> [f64; 6] {
         let (p, r) = (self.position, self.rotation);
@@ -58,12 +64,6 @@ impl Trajectory {
             })
             .collect();
         Self { begins_after, poses, controls, substeps, period_s }
-    }
-
-    /// The beginning of it, of so many control steps.
-    pub(crate) fn until(&self, steps: usize) -> Self {
-        let steps = steps.min(self.controls.len());
-        Self { poses: self.poses[..steps].to_vec(), controls: self.controls[..steps].to_vec(), ..*self }
     }
 
     /// Substeps in the whole path.

@@ -34,19 +34,29 @@
 //!
 //! It moves with the tool, and the slopes of V within the tool say nothing of that. What tool and powder cost when they are moved as
 //! one is sum s_i over the grains on the tool plus what the tool's own pose has; a restart may not change it, so what it takes from
-//! the grains' cotangents the tool's pose has to get. With b_i the exact position cotangents, p the tool's origin, and all sums over
-//! the grains on the tool at this cut, there are two ways to do that:
+//! the grains' cotangents the tool's pose gets. With b_i the exact position cotangents, p the tool's origin, and all sums over
+//! the grains on the tool:
 //!
 //! ```text
-//! exact        force += sum (b_i - s_i)                        moment about p += sum (x_i - p) x (b_i - s_i)
-//! of leavers   force  = that after the next cut + sum (s'_i - s_i), s'_i the slope at the next cut; moment as above
+//! force += sum (b_i - s_i)        moment about p += sum (x_i - p) x (b_i - s_i)
 //! ```
 //!
-//! While the tool digs, the exact one is right. Once it is clear of the bed, it is noise: moved as one through air, powder and tool do
-//! the same as before, but in other cells of the grid, and single grains make much of that. In the same stretch the invariance itself
-//! says what the force is: all that moving both as one changes until the next cut is where the grains are that leave in between, and
-//! what that costs is their slope there. Cells, contact and the chaos between the two cuts do not come in. It says nothing of turning
-//! tool and powder as one, which turns them against gravity: the moment stays the exact one.
+//! While the tool digs, that is right. Once it is clear of the bed, it is noise: moved as one through air, powder and tool do the same
+//! as before, but in other cells of the grid, and single grains make much of that. All that moving both as one changes there is which
+//! grains leave, and where. So from the step [`Carrying::from`] on nothing goes back through the powder. Tool and powder count as one body
+//! whose motion costs a force F and a moment M, and these are measured: the rollout branches off, the body is moved there and back along
+//! each of [`Carrying::ways`], and the loss at the end says the slope. Beginning and packing are the same in all branches, so that
+//! their differences have little noise, and a branch costs only the rest of the motion.
+//!
+//! ```text
+//! F d = (L(+d) - L(-d)) / 2,   M likewise
+//! a control at step t:  F share(t),  M      until the end of the pour, nothing after it
+//! where the digging ends, the tool's pose:  F - sum s_i,   M - sum (x_i - p) x s_i
+//! ```
+//!
+//! share(t) is how much of the powder that leaves the body on the rest of the way is still on it. The moment has no such factor: powder
+//! in a tool that is turned flows by the angle, whenever that is reached. Measured over each quarter of the pour by itself it is
+//! -3.9, -3.9, -3.5, -4.4 m/rad (skill 1 below) and -1.9, -2.2, -2.0, -2.1 m/rad (skill 4), by the exact adjoint -0.2 to -3.6 and -4.8 to -6.8.
 //!
 //! # Bias and variance
 //!
@@ -55,36 +65,23 @@
 //! mean over about (4/3) pi h^3/V_0 grains, V_0 a grain's volume, instead of that of single grains with their amplification. It
 //! is to the exact derivative what an actor's critic is to a return that is followed to its end, and to a mixture of first and
 //! zeroth order (alpha-order gradients, Suh et al. 2022) what a conditional expectation is to a weighted mean: the zeroth-order part
-//! is taken over grains of one rollout instead of over rollouts.
+//! is taken over grains of one rollout instead of over rollouts, and where few numbers say all, over branches of it.
 //!
-//! While the tool digs, a cotangent grows fastest; hence the cuts within the scoop. Cosines with differences over +-0.1 of theta, of
-//! seven skills of `bench-small` by which the settings were chosen (`examples/restarted_ablation.rs`, one packing; the two that
-//! deliver one particle or none come last):
-//!
-//! | skill | 0 | 1 | 3 | 4 | 6 | 2 | 5 |
-//! |---|---|---|---|---|---|---|---|
-//! | as it is | 0.98 | 0.93 | 0.95 | 0.88 | 0.96 | 0.95 | 0.81 |
-//! | the same, force always the exact one, one cut in the scoop | | 0.77 | | 0.32 | | | |
-//! | one cut in the scoop | | 0.85 | | 0.34 | | | |
-//! | no force and moment while the tool digs | | 0.91 | | 0.81 | | | |
-//! | eight cuts in the scoop, three in the lift | 0.99 | | 0.95 | 0.89 | 0.90 | 0.97 | 0.51 |
-//! | eight cuts in the pour, two in the lift, one more before the scoop | 0.96 | | 0.84 | 0.94 | 0.94 | 0.85 | |
-//! | two cells' radius | 0.97 | | 0.94 | 0.83 | 0.95 | 0.94 | |
-//! | what the grid cannot hold given back as a constant | 0.91 | 0.98 | 0.86 | 0.93 | 0.67 | 0.84 | 0.28 |
-//!
-//! Of twenty drawn skills, two packings, the cosine is 0.86 in the median and 0.01 at worst (the exact adjoint's: 0.09 and -0.95), without
-//! the mean direction of the other skills 0.90 and 0.19, its length 0.55 to 3.3 times the slope's.
+//! One body is a bias, too: how fast it is moved, and when, does not count. A component of the motion along none of the ways has no
+//! derivative once the tool is clear.
 //!
 //! It fails where there are too few grains for a mean (fewer than [`LEAST_NEIGHBOURS`]: their slope is zero), and where position
-//! alone does not tell the future: grains that fly through the same place with different velocities. Scooping and pouring angle,
-//! which share the tool's pitch, get the moment of what is carried, still a sum of single grains' cotangents: of the six drawn skills
-//! below 0.7 four have both angles wrong with opposite signs. The slope of the lift's height is too small nearly everywhere.
-
+//! alone does not tell the future.
+//!
+//! FIGURES
 mod report;
 
 pub use report::{CutReport, Population, Restarted};
 
+use std::ops::Range;
+
 use nalgebra::{Matrix3, Vector3};
+use powderline_shared::displacement::Displacement;
 use powderline_shared::pose::Pose;
 use rayon::prelude::*;
 
@@ -118,20 +115,10 @@ const LOOKS: usize = 7;
 /// Where and how the adjoint restarts.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Restarts {
-    /// Control steps before which it restarts.
+    /// Control steps before which it restarts; those from [`Carrying::from`] on do not count.
     pub steps: Vec<usize>,
     /// Radius of the neighbourhoods, metres.
     pub radius_m: f64,
-    /// What becomes of the resultant of what the tool carries, at cuts before [`Self::clear_from`].
-    pub while_digging: Resultant,
-    /// The same at cuts from there on.
-    pub while_clear: Resultant,
-    /// Control step from which the way back leaves the motion out, because the tool rests from there on: what the powder has at the
-    /// end is taken for what it has there, and the adjoint restarts there first. It is cheaper by that stretch; the controls in
-    /// it have no derivative then. None: it goes back through all of it.
-    pub rests_from: Option<usize>,
-    /// Control step from which the tool is clear of the powder that it does not carry.
-    pub clear_from: usize,
     /// Room around the tool in which powder is carried, metres.
     pub room_m: f64,
     /// Whether the way back goes through the velocity that is given back to particles because the grid cannot hold it
@@ -139,64 +126,136 @@ pub struct Restarts {
     pub through_residue: bool,
     /// Whether it begins with slopes as well, instead of the loss's own derivative.
     pub begins_with_slopes: bool,
+    /// The part of the motion on which the tool carries what it has got; none: the adjoint goes through all of it.
+    pub carrying: Option<Carrying>,
+}
+
+/// A part of a motion on which the tool is clear of the powder that it does not carry.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Carrying {
+    /// Control step with which it begins.
+    pub from: usize,
+    /// Control step from which the tool's motion counts no more: what it had to pour is poured.
+    pub until: usize,
+    /// Control steps over which the body is moved to see what that costs, within the part; before them no powder has left.
+    pub over: Range<usize>,
+    /// The ways along which it is moved, as far as that: each a translation or a rotation, all of them at right angles.
+    pub ways: Vec<Displacement>,
 }
 
 impl Restarts {
-    /// For the motion of a skill: at each quarter of scooping and pour, where powder moves against the tool, and at the ends of lift
-    /// and transport, in neighbourhoods of 1.5 cells. The tool is clear from the end of the lift on. What is after the pour it takes in one piece: more cuts there made the slope of the transport worse.
+    /// For the motion of a skill: at each quarter of the scooping and at the end of the lift, in neighbourhoods of 1.5 cells. From there on
+    /// tool and powder are one body, which is moved over the pour, in the skill's plane, as far as the scene's differences move
+    /// transport, lift and pouring angle.
     #[must_use]
     pub fn of_skill(scene: &Scene, map: &SkillMap, theta: &Theta) -> Self {
-        let (period_s, horizon) = (scene.time.control_period_s(), scene.time.horizon_steps as usize);
-        let (mut times_s, mut clear_from) = (Vec::new(), 0);
+        let step_at = |time_s: f64| (time_s / scene.time.control_period_s()).round() as usize;
+        let (mut steps, mut from, mut pour) = (Vec::new(), 0, 0..0);
         for segment in map.segments(theta) {
+            let [start_s, end_s] = [segment.start_s, segment.end_s];
             match segment.kind {
-                SegmentKind::Approach | SegmentKind::Insert => {}
-                SegmentKind::Scoop | SegmentKind::Pour => times_s.extend(
-                    [0.25, 0.5, 0.75, 1.0]
-                        .map(|share| segment.start_s + share * (segment.end_s - segment.start_s)),
-                ),
-                _ => times_s.push(segment.end_s),
-            }
-            if segment.kind == SegmentKind::Lift {
-                clear_from = (segment.end_s / period_s).round() as usize;
+                SegmentKind::Approach | SegmentKind::Insert | SegmentKind::Transport => {}
+                SegmentKind::Scoop => {
+                    steps.extend(
+                        [0.25, 0.5, 0.75, 1.0].map(|share| step_at(start_s + share * (end_s - start_s))),
+                    );
+                }
+                SegmentKind::Lift => from = step_at(end_s),
+                SegmentKind::Pour => pour = step_at(start_s)..step_at(end_s),
             }
         }
-        let steps = times_s.into_iter().map(|time_s| (time_s / period_s).round() as usize);
-        let mut steps: Vec<usize> = steps.filter(|step| (1..horizon).contains(step)).collect();
-        steps.sort_unstable();
         steps.dedup();
         Self {
             steps,
             radius_m: RADIUS_CELLS * scene.domain.cell_m,
-            while_digging: Resultant::Exact,
-            while_clear: Resultant::OfLeavers,
-            clear_from,
-            rests_from: None,
             room_m: scene.tool.wall_thickness_m,
             through_residue: true,
             begins_with_slopes: true,
+            carrying: Some(Carrying { from, until: pour.end, over: pour, ways: ways(scene) }),
+        }
+    }
+
+    /// The same, but nothing restarts: the exact adjoint.
+    #[must_use]
+    pub fn without_cuts(&self) -> Self {
+        Self {
+            steps: Vec::new(),
+            through_residue: true,
+            begins_with_slopes: false,
+            carrying: None,
+            ..self.clone()
         }
     }
 }
 
-/// What becomes of the resultant of what the tool carries.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Resultant {
-    /// It is lost.
-    Dropped,
-    /// The tool's pose takes over what slopes leave of the exact one.
-    Exact,
-    /// Its force is what the grains bring that leave the tool before the next cut; its moment is the exact one.
-    OfLeavers,
+/// Forward, up, and tilting forward.
+fn ways(scene: &Scene) -> Vec<Displacement> {
+    let skill = &scene.skill;
+    let part = |[low, high]: [f64; 2]| 0.5 * (high - low) * scene.optimiser.difference_half_step;
+    let (sin, cos) = libm::sincos(skill.heading_deg.to_radians());
+    let forward = part(skill.transport_displacement_m);
+    let up = part(skill.lift_height_m);
+    let tilt = part(skill.pouring_angle_deg).to_radians();
+    [
+        [forward * cos, forward * sin, 0.0, 0.0, 0.0, 0.0],
+        [0.0, 0.0, up, 0.0, 0.0, 0.0],
+        [0.0, 0.0, 0.0, -tilt * sin, tilt * cos, 0.0],
+    ]
+    .map(Displacement::from)
+    .into_iter()
+    // A parameter that may not change is no way to go.
+    .filter(|way| way.components().iter().any(|x| *x != 0.0))
+    .collect()
 }
 
-/// What a cut tells the one before it.
-#[derive(Clone, Debug, Default)]
-pub(super) struct Later {
-    /// Cotangents of positions that the adjoint went on from, by identity.
-    pub(super) slopes: Vec<[f64; 3]>,
-    /// That of the tool's pose.
-    pub(super) pose: PoseBar,
+impl Carrying {
+    /// The same motion with the body moved along a way, or against it.
+    pub(super) fn moved(
+        &self,
+        controls: &[Displacement],
+        way: &Displacement,
+        sign: f64,
+    ) -> Vec<Displacement> {
+        let (share, way) = (sign / self.over.len() as f64, way.components());
+        let mut moved = controls.to_vec();
+        for control in &mut moved[self.over.clone()] {
+            let components = control.components();
+            *control = Displacement::from(std::array::from_fn(|k| components[k] + share * way[k]));
+        }
+        moved
+    }
+
+    /// What the body's pose has, of the losses at both ends of each way.
+    pub(super) fn body(&self, ends: &[[f64; 2]]) -> PoseBar {
+        let mut body = PoseBar::default();
+        for (way, [there, back]) in self.ways.iter().zip(ends) {
+            let (d, r) = (way.translation(), way.rotation());
+            let slope = 0.5 * (there - back);
+            body.position += d * (slope / d.norm_squared().max(f64::MIN_POSITIVE));
+            body.rotation += r * (slope / r.norm_squared().max(f64::MIN_POSITIVE));
+        }
+        body
+    }
+
+    /// Whether all of it is within a motion of so many steps.
+    pub(super) fn fits(&self, steps: usize) -> bool {
+        let Self { from, until, over, .. } = self;
+        0 < *from && *from <= over.start && over.start < over.end && over.end <= *until && *until <= steps
+    }
+}
+
+/// How many of these places are on the tool, or within `room_m` of it.
+pub(super) fn held_by_tool(scene: &Scene, tool: &Pose, positions: &[[f64; 3]], room_m: f64) -> u32 {
+    positions.iter().filter(|x| held_within(scene, tool, x, room_m)).count() as u32
+}
+
+/// How much of the powder that leaves the body is still on it, by what is on it at the beginning of each control step and at the end.
+pub(super) fn shares(on_body: &[u32]) -> Vec<f64> {
+    let most = on_body.iter().copied().max().unwrap_or(0);
+    let least = on_body.last().copied().unwrap_or(0);
+    let leaving = f64::from(most.saturating_sub(least));
+    let share = |now: &u32| if leaving > 0.0 { f64::from(now.saturating_sub(least)) / leaving } else { 1.0 };
+    on_body.iter().map(share).collect()
 }
 
 /// What is needed at a cut besides the powder.
@@ -214,44 +273,37 @@ pub(super) struct Cut<'a, T: Real> {
 
 impl<T: Real> Cut<'_, T> {
     /// Replaces the powder's cotangents, and says what the tool's pose has then. `values` by identity, metres; none of grains that
-    /// the loss does not see. `pose` is what the tool's pose has before.
+    /// the loss does not see. `pose` is what the tool's pose has before: without the powder on it, or with it, as one `body`.
     pub(super) fn restart(
         &self,
         particles: &Particles<T>,
         values: &[Option<f64>],
-        (bar, pose): (&mut [Group<T>], &PoseBar),
-        later: &Later,
-    ) -> (Later, CutReport) {
+        bar: &mut [Group<T>],
+        (pose, body): (&PoseBar, bool),
+    ) -> (PoseBar, CutReport) {
         let (positions, velocities) = (particles.positions_by_id(), particles.velocities_by_id());
         let slopes = self.slopes(&positions, values);
         let mut report = CutReport::new(self.step, pose);
-        let (mut left, mut leavers) = (PoseBar::default(), Vector3::zeros());
+        let mut new = *pose;
         for (g, l, id) in particles.occupied() {
             let id = id as usize;
             let (x, slope) = (positions[id], Vector3::from(slopes[id]));
             let exact = Vector3::from([0, 1, 2].map(|axis| bar[g].x[axis][l].to_f64()));
-            let carried = held_within(self.scene, &self.tool, &x, self.restarts.room_m);
+            let carried = self.is_carried(&x);
             report.population(carried, &velocities[id]).take(&exact, &slope);
             if carried {
-                left.position += exact - slope;
-                left.rotation += (Vector3::from(x) - self.tool.position_m).cross(&(exact - slope));
-                leavers += Vector3::from(later.slopes[id]) - slope;
+                let before = if body { Vector3::zeros() } else { exact };
+                new.push(&(Vector3::from(x) - self.tool.position_m), &(before - slope));
             }
             bar[g].copy_lane(l, &Group::ZERO, l);
             set_vec(&mut bar[g].x, l, slopes[id].map(T::from_f64));
         }
-        let Restarts { while_digging, while_clear, clear_from, .. } = *self.restarts;
-        let new = match if self.step < clear_from { while_digging } else { while_clear } {
-            Resultant::Dropped => *pose,
-            Resultant::Exact => {
-                PoseBar { position: pose.position + left.position, rotation: pose.rotation + left.rotation }
-            }
-            Resultant::OfLeavers => {
-                PoseBar { position: later.pose.position + leavers, rotation: pose.rotation + left.rotation }
-            }
-        };
         report.tool_after = new.components();
-        (Later { slopes, pose: new }, report)
+        (new, report)
+    }
+
+    fn is_carried(&self, x: &[f64; 3]) -> bool {
+        held_within(self.scene, &self.tool, x, self.restarts.room_m)
     }
 
     /// Slopes of what grains cost, by identity, metres per metre. Each is a sum over neighbours in the order of their cells and identities,
@@ -493,99 +545,97 @@ mod tests {
         assert!(steepest(0.040) > 1.0, "{}", steepest(0.040));
     }
 
+    /// What moving and turning tool and powder as one costs is the same after a restart: as the exact cotangents have it, or as measured.
     #[test]
     fn the_resultant_of_what_is_carried_stays() {
-        let mut case = Case::new();
-        case.restarts.clear_from = usize::MAX;
+        let case = Case::new();
         let p: [f64; 3] = case.tool.position_m.into();
         // On the tool, and far from it.
         let mut places = grains([p[0] - 0.006, p[1] - 0.006, p[2] - 0.006], [6, 6, 4]);
         places.extend(grains([0.160, 0.040, 0.006], [6, 6, 4]));
         let particles = Particles::<f64>::at_rest(&places);
         let values: Vec<_> = places.iter().map(|x| Some(libm::sin(300.0 * x[0]))).collect();
-        let mut bar = vec![Group::ZERO; particles.groups.len()];
-        for (g, l, id) in particles.occupied() {
-            set_vec(&mut bar[g].x, l, [f64::from(id % 7), 1.0, -f64::from(id % 3)]);
-            bar[g].q[0][l] = 5.0;
-        }
-        let moments = |bar: &[Group<f64>]| {
-            let on_tool =
-                |id: u32| held_within(&case.scene, &case.tool, &places[id as usize], case.restarts.room_m);
-            let all = particles.occupied().filter(|(_, _, id)| on_tool(*id)).map(|(g, l, id)| {
-                let b = Vector3::from([0, 1, 2].map(|k| bar[g].x[k][l]));
-                (b, (Vector3::from(places[id as usize]) - case.tool.position_m).cross(&b))
-            });
-            all.fold((Vector3::zeros(), Vector3::zeros()), |sum, one| (sum.0 + one.0, sum.1 + one.1))
-        };
-        let before = moments(&bar);
         let pose = PoseBar { position: [3.0, 1.0, -2.0].into(), rotation: [0.5, 0.0, 1.0].into() };
-        let later = Later { slopes: vec![[0.0; 3]; places.len()], pose };
-        let (new, _) = case.cut().restart(&particles, &values, (&mut bar, &pose), &later);
-        let over = PoseBar {
-            position: new.pose.position - pose.position,
-            rotation: new.pose.rotation - pose.rotation,
+        let cut = case.cut();
+        let all_of = |bar: &[Group<f64>], pose: &PoseBar| {
+            let mut all = *pose;
+            for (g, l, id) in particles.occupied().filter(|(_, _, id)| cut.is_carried(&places[*id as usize]))
+            {
+                let arm = Vector3::from(places[id as usize]) - case.tool.position_m;
+                all.push(&arm, &[0, 1, 2].map(|k| bar[g].x[k][l]).into());
+            }
+            all
         };
-        let after = moments(&bar);
-        assert!((before.0 - after.0 - over.position).norm() < 1e-9 && before.0.norm() > 100.0);
-        assert!((before.1 - after.1 - over.rotation).norm() < 1e-9 && over.rotation.norm() > 1e-3);
-        assert!(particles.occupied().all(|(g, l, _)| bar[g].q[0][l] == 0.0));
-    }
-
-    /// Moving tool and powder as one costs at a cut what it costs at the next one, whatever single grains' cotangents are in between.
-    #[test]
-    fn what_leaves_the_tool_takes_its_slope_along() {
-        let mut case = Case::new();
-        case.restarts.clear_from = 0;
-        let p: [f64; 3] = case.tool.position_m.into();
-        let mut places = grains([p[0] - 0.006, p[1] - 0.006, p[2] - 0.006], [6, 6, 4]);
-        places.extend(grains([0.160, 0.040, 0.006], [6, 6, 4]));
-        let particles = Particles::<f64>::at_rest(&places);
-        let values: Vec<_> = places.iter().map(|x| Some(libm::sin(300.0 * x[0]))).collect();
-        let later = Later {
-            slopes: (0..places.len()).map(|id| [libm::cos(id as f64), 0.3, -1.0]).collect(),
-            pose: PoseBar { position: [3.0, 1.0, -2.0].into(), rotation: Vector3::zeros() },
-        };
-        let held = |id: usize| held_within(&case.scene, &case.tool, &places[id], case.restarts.room_m);
-        // What is linear in all positions and the tool's.
-        let cost = |slopes: &[[f64; 3]], pose: &PoseBar, shift: &Vector3<f64>| {
-            let moved = (0..places.len()).map(|id| {
-                let by = if held(id) { *shift } else { Vector3::zeros() };
-                Vector3::from(slopes[id]).dot(&(Vector3::from(places[id]) + by))
-            });
-            moved.sum::<f64>() + pose.position.dot(&(case.tool.position_m + shift))
-        };
-        for noise in [0.0, 1e4] {
+        for body in [false, true] {
             let mut bar = vec![Group::ZERO; particles.groups.len()];
             for (g, l, id) in particles.occupied() {
-                set_vec(&mut bar[g].x, l, [noise * f64::from(id % 5), -noise, 0.0]);
+                set_vec(&mut bar[g].x, l, [f64::from(id % 7), 1.0, -f64::from(id % 3)]);
+                bar[g].q[0][l] = 5.0;
             }
-            let pose = PoseBar { position: [noise, 0.0, 0.0].into(), rotation: Vector3::zeros() };
-            let (new, report) = case.cut().restart(&particles, &values, (&mut bar, &pose), &later);
+            let before = if body { pose } else { all_of(&bar, &pose) };
+            let (new, report) = cut.restart(&particles, &values, &mut bar, (&pose, body));
+            let after = all_of(&bar, &new);
             assert!(report.carried.grains > 50 && report.resting.grains > 50);
-            assert_eq!(report.tool_after.map(f64::to_bits), new.pose.components().map(f64::to_bits));
-            for axis in 0..3 {
-                let rise = |slopes: &[[f64; 3]], pose: &PoseBar| {
-                    let mut shift = Vector3::zeros();
-                    shift[axis] = 1e-3;
-                    (cost(slopes, pose, &shift) - cost(slopes, pose, &-shift)) / 2e-3
-                };
-                let (here, there) = (rise(&new.slopes, &new.pose), rise(&later.slopes, &later.pose));
-                assert!((here - there).abs() < 1e-6 * (1.0 + there.abs()), "{axis}: {here} {there}");
-            }
+            assert!(
+                (new.position - pose.position).norm() > 1.0 && (new.rotation - pose.rotation).norm() > 1e-3
+            );
+            assert!((before.position - after.position).norm() < 1e-9, "{before:?} {after:?}");
+            assert!((before.rotation - after.rotation).norm() < 1e-9, "{before:?} {after:?}");
+            assert!(particles.occupied().all(|(g, l, _)| bar[g].q[0][l] == 0.0));
+            assert_eq!(report.tool_after.map(f64::to_bits), new.components().map(f64::to_bits));
         }
+    }
+
+    /// A loss that is linear in how far the body is moved and turned has that slope along the ways, and none beside them.
+    #[test]
+    fn the_ways_tell_what_moving_the_body_costs() {
+        let mut scene = Scene::load("bench").unwrap();
+        scene.skill.heading_deg = 30.0;
+        let map = SkillMap::new(&scene);
+        let carrying = Restarts::of_skill(&scene, &map, &[0.0; 5]).carrying.unwrap();
+        let controls: Vec<Displacement> = map.controls(&[0.0; 5]).unwrap();
+        assert!(carrying.fits(controls.len()) && carrying.ways.len() == 3);
+        let slope = [2.0, -1.0, 5.0, 0.5, 3.0, -4.0];
+        let loss = |moved: &[Displacement]| {
+            let change = |(moved, usual): (&Displacement, &Displacement)| {
+                let both = moved.components().into_iter().zip(usual.components());
+                both.zip(slope).map(|((a, b), slope)| (a - b) * slope).sum::<f64>()
+            };
+            7.0 + moved.iter().zip(&controls).map(change).sum::<f64>()
+        };
+        let ends = |way| [1.0, -1.0].map(|sign| loss(&carrying.moved(&controls, way, sign)));
+        let body = carrying.body(&carrying.ways.iter().map(ends).collect::<Vec<_>>());
+        let (sin, cos) = libm::sincos(30.0f64.to_radians());
+        let forward = Vector3::new(cos, sin, 0.0) * (2.0 * cos - sin);
+        let expected = forward + Vector3::new(0.0, 0.0, 5.0);
+        assert!((body.position - expected).norm() < 1e-9, "{body:?}");
+        assert!(
+            (body.rotation - Vector3::new(-sin, cos, 0.0) * (3.0 * cos - 0.5 * sin)).norm() < 1e-9,
+            "{body:?}"
+        );
+    }
+
+    #[test]
+    fn what_has_left_counts_no_more() {
+        assert_eq!(shares(&[100, 100, 60, 20, 20]), [1.0, 1.0, 0.5, 0.0, 0.0]);
+        assert_eq!(shares(&[30, 30]), [1.0, 1.0]);
+        assert!(shares(&[]).is_empty());
     }
 
     #[test]
     fn cuts_go_by_the_skill() {
         let case = Case::new();
         let map = SkillMap::new(&case.scene);
-        let steps = &case.restarts.steps;
-        let horizon = case.scene.time.horizon_steps as usize;
-        assert!(steps.len() == 10 && steps.windows(2).all(|pair| pair[0] < pair[1]), "{steps:?}");
-        assert!(steps.iter().all(|step| (1..horizon).contains(step)));
-        for segment in &map.segments(&[0.0; 5])[2..] {
-            let step = (segment.end_s / case.scene.time.control_period_s()).round() as usize;
-            assert!(steps.contains(&step), "{segment:?} {steps:?}");
-        }
+        let Restarts { steps, carrying, .. } = &case.restarts;
+        let carrying = carrying.as_ref().unwrap();
+        let ends: Vec<usize> = map
+            .segments(&[0.0; 5])
+            .iter()
+            .map(|segment| (segment.end_s / case.scene.time.control_period_s()).round() as usize)
+            .collect();
+        let [_, _, scoop, lift, transport, pour] = ends[..] else { panic!("{ends:?}") };
+        assert!(steps.len() == 4 && steps.windows(2).all(|pair| pair[0] < pair[1]), "{steps:?}");
+        assert_eq!((steps[3], carrying.from, carrying.over.clone()), (scoop, lift, transport..pour));
+        assert_eq!(carrying.until, pour);
     }
 }

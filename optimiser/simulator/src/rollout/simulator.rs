@@ -15,7 +15,7 @@ use crate::mpm::timings::{Stage, StageTimings};
 use crate::real::Real;
 use crate::rollout::branches::{self, Batch, Worker};
 use crate::rollout::path::{PoseBar, Trajectory, resting};
-use crate::rollout::restart::{Cut, CutReport, Later, Restarted, Restarts};
+use crate::rollout::restart::{Carrying, Cut, CutReport, Restarted, Restarts, held_by_tool, shares};
 use crate::rollout::schedule::{Action, advances, schedule};
 use crate::rollout::{
     Destination, DisplacementGradient, Evaluate, Evaluation, LossFn, Observer, ParticleSimulator, Progress,
@@ -23,7 +23,7 @@ use crate::rollout::{
     outcome::{self, Grains},
     thread_pool,
 };
-use crate::scene::Scene;
+use crate::scene::{GradientEstimator, Scene};
 use crate::skill::{Control, SkillMap, Theta};
 
 /// Memory of each worker when there are several, in settled states: its current state, its workspace, its sort buffers, all of them
@@ -32,6 +32,9 @@ const WORKER_STATES: u64 = 6;
 
 /// Work of one adjoint substep in units of a forward one, for the progress bar.
 const ADJOINT_WORK: u64 = 3;
+
+/// Control steps of a rollout that the gradient of one takes, for the progress bar.
+const GRADIENT_STEPS: usize = 5;
 
 /// Powder and tool at one moment of a rollout.
 pub(crate) struct RolloutState<T> {
@@ -218,6 +221,83 @@ impl<T: Real> Simulator<T> {
         self.in_pool_for(asked, |r| r.gradient(&from.state, &path, reserved_bytes), progress)
     }
 
+    /// The same by the adjoint that restarts. On the part of the motion on which the tool carries powder there is none: there, tool and
+    /// powder are one body, and what moving it costs is measured.
+    fn restarted(
+        &mut self,
+        start: &RolloutState<T>,
+        controls: &[Displacement],
+        restarts: &Restarts,
+        progress: Progress<'_>,
+    ) -> Result<(Evaluation, Vec<Control>, Vec<CutReport>), RolloutError> {
+        let asked = Asked { restarts: Some(restarts), ..Asked::default() };
+        let Some(carrying) = restarts.carrying.as_ref().filter(|carrying| carrying.fits(controls.len()))
+        else {
+            return self.control_gradient_of(asked, start, controls, progress);
+        };
+        let (from, over, steps) = (carrying.from, &carrying.over, controls.len());
+        // In control steps of a rollout.
+        let branched = 2 * carrying.ways.len() * (steps - over.start);
+        let total = (steps + branched + GRADIENT_STEPS * from) as u64;
+        let mut part = |before: usize, work: usize, done: u64, of: u64| {
+            progress(before as u64 * 1000 + work as u64 * 1000 * done / of.max(1), total * 1000)
+        };
+        let before = self.advanced(start, &controls[..over.start], &mut |d, t| part(0, over.start, d, t))?;
+        let mut on_body = vec![self.on_tool(&before, restarts)];
+        let mut end = self.copied(&before);
+        for step in over.start..steps {
+            let next = self.advanced(&end, &controls[step..=step], &mut |d, t| part(step, 1, d, t))?;
+            self.recycle(std::mem::replace(&mut end, next));
+            on_body.push(self.on_tool(&end, restarts));
+        }
+        let evaluation = self.judge(&end);
+        let values = loss::values(&self.scene, &end.state.particles.positions_by_id());
+        self.recycle(end);
+        let rest = |way: &Displacement, sign: f64| carrying.moved(controls, way, sign)[over.start..].to_vec();
+        let branches = carrying.ways.iter().flat_map(|way| [rest(way, 1.0), rest(way, -1.0)]).collect();
+        let ends = self.evaluate_motions(&before, branches, &mut |d, t| part(steps, branched, d, t));
+        self.recycle(before);
+        let ends: Vec<[f64; 2]> = ends?.chunks_exact(2).map(|ends| [ends[0].loss, ends[1].loss]).collect();
+        let body = carrying.body(&ends);
+        let asked = Asked { goes_on: Some(GoesOn { values: &values, body }), ..asked };
+        let work = GRADIENT_STEPS * from;
+        let digging = self.control_gradient_of(asked, start, &controls[..from], &mut |d, t| {
+            part(steps + branched, work, d, t)
+        });
+        let (_, mut bars, cuts) = digging?;
+        bars.extend(self.carried(carrying, controls, &body, &shares(&on_body)));
+        Ok((evaluation, bars, cuts))
+    }
+
+    /// Cotangents of the controls from the step on from which tool and powder are one body.
+    fn carried(
+        &self,
+        carrying: &Carrying,
+        controls: &[Displacement],
+        body: &PoseBar,
+        shares: &[f64],
+    ) -> impl Iterator<Item = Control> {
+        let Carrying { from, until, over, .. } = carrying.clone();
+        let (body, shares) = (*body, shares.to_vec());
+        (from..controls.len()).map(move |step| {
+            if step >= until {
+                return [0.0; 6];
+            }
+            let share = step.checked_sub(over.start).map_or(1.0, |later| shares[later]);
+            PoseBar { position: body.position * share, ..body }.components()
+        })
+    }
+
+    /// Grains on the tool.
+    fn on_tool(&self, at: &RolloutState<T>, restarts: &Restarts) -> u32 {
+        let positions = at.state.particles.positions_by_id();
+        held_by_tool(&self.scene, &at.tool, &positions, restarts.room_m)
+    }
+
+    fn copied(&mut self, from: &RolloutState<T>) -> RolloutState<T> {
+        RolloutState { state: from.state.copied(&mut self.workspace.spare), ..*from }
+    }
+
     /// Evaluations after each of several control sequences of one length, side by side.
     pub(crate) fn evaluate_motions(
         &mut self,
@@ -326,10 +406,9 @@ impl<T: Real> ParticleSimulator for Simulator<T> {
     ) -> Result<Restarted, RolloutError> {
         let linear = self.skill.linearise(theta)?;
         let start = self.initial_state(progress)?;
-        let asked = Asked { restarts: Some(restarts), ..Asked::default() };
-        let (mut evaluation, bars, mut cuts) =
-            self.control_gradient_of(asked, &start, &linear.controls, progress)?;
+        let found = self.restarted(&start, &linear.controls, restarts, progress);
         self.recycle(start);
+        let (mut evaluation, bars, mut cuts) = found?;
         evaluation.gradient = Some(linear.pull_back(&bars));
         cuts.reverse();
         let steps = cuts.iter().map(|cut| cut.step);
@@ -340,7 +419,8 @@ impl<T: Real> ParticleSimulator for Simulator<T> {
             linear.pull_back(&share)
         };
         let shares = ends.windows(2).map(share).collect();
-        Ok(Restarted { evaluation, cuts, shares })
+        let by_displacement = bars.into_iter().map(DisplacementGradient::from).collect();
+        Ok(Restarted { evaluation, cuts, shares, by_displacement })
     }
 
     fn gradient_of_custom_loss(
@@ -366,6 +446,10 @@ impl<T: Real> Evaluate for Simulator<T> {
         if !want_gradient {
             let controls: Vec<_> = self.skill.controls(theta)?;
             return self.simulate(&controls, progress);
+        }
+        if self.scene.optimiser.gradient == GradientEstimator::Restarted {
+            let restarts = Restarts::of_skill(&self.scene, &self.skill, theta);
+            return Ok(self.evaluate_restarted(theta, &restarts, progress)?.evaluation);
         }
         let linear = self.skill.linearise(theta)?;
         let controls: Vec<_> = linear.controls.clone();
@@ -512,6 +596,16 @@ struct Rollout<'a, T: Real> {
 struct Asked<'a> {
     loss: Option<LossFn<'a>>,
     restarts: Option<&'a Restarts>,
+    goes_on: Option<GoesOn<'a>>,
+}
+
+/// What is known of the motion after the part that is to be gone back through.
+#[derive(Clone, Copy)]
+struct GoesOn<'a> {
+    /// What each grain costs at the end, by identity, metres.
+    values: &'a [Option<f64>],
+    /// What the pose of tool and powder, as one body, has.
+    body: PoseBar,
 }
 
 /// Where the way back has got to.
@@ -521,8 +615,9 @@ struct Retreat<T> {
     values: Vec<Option<f64>>,
     /// Cotangents of the particles.
     bar: Vec<Group<T>>,
-    /// What the cut before has left, or the end.
-    later: Later,
+    /// That of the tool's pose to go on with.
+    pose: PoseBar,
+    /// What happened at the cuts, the last one first.
     cuts: Vec<CutReport>,
 }
 
@@ -597,12 +692,7 @@ impl<T: Real> Rollout<'_, T> {
         path: &Trajectory,
         reserved_bytes: u64,
     ) -> Result<(Evaluation, Vec<Control>, Vec<CutReport>), RolloutError> {
-        let whole = path;
-        let path = &whole.until(self.goes_back_from().unwrap_or(whole.steps()));
         self.workspace.prepare(self.model, start);
-        // Where the way back turns before the end, its state waits for what the end says.
-        let waits = if path.len() < whole.len() { state_bytes::<T>(start.size(self.model)) } else { 0 };
-        let reserved_bytes = reserved_bytes + waits;
         // The state at work is the last one kept, until it is advanced: then it is `working`.
         let copy = start.copied(&mut self.workspace.spare);
         let mut kept = vec![Checkpoint { step: 0, state: copy, on_grid: None }];
@@ -650,8 +740,8 @@ impl<T: Real> Rollout<'_, T> {
                     let mut retreat = match end.take() {
                         Some(end) => end,
                         None => {
-                            let end = self.end_of([path, whole], state, (done.min(total), total))?;
-                            back.go_on_with(&end.later.pose);
+                            let end = self.end_of(path, state)?;
+                            back.go_on_with(&end.pose);
                             end
                         }
                     };
@@ -662,8 +752,9 @@ impl<T: Real> Rollout<'_, T> {
                     back.take(step, tool_bar);
                     self.workspace.timings.skip();
                     if self.restarts_before(step) {
-                        self.restart(path, step, state, &mut retreat, back.pose_bar());
-                        back.go_on_with(&retreat.later.pose);
+                        retreat.pose = back.pose_bar();
+                        self.restart(path, step, state, &mut retreat, false);
+                        back.go_on_with(&retreat.pose);
                     }
                     self.workspace.sort_adjoint(state, &mut retreat.bar);
                     end = Some(retreat);
@@ -676,14 +767,12 @@ impl<T: Real> Rollout<'_, T> {
         let Retreat { evaluation, bar, cuts, .. } = match end {
             Some(end) => end,
             // A motion of no step ends where it began.
-            None => self.end_of([path, whole], &kept[0].state, (done, total))?,
+            None => self.end_of(path, &kept[0].state)?,
         };
         self.workspace.bar = bar;
         working.recycle_into(&mut self.workspace.spare);
         kept.into_iter().for_each(|kept| self.recycle_checkpoint(kept));
-        let mut bars = back.finished();
-        bars.resize(whole.steps(), [0.0; 6]);
-        Ok((evaluation, bars, cuts))
+        Ok((evaluation, back.finished(), cuts))
     }
 
     /// States that may be kept at a time, those that are kept among them: as many as memory allows if the next ones are as large as
@@ -705,11 +794,6 @@ impl<T: Real> Rollout<'_, T> {
         kept.on_grid.into_iter().for_each(|grid| grid.recycle_into(&mut self.workspace.spare));
     }
 
-    /// Control step from whose beginning the adjoint goes back, if it is not the motion's end.
-    fn goes_back_from(&self) -> Option<usize> {
-        self.asked.restarts?.rests_from
-    }
-
     /// Whether the adjoint restarts where this substep begins.
     fn restarts_before(&self, substep: usize) -> bool {
         let n = self.scene.time.substeps as usize;
@@ -717,14 +801,15 @@ impl<T: Real> Rollout<'_, T> {
         substep > 0 && substep.is_multiple_of(n) && self.asked.restarts.is_some_and(asked)
     }
 
-    /// Restarts the adjoint; `state` is that at the beginning of the substep, whose order the cotangents have.
+    /// Restarts the adjoint; `state` is that at the beginning of the substep, whose order the cotangents have. The pose's cotangent is
+    /// that of the tool, or of tool and powder as one `body`.
     fn restart(
         &mut self,
         path: &Trajectory,
         substep: usize,
         state: &State<T>,
         retreat: &mut Retreat<T>,
-        pose: PoseBar,
+        body: bool,
     ) {
         let Some(restarts) = self.asked.restarts else { return };
         let mut state = state.copied(&mut self.workspace.spare);
@@ -738,49 +823,32 @@ impl<T: Real> Rollout<'_, T> {
             step,
             restarts,
         };
-        let bars = (&mut retreat.bar[..], &pose);
-        let (later, report) = cut.restart(&state.particles, &retreat.values, bars, &retreat.later);
-        retreat.later = later;
+        let pose = (&retreat.pose, body);
+        let (pose, report) = cut.restart(&state.particles, &retreat.values, &mut retreat.bar, pose);
+        retreat.pose = pose;
         retreat.cuts.push(report);
         state.recycle_into(&mut self.workspace.spare);
     }
 
-    /// Last step, loss, and the loss's cotangent in the order of the last step's particles. Of a motion that the adjoint does not go
-    /// back through to its end, that is the last step that it goes back through, with the loss at the motion's end.
-    fn end_of(
-        &mut self,
-        [path, whole]: [&Trajectory; 2],
-        state: &State<T>,
-        (done, total): (u64, u64),
-    ) -> Result<Retreat<T>, RolloutError> {
+    /// Last step, loss, and the loss's cotangent in the order of the last step's particles; or, where the motion goes on, what is
+    /// known of that.
+    fn end_of(&mut self, path: &Trajectory, state: &State<T>) -> Result<Retreat<T>, RolloutError> {
         let mut state = state.copied(&mut self.workspace.spare);
         state.fill();
         if let Some(last) = path.len().checked_sub(1) {
             self.step(&mut state, last, &path.bodies(&self.model.gates, last))?;
         }
-        let turn = (path.len() < whole.len()).then(|| state.copied(&mut self.workspace.spare));
-        for substep in path.len()..whole.len() {
-            if substep.is_multiple_of(self.scene.time.substeps as usize) {
-                self.report(done, total)?;
-            }
-            self.step(&mut state, substep, &whole.bodies(&self.model.gates, substep))?;
+        let mut retreat = self.loss_of(path, &state)?;
+        if let Some(GoesOn { values, body }) = self.asked.goes_on {
+            (retreat.values, retreat.pose) = (values.to_vec(), body);
+            self.restart(path, path.len(), &state, &mut retreat, true);
         }
-        let mut retreat = self.loss_of(whole, &state)?;
-        let rests = turn.is_some();
-        if let Some(turn) = turn {
-            std::mem::replace(&mut state, turn).recycle_into(&mut self.workspace.spare);
-        }
-        let last = state;
-        self.begin(&last, &mut retreat);
-        if rests {
-            self.restart(path, path.len(), &last, &mut retreat, PoseBar::default());
-        }
-        self.workspace.sort_adjoint(&last, &mut retreat.bar);
-        last.recycle_into(&mut self.workspace.spare);
+        self.workspace.sort_adjoint(&state, &mut retreat.bar);
+        state.recycle_into(&mut self.workspace.spare);
         Ok(retreat)
     }
 
-    /// Loss at the end, and what follows from it, without the cotangents of particles.
+    /// Loss at the end, and the cotangents of particles there.
     fn loss_of(&mut self, path: &Trajectory, state: &State<T>) -> Result<Retreat<T>, RolloutError> {
         let (mut evaluation, mut gradient) =
             evaluation(self.scene, &state.particles, &path.end().unwrap_or(*self.anchor));
@@ -804,22 +872,13 @@ impl<T: Real> Rollout<'_, T> {
                 Cut { scene: self.scene, model: self.model, bodies, tool, step: path.steps(), restarts };
             gradient = cut.slopes(&state.particles.positions_by_id(), &values);
         }
-        let later = Later { slopes: gradient, pose: PoseBar::default() };
-        Ok(Retreat { evaluation, values, bar: Vec::new(), later, cuts: Vec::new() })
-    }
-
-    /// Gives the particles of a state the cotangents that they have at the end.
-    fn begin(&mut self, state: &State<T>, retreat: &mut Retreat<T>) {
         let mut bar = std::mem::take(&mut self.workspace.bar);
         fit(&mut bar, state.particles.groups.len(), Group::ZERO);
         bar.fill(Group::ZERO);
         for (g, l, id) in state.particles.occupied() {
-            set_vec(&mut bar[g].x, l, retreat.later.slopes[id as usize].map(T::from_f64));
+            set_vec(&mut bar[g].x, l, gradient[id as usize].map(T::from_f64));
         }
-        retreat.bar = bar;
-        if self.asked.restarts.is_none() {
-            retreat.later.slopes = Vec::new();
-        }
+        Ok(Retreat { evaluation, values, bar, pose: PoseBar::default(), cuts: Vec::new() })
     }
 
     /// Particles are searched once per control step, and whenever the tool's cotangent, a sum over all contacts, is not finite.

@@ -99,16 +99,19 @@ pub fn measure(
     let rollout = (cpu_seconds() - from_s) / both_ways.len() as f64;
     let slope = std::array::from_fn(|k| (ends[2 * k].loss - ends[2 * k + 1].loss) / (2.0 * HALF_STEP));
     let from_s = cpu_seconds();
-    let exact = simulator.evaluate(theta, true, &mut |d, t| part(ROLLOUTS, GRADIENT_WORK, d, t))?.gradient;
+    let mut gradient = |restarts: &Restarts, from: u64| -> Result<_, RolloutError> {
+        let found =
+            simulator.evaluate_restarted(theta, restarts, &mut |d, t| part(from, GRADIENT_WORK, d, t))?;
+        Ok(found.evaluation.gradient.unwrap_or_default())
+    };
+    let exact = gradient(&restarts.without_cuts(), ROLLOUTS)?;
     let between_s = cpu_seconds();
-    let later = ROLLOUTS + GRADIENT_WORK;
-    let restarted =
-        simulator.evaluate_restarted(theta, restarts, &mut |d, t| part(later, GRADIENT_WORK, d, t))?;
+    let restarted = gradient(restarts, ROLLOUTS + GRADIENT_WORK)?;
     Ok(Some(Measured {
         delivered,
         slope,
-        exact: exact.unwrap_or_default(),
-        restarted: restarted.evaluation.gradient.unwrap_or_default(),
+        exact,
+        restarted,
         seconds: Seconds { rollout, exact: between_s - from_s, restarted: cpu_seconds() - between_s },
     }))
 }

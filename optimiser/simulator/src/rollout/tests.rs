@@ -6,13 +6,14 @@ use powderline_shared::{displacement::Displacement, plan::Precision};
 
 use crate::mpm::Model;
 use crate::rollout::path::Trajectory;
-use crate::rollout::restart::{Cut, Restarts, Resultant};
+use crate::rollout::restart::{Carrying, Cut, Restarts};
 use crate::rollout::{
     Destination, DisplacementGradient, Evaluate, ParticleSimulator, Recording, RolloutError, Simulator,
     SimulatorSettings, Snapshot, gradcheck, loss, outcome,
 };
 use crate::scene::{
-    Aim, Cuboid, Flow, Infeasible, Scene, Tool, ToolShape, Transfer, VolumeCorrection, YieldSurface,
+    Aim, Cuboid, Flow, GradientEstimator, Infeasible, Scene, Tool, ToolShape, Transfer, VolumeCorrection,
+    YieldSurface,
 };
 use crate::skill::{SkillMap, Theta};
 
@@ -68,8 +69,6 @@ fn restarts_change_no_bit_by_threads_or_memory_and_are_what_makes_the_difference
     scene.time.substeps /= 2;
     let theta = gradcheck::CHECKED_THETA;
     let usual = Restarts::of_skill(&scene, &SkillMap::new(&scene), &theta);
-    // The rest left out, as that is more to go wrong.
-    let usual = Restarts { rests_from: usual.steps.last().copied(), ..usual };
     let simulator = |threads: usize, memory_bytes: u64| {
         let settings =
             SimulatorSettings { seed: 1, precision: Precision::F32, threads: Some(threads), memory_bytes };
@@ -81,29 +80,44 @@ fn restarts_change_no_bit_by_threads_or_memory_and_are_what_makes_the_difference
     };
     let one = restarted(1, 1 << 30, &usual);
     assert_eq!(one, restarted(2, 1 << 30, &usual), "two threads");
-    assert_eq!(one, restarted(3, 48 << 20, &usual), "three threads and few checkpoints");
+    assert_eq!(one, restarted(16, 48 << 20, &usual), "sixteen threads and few checkpoints");
     let exact = simulator(2, 1 << 30).evaluate(&theta, true, &mut |_, _| true).expect("runs");
     assert!(
         one.evaluation.loss.to_bits() == exact.loss.to_bits() && one.evaluation.gradient != exact.gradient
     );
-    let never = Restarts { steps: Vec::new(), rests_from: None, begins_with_slopes: false, ..usual };
-    assert_eq!(exact, restarted(2, 1 << 30, &never).evaluation);
+    assert_eq!(exact, restarted(2, 1 << 30, &usual.without_cuts()).evaluation);
 }
 
-/// Where nothing is kept for the tool's pose, what goes back from a cut is the exact derivative of a loss that is linear in the
-/// positions there, of the cut's slopes.
+/// A scene that asks for it gets the restarted gradient of a skill, and everything else as before.
 #[test]
-fn between_cuts_the_derivative_is_the_exact_one() {
+fn a_scene_may_ask_for_the_restarted_gradient() {
+    let mut scene = Scene::load("bench-small").expect("shipped");
+    scene.domain.cell_m *= 2.0;
+    scene.time.substeps /= 2;
+    let theta = gradcheck::CHECKED_THETA;
+    let restarts = Restarts::of_skill(&scene, &SkillMap::new(&scene), &theta);
+    let simulator =
+        |scene: &Scene| Simulator::<f32>::new(scene, &SimulatorSettings::default()).expect("threads");
+    let wanted = simulator(&scene).evaluate_restarted(&theta, &restarts, &mut |_, _| true).expect("runs");
+    scene.optimiser.gradient = GradientEstimator::Restarted;
+    let found = simulator(&scene).evaluate(&theta, true, &mut |_, _| true).expect("runs");
+    assert_eq!(found, wanted.evaluation);
+}
+
+/// What goes back from where the digging ends is the exact derivative of a loss that is linear in the positions there, of the slopes,
+/// and of what the tool's own pose has beside them. What comes after is what was measured of the body.
+#[test]
+fn the_derivative_of_the_digging_is_the_exact_one() {
     let mut scene = Scene::load("bench-small").expect("shipped");
     scene.domain.cell_m *= 2.0;
     scene.time.substeps /= 2;
     let (theta, map) = (gradcheck::CHECKED_THETA, SkillMap::new(&scene));
     let linear = map.linearise(&theta).expect("fits");
+    // One body without any way to go: what it costs is not asked, and all the tool's pose has is what is taken from the grains.
     let usual = Restarts::of_skill(&scene, &map, &theta);
-    let turn = *usual.steps.last().expect("it has cuts");
-    let [while_digging, while_clear] = [Resultant::Dropped; 2];
-    let restarts =
-        Restarts { steps: Vec::new(), rests_from: Some(turn), while_digging, while_clear, ..usual };
+    let carrying = Carrying { ways: Vec::new(), ..usual.carrying.clone().expect("it carries") };
+    let turn = carrying.from;
+    let restarts = Restarts { steps: Vec::new(), carrying: Some(carrying), room_m: -1.0, ..usual };
     let mut s = Simulator::<f64>::new(&scene, &SimulatorSettings::default()).expect("threads");
     let mut positions =
         |steps: usize| s.final_positions_m(&linear.controls[..steps], &mut |_, _| true).expect("runs");
@@ -129,12 +143,18 @@ fn between_cuts_the_derivative_is_the_exact_one() {
     let (_, bars) = s.gradient_of_custom_loss(&before, &loss, &mut |_, _| true).expect("runs");
     let bars: Vec<[f64; 6]> = bars.iter().map(DisplacementGradient::components).collect();
     let restarted = s.evaluate_restarted(&theta, &restarts, &mut |_, _| true).expect("runs");
-    let gradient = restarted.evaluation.gradient.expect("asked for");
-    assert!(gradient.iter().all(|x| *x != 0.0), "{gradient:?}");
-    assert_eq!(gradient.map(f64::to_bits), linear.pull_back(&bars).map(f64::to_bits));
-    // What the controls between cuts bring is all that there is.
+    assert_eq!(restarted.by_displacement.len(), linear.controls.len());
+    let found = restarted.by_displacement.iter().map(|one| one.components().map(f64::to_bits));
+    let expected = bars.iter().map(|bar| bar.map(f64::to_bits));
+    assert!(bars.iter().flatten().any(|x| *x != 0.0));
+    assert!(
+        found.eq(expected.chain(std::iter::repeat_n([0.0f64.to_bits(); 6], linear.controls.len() - turn)))
+    );
     assert_eq!((restarted.cuts.len(), restarted.shares.len()), (1, 2));
-    assert_eq!(restarted.shares[0].map(f64::to_bits), gradient.map(f64::to_bits));
+    assert_eq!(
+        restarted.evaluation.loss.to_bits(),
+        s.evaluate(&theta, false, &mut |_, _| true).expect("runs").loss.to_bits()
+    );
 }
 
 #[test]

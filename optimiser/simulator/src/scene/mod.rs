@@ -539,8 +539,8 @@ pub struct Optimiser {
     pub epsilon: f64,
     /// What the updates go by.
     pub gradient: GradientEstimator,
-    /// Half-step of the central differences that `mixed` compares the adjoint with, in units of
-    /// theta; above 0, up to 0.5, typically 0.1: far enough for single grains to average out.
+    /// Half-step of the central differences (all but `adjoint` has them), in units of theta; above 0, up to 0.5,
+    /// typically 0.1: far enough for single grains to average out.
     pub difference_half_step: f64,
     /// The search ends when the amount is met and so many epochs in a row have gained nothing; 0 to 100,000, with 0 it
     /// goes on to its last epoch, typically 2.
@@ -556,4 +556,8 @@ pub enum GradientEstimator {
     Adjoint,
     /// The adjoint and central differences, weighted in every component by their measured variances.
     Mixed,
+    /// The adjoint that restarts ([`crate::rollout::restart`]) and central differences, weighted likewise.
+    Restarted,
+    /// Central differences.
+    Differences,
 }

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::report::folder::COMPARISON;
+use powderline_simulator::scene::GradientEstimator;
 
 const METHODS: &str = "gradient,gradient-steps,sac,cma-es,random";
 
@@ -112,7 +113,8 @@ fn a_prolonged_comparison_has_the_bits_of_a_longer_one() {
 fn variants_of_the_gradient_differ_in_what_they_are_called_by() {
     let place = Place::new();
     let folder = place.text("variants");
-    let methods = "gradient,gradient-curriculum,gradient-rounded,gradient-adjoint";
+    let methods = "gradient,gradient-curriculum,gradient-rounded,gradient-mixed,gradient-restarted,\
+                   gradient-differences,gradient-adjoint";
     let done = optimise(&[
         "compare",
         "bench-small",
@@ -131,7 +133,18 @@ fn variants_of_the_gradient_differ_in_what_they_are_called_by() {
     assert_eq!(usual.optimiser.curriculum_epochs, 0);
     assert_eq!(scene("gradient-curriculum").optimiser.curriculum_epochs, usual.optimiser.epochs / 2);
     assert_ne!(scene("gradient-rounded").skill.timing, usual.skill.timing);
-    assert_ne!(scene("gradient-adjoint").optimiser.gradient, usual.optimiser.gradient);
+    for (method, gradient) in [
+        ("gradient-mixed", GradientEstimator::Mixed),
+        ("gradient-restarted", GradientEstimator::Restarted),
+        ("gradient-differences", GradientEstimator::Differences),
+        ("gradient-adjoint", GradientEstimator::Adjoint),
+    ] {
+        assert_eq!(scene(method).optimiser.gradient, gradient, "{method}");
+        let first = &metrics(&format!("{folder}/{method}-seed4"))[0];
+        let (adjoint, differences) = (&first["adjoint"][0], &first["differences"][0]);
+        assert_eq!(adjoint.is_null(), gradient == GradientEstimator::Differences, "{method}");
+        assert_eq!(differences.is_null(), gradient == GradientEstimator::Adjoint, "{method}");
+    }
     let theta = |method: &str| metrics(&format!("{folder}/{method}-seed4"))[1]["theta"][4].clone();
     assert_ne!(theta("gradient-curriculum"), theta("gradient"));
 }

@@ -4,7 +4,7 @@ use nalgebra::Vector3;
 use serde::Serialize;
 
 use crate::rollout::path::PoseBar;
-use crate::rollout::{Evaluation, outcome::AT_REST_M_S};
+use crate::rollout::{DisplacementGradient, Evaluation, outcome::AT_REST_M_S};
 use crate::skill::Theta;
 
 /// A restarted gradient, and how it came about.
@@ -17,6 +17,8 @@ pub struct Restarted {
     pub cuts: Vec<CutReport>,
     /// What the controls between cuts bring to the gradient, metres: those before the first cut first.
     pub shares: Vec<Theta>,
+    /// The derivative with respect to each displacement, the others held.
+    pub by_displacement: Vec<DisplacementGradient>,
 }
 
 /// What happened at one cut.
