@@ -12,6 +12,7 @@
 //! | its derivative by every displacement | [`Evaluate::simulate_with_gradient`] |
 //! | the same of a loss of one's own | [`ParticleSimulator::gradient_of_custom_loss`] |
 //! | a slope that holds over larger steps | [`ParticleSimulator::evaluate_restarted`] |
+//! | the same of a loss of one's own | [`ParticleSimulator::restarted_gradient_of_custom_loss`] |
 //! | every grain on the way, and where it ends | [`Evaluate::record`] |
 //! | the grains at the end alone | [`ParticleSimulator::final_positions_m`] |
 //!
@@ -115,6 +116,11 @@ impl From<Control> for DisplacementGradient {
 /// returns the loss and its derivative with respect to each position.
 pub type LossFn<'a> = &'a (dyn Fn(&[[f64; 3]]) -> (f64, Vec<[f64; 3]>) + Sync);
 
+/// A custom loss for [`ParticleSimulator::restarted_gradient_of_custom_loss`]: takes the particle positions at the end of a motion (m, in
+/// packing order), returns the loss and what each particle costs of it: how the loss changes if that one is elsewhere and all others stay.
+/// A constant more or less does not matter; where the loss is a sum over particles, it is the summand.
+pub type CostsFn<'a> = &'a (dyn Fn(&[[f64; 3]]) -> (f64, Vec<f64>) + Sync);
+
 /// Called on the way with work units done and in total; `false` stops the rollout with
 /// [`RolloutError::Stopped`].
 pub type Progress<'a> = &'a mut (dyn FnMut(u64, u64) -> bool + Send);
@@ -209,12 +215,12 @@ pub enum RolloutError {
         /// By how many threads.
         threads: usize,
     },
-    /// A custom loss returned a number of derivatives other than the number of particles.
+    /// A custom loss returned a number of derivatives or costs other than the number of particles.
     #[error(
-        "the loss has {given} derivatives, but there are {particles} particles: one for each would be right"
+        "the loss has derivatives or costs of {given} particles, but there are {particles}: one for each would be right"
     )]
     LossGradientLength {
-        /// Derivatives.
+        /// Derivatives or costs.
         given: usize,
         /// Particles.
         particles: usize,
@@ -341,6 +347,19 @@ pub trait ParticleSimulator: Evaluate {
         restarts: &restart::Restarts,
         progress: Progress<'_>,
     ) -> Result<restart::Restarted, RolloutError>;
+
+    /// A custom loss at the end of such a motion, and its derivative with respect to each displacement by the adjoint that
+    /// [`restart`]s: per metre and per radian.
+    ///
+    /// # Errors
+    /// See [`RolloutError`].
+    fn restarted_gradient_of_custom_loss(
+        &mut self,
+        controls: &[Displacement],
+        costs: CostsFn<'_>,
+        restarts: &restart::Restarts,
+        progress: Progress<'_>,
+    ) -> Result<(f64, Vec<DisplacementGradient>), RolloutError>;
 
     /// A custom loss at the end of such a motion, and its derivative with respect to each
     /// displacement, the others held: per metre and per radian, whatever the loss's own unit is.

@@ -18,8 +18,8 @@ use crate::rollout::path::{PoseBar, Trajectory, resting};
 use crate::rollout::restart::{Carrying, Cut, CutReport, Restarted, Restarts, held_by_tool, shares};
 use crate::rollout::schedule::{Action, advances, schedule};
 use crate::rollout::{
-    Destination, DisplacementGradient, Evaluate, Evaluation, LossFn, Observer, ParticleSimulator, Progress,
-    Recording, RolloutError, SimulatorSettings, Snapshot, loss,
+    CostsFn, Destination, DisplacementGradient, Evaluate, Evaluation, LossFn, Observer, ParticleSimulator,
+    Progress, Recording, RolloutError, SimulatorSettings, Snapshot, loss,
     outcome::{self, Grains},
     thread_pool,
 };
@@ -227,10 +227,10 @@ impl<T: Real> Simulator<T> {
         &mut self,
         start: &RolloutState<T>,
         controls: &[Displacement],
-        restarts: &Restarts,
+        (restarts, costs): (&Restarts, Option<CostsFn<'_>>),
         progress: Progress<'_>,
     ) -> Result<(Evaluation, Vec<Control>, Vec<CutReport>), RolloutError> {
-        let asked = Asked { restarts: Some(restarts), ..Asked::default() };
+        let asked = Asked { restarts: Some(restarts), costs, ..Asked::default() };
         let Some(carrying) = restarts.carrying.as_ref().filter(|carrying| carrying.fits(controls.len()))
         else {
             return self.control_gradient_of(asked, start, controls, progress);
@@ -250,12 +250,13 @@ impl<T: Real> Simulator<T> {
             self.recycle(std::mem::replace(&mut end, next));
             on_body.push(self.on_tool(&end, restarts));
         }
-        let evaluation = self.judge(&end);
-        let values = loss::values(&self.scene, &end.state.particles.positions_by_id());
+        let judged = judged(&self.scene, &end.state.particles, &end.tool, costs);
         self.recycle(end);
+        let (evaluation, values) = judged?;
         let rest = |way: &Displacement, sign: f64| carrying.moved(controls, way, sign)[over.start..].to_vec();
         let branches = carrying.ways.iter().flat_map(|way| [rest(way, 1.0), rest(way, -1.0)]).collect();
-        let ends = self.evaluate_motions(&before, branches, &mut |d, t| part(steps, branched, d, t));
+        let ends =
+            self.evaluate_motions_by(costs, &before, branches, &mut |d, t| part(steps, branched, d, t));
         self.recycle(before);
         let ends: Vec<[f64; 2]> = ends?.chunks_exact(2).map(|ends| [ends[0].loss, ends[1].loss]).collect();
         let body = carrying.body(&ends);
@@ -305,6 +306,17 @@ impl<T: Real> Simulator<T> {
         motions: Vec<Vec<Displacement>>,
         progress: Progress<'_>,
     ) -> Result<Vec<Evaluation>, RolloutError> {
+        self.evaluate_motions_by(None, from, motions, progress)
+    }
+
+    /// The same by another loss.
+    fn evaluate_motions_by(
+        &mut self,
+        costs: Option<CostsFn<'_>>,
+        from: &RolloutState<T>,
+        motions: Vec<Vec<Displacement>>,
+        progress: Progress<'_>,
+    ) -> Result<Vec<Evaluation>, RolloutError> {
         if motions.is_empty() {
             return Ok(Vec::new());
         }
@@ -316,7 +328,11 @@ impl<T: Real> Simulator<T> {
         let lost = |substep, lost, state: &State<T>| lost_error(scene, substep, lost, Some(state));
         let judge = |path: &Trajectory, state: &State<T>| {
             let tool = path.end().unwrap_or(from.tool);
-            evaluation(scene, &state.particles, &tool).0
+            let (mut found, _) = evaluation(scene, &state.particles, &tool);
+            if let Some(costs) = costs {
+                found.loss = costs(&state.particles.positions_by_id()).0;
+            }
+            found
         };
         let batch = Batch { model, paths: &paths, lost: &lost, judge: &judge };
         let mut spare = std::mem::replace(&mut workspace.spare, BufferPool::empty());
@@ -406,7 +422,7 @@ impl<T: Real> ParticleSimulator for Simulator<T> {
     ) -> Result<Restarted, RolloutError> {
         let linear = self.skill.linearise(theta)?;
         let start = self.initial_state(progress)?;
-        let found = self.restarted(&start, &linear.controls, restarts, progress);
+        let found = self.restarted(&start, &linear.controls, (restarts, None), progress);
         self.recycle(start);
         let (mut evaluation, bars, mut cuts) = found?;
         evaluation.gradient = Some(linear.pull_back(&bars));
@@ -421,6 +437,20 @@ impl<T: Real> ParticleSimulator for Simulator<T> {
         let shares = ends.windows(2).map(share).collect();
         let by_displacement = bars.into_iter().map(DisplacementGradient::from).collect();
         Ok(Restarted { evaluation, cuts, shares, by_displacement })
+    }
+
+    fn restarted_gradient_of_custom_loss(
+        &mut self,
+        controls: &[Displacement],
+        costs: CostsFn<'_>,
+        restarts: &Restarts,
+        progress: Progress<'_>,
+    ) -> Result<(f64, Vec<DisplacementGradient>), RolloutError> {
+        let start = self.initial_state(progress)?;
+        let found = self.restarted(&start, controls, (restarts, Some(costs)), progress);
+        self.recycle(start);
+        let (evaluation, bars, _) = found?;
+        Ok((evaluation.loss, bars.into_iter().map(DisplacementGradient::from).collect()))
     }
 
     fn gradient_of_custom_loss(
@@ -577,6 +607,25 @@ fn lost_error<T: Real>(
     }
 }
 
+/// What was achieved, and what each particle costs, metres, by identity: by the scene's loss or another one.
+fn judged<T: Real>(
+    scene: &Scene,
+    particles: &Particles<T>,
+    tool: &Pose,
+    costs: Option<CostsFn<'_>>,
+) -> Result<(Evaluation, Vec<Option<f64>>), RolloutError> {
+    let positions = particles.positions_by_id();
+    let (mut found, _) = evaluation(scene, particles, tool);
+    let Some(costs) = costs else { return Ok((found, loss::values(scene, &positions))) };
+    let (loss, values) = costs(&positions);
+    let (given, particles) = (values.len(), positions.len());
+    if given != particles {
+        return Err(RolloutError::LossGradientLength { given, particles });
+    }
+    found.loss = loss;
+    Ok((found, values.into_iter().map(Some).collect()))
+}
+
 /// Borrowed parts of a simulator during one rollout.
 struct Rollout<'a, T: Real> {
     scene: &'a Scene,
@@ -596,6 +645,7 @@ struct Rollout<'a, T: Real> {
 struct Asked<'a> {
     loss: Option<LossFn<'a>>,
     restarts: Option<&'a Restarts>,
+    costs: Option<CostsFn<'a>>,
     goes_on: Option<GoesOn<'a>>,
 }
 
@@ -860,12 +910,15 @@ impl<T: Real> Rollout<'_, T> {
                 return Err(RolloutError::LossGradientLength { given, particles });
             }
         }
-        let values = match self.asked.restarts {
-            Some(_) => loss::values(self.scene, &state.particles.positions_by_id()),
-            None => Vec::new(),
-        };
+        let mut values = Vec::new();
+        if let Some(costs) = self.asked.costs.filter(|_| self.asked.goes_on.is_none()) {
+            let tool = path.end().unwrap_or(*self.anchor);
+            (evaluation, values) = judged(self.scene, &state.particles, &tool, Some(costs))?;
+        } else if self.asked.restarts.is_some() {
+            values = loss::values(self.scene, &state.particles.positions_by_id());
+        }
         if let (Some(restarts), Some(tool)) = (self.asked.restarts, path.end())
-            && restarts.begins_with_slopes
+            && (restarts.begins_with_slopes || self.asked.costs.is_some())
         {
             let bodies = &path.bodies(&self.model.gates, path.len() - 1);
             let cut =

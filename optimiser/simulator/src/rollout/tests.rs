@@ -102,6 +102,27 @@ fn a_scene_may_ask_for_the_restarted_gradient() {
     scene.optimiser.gradient = GradientEstimator::Restarted;
     let found = simulator(&scene).evaluate(&theta, true, &mut |_, _| true).expect("runs");
     assert_eq!(found, wanted.evaluation);
+    // As a loss of one's own, the scene's has the same bits; that of a motion through all of which the adjoint goes as well.
+    let controls = SkillMap::new(&scene).controls(&theta).expect("fits");
+    let own = |positions: &[[f64; 3]]| {
+        let costs = loss::values(&scene, positions).into_iter().map(Option::unwrap);
+        (loss::loss(&scene, positions).0, costs.collect())
+    };
+    let mut s = simulator(&scene);
+    let (of_own, slopes) =
+        s.restarted_gradient_of_custom_loss(&controls, &own, &restarts, &mut |_, _| true).expect("runs");
+    assert_eq!((of_own.to_bits(), &slopes), (wanted.evaluation.loss.to_bits(), &wanted.by_displacement));
+    let through_all = Restarts { carrying: None, ..restarts.clone() };
+    let wanted = s.evaluate_restarted(&theta, &through_all, &mut |_, _| true).expect("runs");
+    let (_, other) =
+        s.restarted_gradient_of_custom_loss(&controls, &own, &through_all, &mut |_, _| true).expect("runs");
+    assert!(other == wanted.by_displacement && other != slopes);
+    for restarts in [restarts, through_all] {
+        let too_few = |_: &[[f64; 3]]| (0.0, vec![1.0]);
+        let refused = s.restarted_gradient_of_custom_loss(&controls, &too_few, &restarts, &mut |_, _| true);
+        let particles = scene.particle_count();
+        assert_eq!(refused.err(), Some(RolloutError::LossGradientLength { given: 1, particles }));
+    }
 }
 
 /// What goes back from where the digging ends is the exact derivative of a loss that is linear in the positions there, of the slopes,
