@@ -144,23 +144,22 @@ pub struct Carrying {
 }
 
 impl Restarts {
-    /// For the motion of a skill: at each quarter of the scooping and at the end of the lift, in neighbourhoods of 1.5 cells. From there on
+    /// For the motion of a skill: at each quarter of the scooping, in neighbourhoods of 1.5 cells. From its end on
     /// tool and powder are one body, which is moved over the pour, in the skill's plane, as far as the scene's differences move
     /// transport, lift and pouring angle.
     #[must_use]
     pub fn of_skill(scene: &Scene, map: &SkillMap, theta: &Theta) -> Self {
-        let step_at = |time_s: f64| (time_s / scene.time.control_period_s()).round() as usize;
+        let horizon = scene.time.horizon_steps as usize;
+        let step_at = |time_s: f64| ((time_s / scene.time.control_period_s()).round() as usize).min(horizon);
         let (mut steps, mut from, mut pour) = (Vec::new(), 0, 0..0);
         for segment in map.segments(theta) {
             let [start_s, end_s] = [segment.start_s, segment.end_s];
             match segment.kind {
-                SegmentKind::Approach | SegmentKind::Insert | SegmentKind::Transport => {}
+                SegmentKind::Lift | SegmentKind::Approach | SegmentKind::Insert | SegmentKind::Transport => {}
                 SegmentKind::Scoop => {
-                    steps.extend(
-                        [0.25, 0.5, 0.75, 1.0].map(|share| step_at(start_s + share * (end_s - start_s))),
-                    );
+                    steps.extend([0.25, 0.5, 0.75].map(|share| step_at(start_s + share * (end_s - start_s))));
+                    from = step_at(end_s);
                 }
-                SegmentKind::Lift => from = step_at(end_s),
                 SegmentKind::Pour => pour = step_at(start_s)..step_at(end_s),
             }
         }
@@ -209,30 +208,44 @@ fn ways(scene: &Scene) -> Vec<Displacement> {
 }
 
 impl Carrying {
-    /// The same motion with the body moved along a way, or against it.
-    pub(super) fn moved(
-        &self,
-        controls: &[Displacement],
-        way: &Displacement,
-        sign: f64,
-    ) -> Vec<Displacement> {
-        let (share, way) = (sign / self.over.len() as f64, way.components());
+    /// Along which ways the body is moved in each branch, 1, and against which, -1. Two and three ways take four branches, in which each
+    /// is gone twice along and twice against, whatever the others do: a factorial design, of three ways half of one, where what
+    /// two do only together counts for the third. More take two branches each.
+    pub(super) fn design(&self) -> Vec<Vec<f64>> {
+        const HALF: [[f64; 3]; 4] =
+            [[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]];
+        let ways = self.ways.len();
+        if matches!(ways, 2 | 3) {
+            return HALF.iter().map(|signs| signs[..ways].to_vec()).collect();
+        }
+        let alone = |way: usize, sign: f64| (0..ways).map(move |other| if other == way { sign } else { 0.0 });
+        (0..ways).flat_map(|way| [1.0, -1.0].map(|sign| alone(way, sign).collect())).collect()
+    }
+
+    /// The same motion with the body moved along all ways, each times its sign.
+    pub(super) fn moved(&self, controls: &[Displacement], signs: &[f64]) -> Vec<Displacement> {
         let mut moved = controls.to_vec();
         for control in &mut moved[self.over.clone()] {
-            let components = control.components();
-            *control = Displacement::from(std::array::from_fn(|k| components[k] + share * way[k]));
+            let mut components = control.components();
+            for (way, sign) in self.ways.iter().zip(signs) {
+                let share = sign / self.over.len() as f64;
+                way.components().iter().zip(&mut components).for_each(|(d, u)| *u += share * d);
+            }
+            *control = Displacement::from(components);
         }
         moved
     }
 
-    /// What the body's pose has, of the losses at both ends of each way.
-    pub(super) fn body(&self, ends: &[[f64; 2]]) -> PoseBar {
+    /// What the body's pose has, of the losses of the branches.
+    pub(super) fn body(&self, losses: &[f64]) -> PoseBar {
+        let design = self.design();
         let mut body = PoseBar::default();
-        for (way, [there, back]) in self.ways.iter().zip(ends) {
+        for (index, way) in self.ways.iter().enumerate() {
+            let rise: f64 = design.iter().zip(losses).map(|(signs, loss)| signs[index] * loss).sum();
+            let gone: f64 = design.iter().map(|signs| signs[index] * signs[index]).sum();
             let (d, r) = (way.translation(), way.rotation());
-            let slope = 0.5 * (there - back);
-            body.position += d * (slope / d.norm_squared().max(f64::MIN_POSITIVE));
-            body.rotation += r * (slope / r.norm_squared().max(f64::MIN_POSITIVE));
+            body.position += d * (rise / gone / d.norm_squared().max(f64::MIN_POSITIVE));
+            body.rotation += r * (rise / gone / r.norm_squared().max(f64::MIN_POSITIVE));
         }
         body
     }
@@ -586,7 +599,7 @@ mod tests {
         }
     }
 
-    /// A loss that is linear in how far the body is moved and turned has that slope along the ways, and none beside them.
+    /// A loss that is linear in how far the body is moved and turned has that slope along the ways, however many, and none beside them.
     #[test]
     fn the_ways_tell_what_moving_the_body_costs() {
         let mut scene = Scene::load("bench").unwrap();
@@ -603,16 +616,25 @@ mod tests {
             };
             7.0 + moved.iter().zip(&controls).map(change).sum::<f64>()
         };
-        let ends = |way| [1.0, -1.0].map(|sign| loss(&carrying.moved(&controls, way, sign)));
-        let body = carrying.body(&carrying.ways.iter().map(ends).collect::<Vec<_>>());
+        let found = |carrying: &Carrying| {
+            let branches = carrying.design().iter().map(|signs| loss(&carrying.moved(&controls, signs)));
+            carrying.body(&branches.collect::<Vec<_>>()).components()
+        };
+        let assert_near = |found: [f64; 6], expected: [f64; 6]| {
+            let off = found.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+            assert!(off < 1e-8, "{found:?} {expected:?}");
+        };
         let (sin, cos) = libm::sincos(30.0f64.to_radians());
-        let forward = Vector3::new(cos, sin, 0.0) * (2.0 * cos - sin);
-        let expected = forward + Vector3::new(0.0, 0.0, 5.0);
-        assert!((body.position - expected).norm() < 1e-9, "{body:?}");
-        assert!(
-            (body.rotation - Vector3::new(-sin, cos, 0.0) * (3.0 * cos - 0.5 * sin)).norm() < 1e-9,
-            "{body:?}"
-        );
+        let (forward, tilt) = (2.0 * cos - sin, 3.0 * cos - 0.5 * sin);
+        assert_near(found(&carrying), [forward * cos, forward * sin, 5.0, -tilt * sin, tilt * cos, 0.0]);
+        // Along the axes.
+        let along =
+            |axis: usize| Displacement::from(std::array::from_fn(|k| if k == axis { 0.002 } else { 0.0 }));
+        for (count, branches) in [(0, 0), (1, 2), (2, 4), (3, 4), (6, 12)] {
+            let some = Carrying { ways: (0..count).map(along).collect(), ..carrying.clone() };
+            assert_eq!(some.design().len(), branches);
+            assert_near(found(&some), std::array::from_fn(|k| if k < count { slope[k] } else { 0.0 }));
+        }
     }
 
     #[test]
@@ -633,9 +655,10 @@ mod tests {
             .iter()
             .map(|segment| (segment.end_s / case.scene.time.control_period_s()).round() as usize)
             .collect();
-        let [_, _, scoop, lift, transport, pour] = ends[..] else { panic!("{ends:?}") };
-        assert!(steps.len() == 4 && steps.windows(2).all(|pair| pair[0] < pair[1]), "{steps:?}");
-        assert_eq!((steps[3], carrying.from, carrying.over.clone()), (scoop, lift, transport..pour));
+        let [_, _, scoop, _, transport, pour] = ends[..] else { panic!("{ends:?}") };
+        assert!(steps.len() == 3 && steps.windows(2).all(|pair| pair[0] < pair[1]), "{steps:?}");
+        assert!(steps[2] < scoop);
+        assert_eq!((carrying.from, carrying.over.clone()), (scoop, transport..pour));
         assert_eq!(carrying.until, pour);
     }
 }

@@ -280,6 +280,7 @@ mod tests {
         // What is said to be right is taken, whatever the angle.
         for (angle_deg, right) in [(33.0, "3.1"), (60.0, "1.1"), (1.0, "5")] {
             let mut scene = Scene::load("vial").unwrap();
+            scene.powder.transfer = Scene::load("bench").unwrap().powder.transfer;
             scene.powder.friction_angle_deg = angle_deg;
             scene.powder.tensile_strength_pa = None;
             let remark = scene.remark_bond().unwrap();
