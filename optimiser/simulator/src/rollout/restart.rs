@@ -617,8 +617,9 @@ mod tests {
             7.0 + moved.iter().zip(&controls).map(change).sum::<f64>()
         };
         let found = |carrying: &Carrying| {
-            let branches = carrying.design().iter().map(|signs| loss(&carrying.moved(&controls, signs)));
-            carrying.body(&branches.collect::<Vec<_>>()).components()
+            let design = carrying.design();
+            let losses = design.iter().map(|signs| loss(&carrying.moved(&controls, signs)));
+            carrying.body(&losses.collect::<Vec<_>>()).components()
         };
         let assert_near = |found: [f64; 6], expected: [f64; 6]| {
             let off = found.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);

@@ -128,8 +128,8 @@ const STRUCTURE: &[Case] = &[
     ),
     (
         r#"gradient = "mixed""#,
-        r#"gradient = "differences""#,
-        ": optimiser.gradient at line 101: unknown variant `differences`, expected `adjoint` or `mixed`",
+        r#"gradient = "restart""#,
+        ": optimiser.gradient at line 101: unknown variant `restart`, expected one of `adjoint`, `mixed`, `restarted`, `differences`; did you mean `restarted`?",
     ),
     (
         r#"aim = "amount""#,
