@@ -41,22 +41,23 @@
 //! force += sum (b_i - s_i)        moment about p += sum (x_i - p) x (b_i - s_i)
 //! ```
 //!
-//! While the tool digs, that is right. Once it is clear of the bed, it is noise: moved as one through air, powder and tool do the same
+//! While the tool digs, that is right. Once it leaves the bed, it is noise: moved as one through air, powder and tool do the same
 //! as before, but in other cells of the grid, and single grains make much of that. All that moving both as one changes there is which
 //! grains leave, and where. So from the step [`Carrying::from`] on nothing goes back through the powder. Tool and powder count as one body
-//! whose motion costs a force F and a moment M, and these are measured: the rollout branches off, the body is moved there and back along
-//! each of [`Carrying::ways`], and the loss at the end says the slope. Beginning and packing are the same in all branches, so that
-//! their differences have little noise, and a branch costs only the rest of the motion.
+//! whose motion costs a force F and a moment M, and these are measured: the rollout branches off where the tool begins to pour, the body
+//! is moved along and against each of [`Carrying::ways`] while it pours, and the losses at the end say the slopes. Beginning and
+//! packing are the same in all branches, so that their differences have little noise, and a branch costs only the rest of the motion.
+//! Three ways take four branches, in which each is gone twice along and twice against (half a factorial design, Box and Hunter 1961):
+//! half the variance of six branches of one way each, and in exchange what two ways do only together counts for the third.
 //!
 //! ```text
-//! F d = (L(+d) - L(-d)) / 2,   M likewise
+//! F d = sum over branches (sign L) / branches,   M likewise; d: the way
 //! a control at step t:  F share(t),  M      until the end of the pour, nothing after it
 //! where the digging ends, the tool's pose:  F - sum s_i,   M - sum (x_i - p) x s_i
 //! ```
 //!
 //! share(t) is how much of the powder that leaves the body on the rest of the way is still on it. The moment has no such factor: powder
-//! in a tool that is turned flows by the angle, whenever that is reached. Measured over each quarter of the pour by itself it is
-//! -3.9, -3.9, -3.5, -4.4 m/rad (skill 1 below) and -1.9, -2.2, -2.0, -2.1 m/rad (skill 4), by the exact adjoint -0.2 to -3.6 and -4.8 to -6.8.
+//! in a tool that is turned flows by the angle, whenever that is reached.
 //!
 //! # Bias and variance
 //!

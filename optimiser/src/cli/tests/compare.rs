@@ -1,6 +1,7 @@
 //! `optimise compare` with the stand-in.
 
 use super::*;
+use crate::compare::ADJOINT_ROLLOUTS;
 use crate::report::folder::COMPARISON;
 use powderline_simulator::scene::GradientEstimator;
 
@@ -226,7 +227,7 @@ fn displacements_begin_with_the_loss_of_the_skill_and_descend_although_powder_es
         let skill = &metrics(&format!("{skills}/gradient-seed{seed}"))[0];
         assert_eq!(skill["loss"].as_f64().unwrap().to_bits(), losses[0].to_bits());
         assert!(losses[20] < losses[0] - 1e-4, "{losses:?}");
-        assert_eq!(tries[20]["rollouts"], 21 * 5);
+        assert_eq!(tries[20]["rollouts"], 21 * (1 + ADJOINT_ROLLOUTS));
     }
     // The page has nothing to replay, and says what there is.
     assert_eq!(optimise(&["report", &folder]).code, 0);
