@@ -265,9 +265,7 @@ impl Experiment {
                 let folder = self.folder_of(*method, *seed);
                 let [metrics, tries] = [METRICS, TRIES].map(|file| folder.join(file));
                 if metrics.exists() {
-                    let gradient = method.scene(&self.scene).optimiser.gradient;
-                    let history = read_history(&metrics)?;
-                    comparison.tracks.push(Track::of_epochs(*method, *seed, gradient, &history));
+                    comparison.tracks.push(Track::of_epochs(*method, *seed, &read_history(&metrics)?));
                 } else if tries.exists() {
                     let tries = read_tries(&RunFolder::take(&folder)?)?;
                     comparison.tracks.push(Track { method: *method, seed: *seed, tries });
@@ -336,8 +334,7 @@ impl Experiment {
         context: &mut Context<'_>,
     ) -> Result<Track, CliError> {
         let file = format!("{}.toml", method.name());
-        let scene = method.scene(&self.scene);
-        self.folder.replace(&file, scene.to_toml().as_bytes())?;
+        self.folder.replace(&file, method.scene(&self.scene).to_toml().as_bytes())?;
         let arguments = RunArgs {
             scene: Some(self.folder.file(&file).display().to_string()),
             seed: Some(seed),
@@ -349,7 +346,7 @@ impl Experiment {
             json: false,
         };
         let history = run::completed(&arguments, context)?;
-        Ok(Track::of_epochs(method, seed, scene.optimiser.gradient, &history))
+        Ok(Track::of_epochs(method, seed, &history))
     }
 
     /// A search over displacements.

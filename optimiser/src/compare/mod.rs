@@ -3,7 +3,7 @@
 //! Nothing here simulates or touches a file: [`Track`] holds what a search evaluated, [`Comparison`] judges tracks.
 //!
 //! A *rollout* is one simulated motion. An epoch of the gradient's search takes one for its skill, one for each probe of a
-//! central difference, and [`ADJOINT_ROLLOUTS`] or [`RESTARTED_ROLLOUTS`] for an adjoint; an epoch of the others is as many rollouts as the
+//! central difference, and [`ADJOINT_ROLLOUTS`] for an adjoint; an epoch of the others is as many rollouts as the
 //! comparison grants them, each of a skill of its own. What a search has achieved by an epoch is the skill with the lowest
 //! loss that it has evaluated so far: what one would send to the arm if it ended there, and the tool met no container.
 //!
@@ -21,17 +21,13 @@ pub use summary::{Row, summarise};
 use crate::{optim::EpochRecord, report::amounts::Amounts};
 use powderline_simulator::{
     rollout::{Census, Evaluation},
-    scene::GradientEstimator,
     skill::Theta,
 };
 use serde::{Deserialize, Serialize};
 
-/// What an exact adjoint takes beside the rollout that it is the adjoint of: in rollouts, by processor time, as
-/// `optimise gradcheck bench-small --skills 20` measures it (EXACT with that rollout).
+/// What an adjoint, exact or restarted, takes beside the rollout that it is the adjoint of: in rollouts, by processor time, as
+/// `optimise gradcheck bench-small --skills 20` measures it (7.1 for both, the rollout included).
 pub const ADJOINT_ROLLOUTS: u32 = 6;
-
-/// The same of a restarted one (RESTARTED with that rollout).
-pub const RESTARTED_ROLLOUTS: u32 = 4;
 
 /// One evaluated motion.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -89,30 +85,21 @@ pub struct Track {
 }
 
 impl Track {
-    /// The epochs of a search along that gradient.
-    pub fn of_epochs(
-        method: Method,
-        seed: u64,
-        gradient: GradientEstimator,
-        history: &[EpochRecord],
-    ) -> Self {
+    /// The epochs of a search along the gradient.
+    pub fn of_epochs(method: Method, seed: u64, history: &[EpochRecord]) -> Self {
         let mut tries: Vec<Try> = Vec::with_capacity(history.len());
         for record in history {
             let EpochRecord { theta, loss, indicator, census, seconds, .. } = *record;
             let found = Evaluation { loss, indicator, census, gradient: None };
-            tries.push(Try::after(tries.last(), Some(theta), &found, rollouts(record, gradient), seconds));
+            tries.push(Try::after(tries.last(), Some(theta), &found, rollouts(record), seconds));
         }
         Self { method, seed, tries }
     }
 }
 
 /// Rollouts that an epoch of the gradient's search took.
-fn rollouts(record: &EpochRecord, gradient: GradientEstimator) -> u32 {
-    let adjoint = match gradient {
-        _ if record.adjoint.iter().all(Option::is_none) => 0,
-        GradientEstimator::Restarted => RESTARTED_ROLLOUTS,
-        _ => ADJOINT_ROLLOUTS,
-    };
+fn rollouts(record: &EpochRecord) -> u32 {
+    let adjoint = if record.adjoint.iter().any(Option::is_some) { ADJOINT_ROLLOUTS } else { 0 };
     1 + adjoint + record.probes
 }
 
@@ -273,12 +260,9 @@ mod tests {
 
     #[test]
     fn an_epoch_of_the_gradient_costs_what_it_computes() {
-        use GradientEstimator::{Mixed, Restarted};
         let record = EpochRecord { probes: 4, ..EpochRecord::default() };
-        let of = |record: &EpochRecord| [Mixed, Restarted].map(|gradient| rollouts(record, gradient));
-        assert_eq!(of(&record), [5; 2]);
-        let adjoint = [ADJOINT_ROLLOUTS, RESTARTED_ROLLOUTS];
-        assert_eq!(of(&EpochRecord { adjoint: [Some(1.0); 5], ..record }), adjoint.map(|more| 5 + more));
-        assert_eq!(of(&EpochRecord::default()), [1; 2]);
+        assert_eq!(rollouts(&record), 5);
+        assert_eq!(rollouts(&EpochRecord { adjoint: [Some(1.0); 5], ..record }), 9);
+        assert_eq!(rollouts(&EpochRecord::default()), 1);
     }
 }

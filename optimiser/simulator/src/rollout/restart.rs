@@ -41,17 +41,15 @@
 //! force += sum (b_i - s_i)        moment about p += sum (x_i - p) x (b_i - s_i)
 //! ```
 //!
-//! While the tool digs, that is right. Once it leaves the bed, it is noise: moved as one through air, powder and tool do the same
+//! While the tool digs, that is right. Once it is clear of the bed, it is noise: moved as one through air, powder and tool do the same
 //! as before, but in other cells of the grid, and single grains make much of that. All that moving both as one changes there is which
 //! grains leave, and where. So from the step [`Carrying::from`] on nothing goes back through the powder. Tool and powder count as one body
 //! whose motion costs a force F and a moment M, and these are measured: the rollout branches off where the tool begins to pour, the body
 //! is moved along and against each of [`Carrying::ways`] while it pours, and the losses at the end say the slopes. Beginning and
 //! packing are the same in all branches, so that their differences have little noise, and a branch costs only the rest of the motion.
-//! Three ways take four branches, in which each is gone twice along and twice against (half a factorial design, Box and Hunter 1961):
-//! half the variance of six branches of one way each, and in exchange what two ways do only together counts for the third.
 //!
 //! ```text
-//! F d = sum over branches (sign L) / branches,   M likewise; d: the way
+//! F d = (L(+d) - L(-d)) / 2,   M likewise; d: the way
 //! a control at step t:  F share(t),  M      until the end of the pour, nothing after it
 //! where the digging ends, the tool's pose:  F - sum s_i,   M - sum (x_i - p) x s_i
 //! ```
@@ -74,7 +72,18 @@
 //! It fails where there are too few grains for a mean (fewer than [`LEAST_NEIGHBOURS`]: their slope is zero), and where position
 //! alone does not tell the future.
 //!
-//! FIGURES
+//! Of twenty drawn skills of `bench-small`, two packings, settings fixed before (`optimise gradcheck bench-small --skills 20 --packings 2
+//! --first 300`, differences over +-0.1), the cosine is 0.98 in the median and 0.81 at worst (the exact adjoint's: -0.07 and
+//! -0.98), the length 0.76 to 1.89 times the slope's (0.41 to 6203). Of the components whose slope is above its noise the sign
+//! is right in 20 of 20 (depth), 16 of 19 (scooping angle), 14 of 15 (lift), 17 of 18 (transport) and 16 of 16 (pouring angle).
+//! It costs 7.1 rollouts, as the exact one does: one for the motion, some 3.4 for the branches, the rest for the digging.
+//!
+//! What did worse: the moment of what is carried as a sum of single grains' cotangents, and the force by the slopes of what leaves (twenty
+//! other skills: 0.86 and 0.01, with signs right in 11, 7, 12 and 9 of 19, 17, 18 and 16 for all but depth); four branches that
+//! move the body along three ways at once, half a factorial design, with the adjoint from the end of the scooping, at
+//! 5.2 rollouts (twenty other skills: 0.93 and 0.60, but lift right in 5 of 17 and pouring angle in 10 of 15: what two ways do
+//! together counts for the third); flying grains compared by where they land (nothing gained).
+
 mod report;
 
 pub use report::{CutReport, Population, Restarted};
@@ -145,7 +154,7 @@ pub struct Carrying {
 }
 
 impl Restarts {
-    /// For the motion of a skill: at each quarter of the scooping, in neighbourhoods of 1.5 cells. From its end on
+    /// For the motion of a skill: at each quarter of the scooping and at the end of the lift, in neighbourhoods of 1.5 cells. From there on
     /// tool and powder are one body, which is moved over the pour, in the skill's plane, as far as the scene's differences move
     /// transport, lift and pouring angle.
     #[must_use]
@@ -156,11 +165,13 @@ impl Restarts {
         for segment in map.segments(theta) {
             let [start_s, end_s] = [segment.start_s, segment.end_s];
             match segment.kind {
-                SegmentKind::Lift | SegmentKind::Approach | SegmentKind::Insert | SegmentKind::Transport => {}
+                SegmentKind::Approach | SegmentKind::Insert | SegmentKind::Transport => {}
                 SegmentKind::Scoop => {
-                    steps.extend([0.25, 0.5, 0.75].map(|share| step_at(start_s + share * (end_s - start_s))));
-                    from = step_at(end_s);
+                    steps.extend(
+                        [0.25, 0.5, 0.75, 1.0].map(|share| step_at(start_s + share * (end_s - start_s))),
+                    );
                 }
+                SegmentKind::Lift => from = step_at(end_s),
                 SegmentKind::Pour => pour = step_at(start_s)..step_at(end_s),
             }
         }
@@ -209,16 +220,9 @@ fn ways(scene: &Scene) -> Vec<Displacement> {
 }
 
 impl Carrying {
-    /// Along which ways the body is moved in each branch, 1, and against which, -1. Two and three ways take four branches, in which each
-    /// is gone twice along and twice against, whatever the others do: a factorial design, of three ways half of one, where what
-    /// two do only together counts for the third. More take two branches each.
+    /// How far the body is moved along each of the ways, in each branch: along one and against it, way after way.
     pub(super) fn design(&self) -> Vec<Vec<f64>> {
-        const HALF: [[f64; 3]; 4] =
-            [[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]];
         let ways = self.ways.len();
-        if matches!(ways, 2 | 3) {
-            return HALF.iter().map(|signs| signs[..ways].to_vec()).collect();
-        }
         let alone = |way: usize, sign: f64| (0..ways).map(move |other| if other == way { sign } else { 0.0 });
         (0..ways).flat_map(|way| [1.0, -1.0].map(|sign| alone(way, sign).collect())).collect()
     }
@@ -632,9 +636,9 @@ mod tests {
         // Along the axes.
         let along =
             |axis: usize| Displacement::from(std::array::from_fn(|k| if k == axis { 0.002 } else { 0.0 }));
-        for (count, branches) in [(0, 0), (1, 2), (2, 4), (3, 4), (6, 12)] {
+        for count in [0, 1, 3, 6] {
             let some = Carrying { ways: (0..count).map(along).collect(), ..carrying.clone() };
-            assert_eq!(some.design().len(), branches);
+            assert_eq!(some.design().len(), 2 * count);
             assert_near(found(&some), std::array::from_fn(|k| if k < count { slope[k] } else { 0.0 }));
         }
     }
@@ -657,10 +661,9 @@ mod tests {
             .iter()
             .map(|segment| (segment.end_s / case.scene.time.control_period_s()).round() as usize)
             .collect();
-        let [_, _, scoop, _, transport, pour] = ends[..] else { panic!("{ends:?}") };
-        assert!(steps.len() == 3 && steps.windows(2).all(|pair| pair[0] < pair[1]), "{steps:?}");
-        assert!(steps[2] < scoop);
-        assert_eq!((carrying.from, carrying.over.clone()), (scoop, transport..pour));
+        let [_, _, scoop, lift, transport, pour] = ends[..] else { panic!("{ends:?}") };
+        assert!(steps.len() == 4 && steps.windows(2).all(|pair| pair[0] < pair[1]), "{steps:?}");
+        assert_eq!((steps[3], carrying.from, carrying.over.clone()), (scoop, lift, transport..pour));
         assert_eq!(carrying.until, pour);
     }
 }
