@@ -262,7 +262,7 @@ mod tests {
     fn an_epoch_of_the_gradient_costs_what_it_computes() {
         let record = EpochRecord { probes: 4, ..EpochRecord::default() };
         assert_eq!(rollouts(&record), 5);
-        assert_eq!(rollouts(&EpochRecord { adjoint: [Some(1.0); 5], ..record }), 9);
+        assert_eq!(rollouts(&EpochRecord { adjoint: [Some(1.0); 5], ..record }), 5 + ADJOINT_ROLLOUTS);
         assert_eq!(rollouts(&EpochRecord::default()), 1);
     }
 }
