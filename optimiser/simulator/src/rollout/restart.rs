@@ -104,7 +104,7 @@ use crate::mpm::obstacle::{Collider, distance};
 use crate::mpm::particles::{Group, Particles, set_vec};
 use crate::real::Real;
 use crate::scene::Scene;
-use crate::skill::{SegmentKind, SkillMap, Theta};
+use crate::skill::{Control, SegmentKind, SkillMap, Theta};
 
 /// Neighbours, the grain itself among them, below which there is no slope.
 pub const LEAST_NEIGHBOURS: usize = 6;
@@ -220,39 +220,48 @@ fn ways(scene: &Scene) -> Vec<Displacement> {
 }
 
 impl Carrying {
-    /// How far the body is moved along each of the ways, in each branch: along one and against it, way after way.
-    pub(super) fn design(&self) -> Vec<Vec<f64>> {
-        let ways = self.ways.len();
-        let alone = |way: usize, sign: f64| (0..ways).map(move |other| if other == way { sign } else { 0.0 });
-        (0..ways).flat_map(|way| [1.0, -1.0].map(|sign| alone(way, sign).collect())).collect()
-    }
-
-    /// The same motion with the body moved along all ways, each times its sign.
-    pub(super) fn moved(&self, controls: &[Displacement], signs: &[f64]) -> Vec<Displacement> {
+    /// The same motion with the body moved along a way, times `sign`.
+    pub(super) fn moved(
+        &self,
+        controls: &[Displacement],
+        way: &Displacement,
+        sign: f64,
+    ) -> Vec<Displacement> {
+        let (share, way) = (sign / self.over.len() as f64, way.components());
         let mut moved = controls.to_vec();
         for control in &mut moved[self.over.clone()] {
-            let mut components = control.components();
-            for (way, sign) in self.ways.iter().zip(signs) {
-                let share = sign / self.over.len() as f64;
-                way.components().iter().zip(&mut components).for_each(|(d, u)| *u += share * d);
-            }
-            *control = Displacement::from(components);
+            let components = control.components();
+            *control = Displacement::from(std::array::from_fn(|k| components[k] + share * way[k]));
         }
         moved
     }
 
-    /// What the body's pose has, of the losses of the branches.
-    pub(super) fn body(&self, losses: &[f64]) -> PoseBar {
-        let design = self.design();
+    /// What the body's pose has, of the losses along each way and against it.
+    pub(super) fn body(&self, ends: &[[f64; 2]]) -> PoseBar {
         let mut body = PoseBar::default();
-        for (index, way) in self.ways.iter().enumerate() {
-            let rise: f64 = design.iter().zip(losses).map(|(signs, loss)| signs[index] * loss).sum();
-            let gone: f64 = design.iter().map(|signs| signs[index] * signs[index]).sum();
-            let (d, r) = (way.translation(), way.rotation());
-            body.position += d * (rise / gone / d.norm_squared().max(f64::MIN_POSITIVE));
-            body.rotation += r * (rise / gone / r.norm_squared().max(f64::MIN_POSITIVE));
+        for (way, [along, against]) in self.ways.iter().zip(ends) {
+            let (d, r, rise) = (way.translation(), way.rotation(), 0.5 * (along - against));
+            body.position += d * (rise / d.norm_squared().max(f64::MIN_POSITIVE));
+            body.rotation += r * (rise / r.norm_squared().max(f64::MIN_POSITIVE));
         }
         body
+    }
+
+    /// Cotangents of the controls from [`Self::from`] to the end of a motion of so many steps; `shares` as [`shares`] gives them, from
+    /// the beginning of `over` on.
+    pub(super) fn controls(
+        &self,
+        body: &PoseBar,
+        shares: &[f64],
+        steps: usize,
+    ) -> impl Iterator<Item = Control> {
+        (self.from..steps).map(move |step| {
+            if step >= self.until {
+                return [0.0; 6];
+            }
+            let share = step.checked_sub(self.over.start).map_or(1.0, |later| shares[later]);
+            PoseBar { position: body.position * share, ..*body }.components()
+        })
     }
 
     /// Whether all of it is within a motion of so many steps.
@@ -622,9 +631,8 @@ mod tests {
             7.0 + moved.iter().zip(&controls).map(change).sum::<f64>()
         };
         let found = |carrying: &Carrying| {
-            let design = carrying.design();
-            let losses = design.iter().map(|signs| loss(&carrying.moved(&controls, signs)));
-            carrying.body(&losses.collect::<Vec<_>>()).components()
+            let ends = |way| [1.0, -1.0].map(|sign| loss(&carrying.moved(&controls, way, sign)));
+            carrying.body(&carrying.ways.iter().map(ends).collect::<Vec<_>>()).components()
         };
         let assert_near = |found: [f64; 6], expected: [f64; 6]| {
             let off = found.iter().zip(expected).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
@@ -638,7 +646,6 @@ mod tests {
             |axis: usize| Displacement::from(std::array::from_fn(|k| if k == axis { 0.002 } else { 0.0 }));
         for count in [0, 1, 3, 6] {
             let some = Carrying { ways: (0..count).map(along).collect(), ..carrying.clone() };
-            assert_eq!(some.design().len(), 2 * count);
             assert_near(found(&some), std::array::from_fn(|k| if k < count { slope[k] } else { 0.0 }));
         }
     }
@@ -648,6 +655,13 @@ mod tests {
         assert_eq!(shares(&[100, 100, 60, 20, 20]), [1.0, 1.0, 0.5, 0.0, 0.0]);
         assert_eq!(shares(&[30, 30]), [1.0, 1.0]);
         assert!(shares(&[]).is_empty());
+        // The force fades with what is left on the body, the moment ends with the pour.
+        let carrying = Carrying { from: 2, over: 3..5, until: 6, ways: Vec::new() };
+        let body = PoseBar { position: [4.0, 0.0, 0.0].into(), rotation: [0.0, 3.0, 0.0].into() };
+        let controls: Vec<_> = carrying.controls(&body, &[1.0, 0.5, 0.25, 0.0, 0.0], 8).collect();
+        let force_and_moment = controls.iter().map(|control| [control[0], control[4]]);
+        let expected = [[4.0, 3.0], [4.0, 3.0], [2.0, 3.0], [1.0, 3.0], [0.0, 0.0], [0.0, 0.0]];
+        assert!(force_and_moment.eq(expected), "{controls:?}");
     }
 
     #[test]

@@ -15,7 +15,7 @@ use crate::mpm::timings::{Stage, StageTimings};
 use crate::real::Real;
 use crate::rollout::branches::{self, Batch, Worker};
 use crate::rollout::path::{PoseBar, Trajectory, resting};
-use crate::rollout::restart::{Carrying, Cut, CutReport, Restarted, Restarts, held_by_tool, shares};
+use crate::rollout::restart::{Cut, CutReport, Restarted, Restarts, held_by_tool, shares};
 use crate::rollout::schedule::{Action, advances, schedule};
 use crate::rollout::{
     CostsFn, Destination, DisplacementGradient, Evaluate, Evaluation, LossFn, Observer, ParticleSimulator,
@@ -237,7 +237,7 @@ impl<T: Real> Simulator<T> {
         };
         let (from, over, steps) = (carrying.from, &carrying.over, controls.len());
         // In control steps of a rollout.
-        let branched = carrying.design().len() * (steps - over.start);
+        let branched = 2 * carrying.ways.len() * (steps - over.start);
         let total = (steps + branched + GRADIENT_STEPS * from) as u64;
         let mut part = |before: usize, work: usize, done: u64, of: u64| {
             progress(before as u64 * 1000 + work as u64 * 1000 * done / of.max(1), total * 1000)
@@ -253,40 +253,21 @@ impl<T: Real> Simulator<T> {
         let judged = judged(&self.scene, &end.state.particles, &end.tool, costs);
         self.recycle(end);
         let (evaluation, values) = judged?;
-        let design = carrying.design().into_iter();
-        let branches = design.map(|signs| carrying.moved(controls, &signs)[over.start..].to_vec()).collect();
+        let rest = |way: &Displacement, sign: f64| carrying.moved(controls, way, sign)[over.start..].to_vec();
+        let branches = carrying.ways.iter().flat_map(|way| [rest(way, 1.0), rest(way, -1.0)]).collect();
         let ends =
             self.evaluate_motions_by(costs, &before, branches, &mut |d, t| part(steps, branched, d, t));
         self.recycle(before);
-        let losses: Vec<f64> = ends?.iter().map(|end| end.loss).collect();
-        let body = carrying.body(&losses);
+        let ends: Vec<[f64; 2]> = ends?.chunks_exact(2).map(|ends| [ends[0].loss, ends[1].loss]).collect();
+        let body = carrying.body(&ends);
         let asked = Asked { goes_on: Some(GoesOn { values: &values, body }), ..asked };
         let work = GRADIENT_STEPS * from;
         let digging = self.control_gradient_of(asked, start, &controls[..from], &mut |d, t| {
             part(steps + branched, work, d, t)
         });
         let (_, mut bars, cuts) = digging?;
-        bars.extend(self.carried(carrying, controls, &body, &shares(&on_body)));
+        bars.extend(carrying.controls(&body, &shares(&on_body), steps));
         Ok((evaluation, bars, cuts))
-    }
-
-    /// Cotangents of the controls from the step on from which tool and powder are one body.
-    fn carried(
-        &self,
-        carrying: &Carrying,
-        controls: &[Displacement],
-        body: &PoseBar,
-        shares: &[f64],
-    ) -> impl Iterator<Item = Control> {
-        let Carrying { from, until, over, .. } = carrying.clone();
-        let (body, shares) = (*body, shares.to_vec());
-        (from..controls.len()).map(move |step| {
-            if step >= until {
-                return [0.0; 6];
-            }
-            let share = step.checked_sub(over.start).map_or(1.0, |later| shares[later]);
-            PoseBar { position: body.position * share, ..body }.components()
-        })
     }
 
     /// Grains on the tool.

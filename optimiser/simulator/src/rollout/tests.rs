@@ -102,13 +102,21 @@ fn a_scene_may_ask_for_the_restarted_gradient() {
     scene.optimiser.gradient = GradientEstimator::Restarted;
     let found = simulator(&scene).evaluate(&theta, true, &mut |_, _| true).expect("runs");
     assert_eq!(found, wanted.evaluation);
+    // Tilting tool and powder over the pour costs what whole motions say that are tilted there.
+    let carrying = restarts.carrying.as_ref().expect("it carries");
+    let (tilt, controls) = (carrying.ways[2], SkillMap::new(&scene).controls(&theta).expect("fits"));
+    let mut s = simulator(&scene);
+    let mut end =
+        |sign: f64| s.simulate(&carrying.moved(&controls, &tilt, sign), &mut |_, _| true).expect("runs").loss;
+    let rise = 0.5 * (end(1.0) - end(-1.0));
+    let moment = wanted.by_displacement[carrying.over.start].per_radian;
+    let along: f64 = (0..3).map(|k| moment[k] * tilt.rotation()[k]).sum();
+    assert!(rise != 0.0 && (along - rise).abs() < 1e-9 * rise.abs(), "{along} {rise}");
     // As a loss of one's own, the scene's has the same bits; that of a motion through all of which the adjoint goes as well.
-    let controls = SkillMap::new(&scene).controls(&theta).expect("fits");
     let own = |positions: &[[f64; 3]]| {
         let costs = loss::values(&scene, positions).into_iter().map(Option::unwrap);
         (loss::loss(&scene, positions).0, costs.collect())
     };
-    let mut s = simulator(&scene);
     let (of_own, slopes) =
         s.restarted_gradient_of_custom_loss(&controls, &own, &restarts, &mut |_, _| true).expect("runs");
     assert_eq!((of_own.to_bits(), &slopes), (wanted.evaluation.loss.to_bits(), &wanted.by_displacement));
