@@ -2,7 +2,7 @@
 
 use std::process::{Command, Output};
 
-use powderline_simulator::scene::Scene;
+use powderline_simulator::scene::{Scene, SceneSpec};
 use serde_json::Value;
 
 fn optimise(arguments: &[&str]) -> Output {
@@ -50,7 +50,7 @@ fn a_bad_scene_is_one_sentence_on_standard_error_and_exit_code_2() {
 
 #[test]
 fn skills_that_take_the_tool_through_a_wall_are_noted() {
-    let mut scene = Scene::load("bench-small").unwrap();
+    let mut scene = Scene::load("bench-small").unwrap().into_spec();
     scene.skill.lift_height_m[0] = 0.010;
     let file = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join("low-lift.toml");
     std::fs::write(&file, scene.to_toml()).unwrap();
@@ -72,8 +72,8 @@ fn what_the_arm_can_do_is_said_and_what_it_cannot_is_refused() {
     let said = text(&optimise(&["check", "bench"]).stdout);
     let arm = said.lines().find(|line| line.starts_with("arm ")).unwrap();
     assert!(arm.contains("UR5e reaches forward, elbow up") && arm.contains("mm from the table at"), "{arm}");
-    let checked = |name: &str, change: fn(&mut Scene)| {
-        let mut scene = Scene::load("bench").unwrap();
+    let checked = |name: &str, change: fn(&mut SceneSpec)| {
+        let mut scene = Scene::load("bench").unwrap().into_spec();
         change(&mut scene);
         let file = std::path::Path::new(env!("CARGO_TARGET_TMPDIR")).join(name);
         std::fs::write(&file, scene.to_toml()).unwrap();

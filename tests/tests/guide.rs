@@ -20,7 +20,6 @@ fn the_column_of_the_guide_is_a_scene() {
     let map = SkillMap::new(&scene);
     let motion = map.quantise(&[0.0; 5]).unwrap().controls;
     assert_eq!(collision(&scene, map.start_pose(), &motion), None);
-    let mut shut = scene.clone();
-    shut.gates[0].opens_at_s = 9.0;
+    let shut = scene.with(|spec| spec.gates[0].opens_at_s = 9.0).unwrap();
     assert!(collision(&shut, map.start_pose(), &motion).is_some());
 }

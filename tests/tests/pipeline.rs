@@ -73,7 +73,7 @@ fn a_skill_is_optimised_played_and_reproduced_with_the_same_bits_for_any_number_
 #[test]
 fn the_wanted_amount_arrives_and_no_more() {
     let place = Place::new();
-    let mut scene = Scene::load(&place.tiny()).unwrap();
+    let mut scene = Scene::load(&place.tiny()).unwrap().into_spec();
     // Half of what the spoon holds.
     scene.objective.amount = Amount::new(Quantity::Particles(16));
     let [amount, all] = [Aim::Amount, Aim::All].map(|aim| {

@@ -103,7 +103,7 @@ impl Place {
 
     /// A scene that takes a second: `bench-small` on a grid twice as coarse.
     pub(crate) fn tiny(&self) -> String {
-        let mut scene = Scene::load("bench-small").unwrap();
+        let mut scene = Scene::load("bench-small").unwrap().into_spec();
         scene.name = "tiny".into();
         scene.domain.cell_m *= 2.0;
         scene.time.substeps /= 2;

@@ -9,9 +9,8 @@ use powderline_simulator::scene::Scene;
 use powderline_simulator::skill::SkillMap;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let mut scene = Scene::load("bench-small")?;
     // Falling asleep is a jump, if a small one, that no difference over a small step survives.
-    scene.domain.sleep_speed_m_s = 0.0;
+    let scene = Scene::load("bench-small")?.without_sleep();
     let mut simulator = Simulator::<f64>::new(&scene, &SimulatorSettings::default())?;
     let skill = SkillMap::new(&scene).controls(&[0.3, 0.0, 0.0, 0.0, 0.3])?;
     // The spoon is in the powder then.

@@ -4,10 +4,9 @@ use powderline_simulator::rollout::{SimulatorSettings, boxed_simulator};
 use powderline_simulator::scene::{Cuboid, Scene, ToolShape};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let mut scene = Scene::load("bench-small")?;
-    scene.name = "a gutter".to_owned();
+    let bench = Scene::load("bench-small")?;
     // Two plates that lean against each other, and a rear wall; open at the front (+x) and the top (+z).
-    let wall_m = scene.tool.wall_thickness_m;
+    let wall_m = bench.tool.wall_thickness_m;
     let plate = |side: f64| Cuboid {
         centre_m: [0.0, side * 0.0055, -0.0055],
         size_m: [0.022, 0.016, wall_m],
@@ -15,10 +14,12 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     };
     let rear =
         Cuboid { centre_m: [-0.0115, 0.0, -0.005], size_m: [wall_m, 0.018, 0.014], rotation_deg: [0.0; 3] };
-    scene.tool.shape = ToolShape::Cuboids { cuboid: vec![plate(-1.0), plate(1.0), rear] };
-    // It reaches deeper than the bowl.
-    scene.skill.scooping_depth_m = [0.002, 0.010];
-    scene.validate("the gutter of this example")?;
+    let scene = bench.with(|spec| {
+        spec.name = "a gutter".to_owned();
+        spec.tool.shape = ToolShape::Cuboids { cuboid: vec![plate(-1.0), plate(1.0), rear] };
+        // It reaches deeper than the bowl.
+        spec.skill.scooping_depth_m = [0.002, 0.010];
+    })?;
 
     let capacity = scene.tool_capacity();
     println!(

@@ -180,8 +180,8 @@ impl Experiment {
         };
         plan.check()?;
         for method in &plan.methods {
-            let map = SkillMap::new(&method.scene(&scene));
-            map.check_all_corners()
+            SkillMap::new(&method.scene(&scene)?)
+                .check_all_corners()
                 .map_err(|error| CliError::Input(format!("{name}, for {}: {error}", method.name())))?;
         }
         plan.check_memory(&scene, arguments.resources)?;
@@ -290,7 +290,8 @@ impl Experiment {
         let (track, _, theta) = skills.min_by(|(_, a, _), (_, b, _)| a.total_cmp(b))?;
         let whose = format!("{}, seed {}", track.method.name(), track.seed);
         let task = Task {
-            scene: track.method.scene(&self.scene),
+            // It was right when the comparison began.
+            scene: track.method.scene(&self.scene).ok()?,
             settings: self.resources.settings(track.seed, self.plan.precision),
             motion: Motion::Skill(theta),
         };
@@ -334,7 +335,7 @@ impl Experiment {
         context: &mut Context<'_>,
     ) -> Result<Track, CliError> {
         let file = format!("{}.toml", method.name());
-        self.folder.replace(&file, method.scene(&self.scene).to_toml().as_bytes())?;
+        self.folder.replace(&file, method.scene(&self.scene)?.to_toml().as_bytes())?;
         let arguments = RunArgs {
             scene: Some(self.folder.file(&file).display().to_string()),
             seed: Some(seed),

@@ -91,7 +91,7 @@ struct Report {
 pub(super) fn execute(arguments: &GradcheckArgs, context: &mut Context<'_>) -> Result<(), CliError> {
     let mut scene = Scene::load(arguments.scene.as_deref().unwrap_or(DEFAULT_SCENE))?;
     if let Some(aim) = arguments.aim {
-        scene.objective.aim = aim.into();
+        scene = scene.with(|spec| spec.objective.aim = aim.into())?;
     }
     if arguments.skills.is_some() || !arguments.theta.is_empty() {
         return slopes::execute(arguments, &scene, context);

@@ -16,7 +16,7 @@ use powderline_simulator::{
     rollout::{
         Census, DisplacementGradient, Evaluation, Observer, Progress, Recording, RolloutError, Snapshot,
     },
-    scene::{Amount, ContainerShape, Quantity},
+    scene::{Amount, ContainerShape, Quantity, SceneSpec},
     skill::{Control, SkillMap, Theta},
 };
 use powderline_view::Destination;
@@ -389,7 +389,7 @@ fn run_leaves_its_files_and_says_what_it_found() {
 #[test]
 fn a_skill_that_takes_the_tool_through_a_wall_is_no_plan() {
     let place = Place::new();
-    let mut scene = Scene::load("bench").unwrap();
+    let mut scene = Scene::load("bench").unwrap().into_spec();
     scene.skill.lift_height_m = [0.018, 0.019];
     fs::write(place.path("low.toml"), scene.to_toml()).unwrap();
     let [file, folder] = ["low.toml", "run"].map(|name| place.text(name));
@@ -410,7 +410,7 @@ fn a_skill_that_takes_the_tool_through_a_wall_is_no_plan() {
 
 /// A scene of which some skills take the tool through a wall: the lower the lift, and the search lowers it.
 fn low_scene(place: &Place) -> String {
-    let mut scene = Scene::load("bench").unwrap();
+    let mut scene = Scene::load("bench").unwrap().into_spec();
     scene.optimiser.curriculum_epochs = 5;
     scene.skill.lift_height_m = [0.018, 0.060];
     scene.skill.initial_theta = [[0.0; 2], [0.0; 2], [0.9; 2], [0.0; 2], [0.0; 2]];
@@ -478,13 +478,13 @@ fn every_place_says_the_same_of_a_run_also_when_epochs_were_passed_over() {
 #[test]
 fn what_cannot_be_done_is_refused_before_anything_runs() {
     let place = Place::new();
-    let mut scene = Scene::load("bench").unwrap();
+    let mut scene = Scene::load("bench").unwrap().into_spec();
     scene.objective.amount = Amount::new(Quantity::MassKg(0.030));
     fs::write(place.path("much.toml"), scene.to_toml()).unwrap();
-    let mut scene = Scene::load("bench").unwrap();
+    let mut scene = Scene::load("bench").unwrap().into_spec();
     scene.skill.transport_displacement_m = [0.02, 0.03];
     fs::write(place.path("far.toml"), scene.to_toml()).unwrap();
-    let mut scene = Scene::load("bench").unwrap();
+    let mut scene = Scene::load("bench").unwrap().into_spec();
     scene.arm.as_mut().unwrap().base_position_m[1] = -2.0;
     fs::write(place.path("arm.toml"), scene.to_toml()).unwrap();
     for (file, about) in [
@@ -565,7 +565,7 @@ fn metrics_have_their_fields_in_order_and_one_line_per_epoch() {
 #[test]
 fn curriculum_moves_three_parameters_first() {
     let place = Place::new();
-    let mut scene = Scene::load("bench-small").unwrap();
+    let mut scene = Scene::load("bench-small").unwrap().into_spec();
     scene.optimiser.curriculum_epochs = 5;
     let [file, folder] = ["five.toml", "run"].map(|name| place.text(name));
     fs::write(&file, scene.to_toml()).unwrap();
@@ -615,7 +615,7 @@ fn run_interrupted_again_and_again_has_the_same_bits() {
 #[test]
 fn run_by_the_adjoint_alone_evaluates_every_skill_once() {
     let place = Place::new();
-    let mut scene = Scene::load("bench-small").unwrap();
+    let mut scene = Scene::load("bench-small").unwrap().into_spec();
     scene.optimiser.gradient = powderline_simulator::scene::GradientEstimator::Adjoint;
     let (path, folder) = (place.text("adjoint.toml"), place.text("run"));
     fs::write(&path, scene.to_toml()).unwrap();
@@ -646,7 +646,7 @@ fn finished_run_is_prolonged_to_the_bits_of_a_longer_one() {
 #[test]
 fn a_run_that_has_the_amount_ends_early_says_so_and_is_not_prolonged() {
     let place = Place::new();
-    let mut scene = Scene::load("bench-small").unwrap();
+    let mut scene = Scene::load("bench-small").unwrap().into_spec();
     scene.objective.amount = Amount { tolerance: 1.0, ..Amount::new(Quantity::Particles(200)) };
     // A step that moves no parameter: the search would begin anew.
     scene.optimiser.learning_rate = 1e-300;
@@ -663,8 +663,8 @@ fn a_run_that_has_the_amount_ends_early_says_so_and_is_not_prolonged() {
 }
 
 /// A run of a scene whose amount every epoch brings, in `folder`, where the first `spoilt` motions bring nothing in whole counts.
-fn easy_run(place: &Place, folder: &str, spoilt: u32, change: impl Fn(&mut Scene)) -> Done {
-    let mut scene = Scene::load("bench-small").unwrap();
+fn easy_run(place: &Place, folder: &str, spoilt: u32, change: impl Fn(&mut SceneSpec)) -> Done {
+    let mut scene = Scene::load("bench-small").unwrap().into_spec();
     scene.objective.amount = Amount { tolerance: 0.99, ..Amount::new(Quantity::Particles(200)) };
     change(&mut scene);
     let path = place.text("easy.toml");
@@ -759,7 +759,7 @@ fn resume_refuses_a_scene_that_was_changed_meanwhile() {
     let place = Place::new();
     let folder = place.finished("run", 1);
     let path = Path::new(&folder).join(SCENE);
-    let mut scene = Scene::load("bench-small").unwrap();
+    let mut scene = Scene::load("bench-small").unwrap().into_spec();
     scene.optimiser.learning_rate = 0.06;
     fs::write(&path, scene.to_toml()).unwrap();
     assert_sentence(&optimise(&["--resume", &folder, "--epochs", "2"]), 2, "no longer the scene");
@@ -1160,7 +1160,7 @@ fn what_is_no_plan_is_refused() {
 #[test]
 fn scene_without_a_motion_for_every_skill_is_refused() {
     let place = Place::new();
-    let mut scene = Scene::load("bench-small").unwrap();
+    let mut scene = Scene::load("bench-small").unwrap().into_spec();
     scene.skill.profile = powderline_simulator::scene::Profile::ConstantSpeed;
     let path = place.text("jerky.toml");
     fs::write(&path, scene.to_toml()).unwrap();

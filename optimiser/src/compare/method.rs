@@ -2,7 +2,7 @@
 
 use clap::ValueEnum;
 use powderline_baseline::{CmaEs, RandomSearch, Sac, Search};
-use powderline_simulator::scene::{GradientEstimator, Scene, Timing};
+use powderline_simulator::scene::{GradientEstimator, Scene, SceneError, Timing};
 use serde::{Deserialize, Serialize};
 
 /// A way to search for a skill.
@@ -57,20 +57,23 @@ impl Method {
     }
 
     /// The scene as this method has it.
-    pub fn scene(self, scene: &Scene) -> Scene {
-        let mut scene = scene.clone();
-        // As many rollouts for each, whatever they have found.
-        scene.optimiser.patience_epochs = 0;
-        match self {
-            Self::GradientCurriculum => scene.optimiser.curriculum_epochs = scene.optimiser.epochs / 2,
-            Self::GradientRounded => scene.skill.timing = Timing::Rounded,
-            Self::GradientMixed => scene.optimiser.gradient = GradientEstimator::Mixed,
-            Self::GradientRestarted => scene.optimiser.gradient = GradientEstimator::Restarted,
-            Self::GradientDifferences => scene.optimiser.gradient = GradientEstimator::Differences,
-            Self::GradientAdjoint => scene.optimiser.gradient = GradientEstimator::Adjoint,
-            Self::Gradient | Self::GradientSteps | Self::Sac | Self::CmaEs | Self::Random => {}
-        }
-        scene
+    ///
+    /// # Errors
+    /// If the method's scene is not a valid one: rounded segments may not fit into the horizon.
+    pub fn scene(self, scene: &Scene) -> Result<Scene, SceneError> {
+        scene.with(|spec| {
+            // As many rollouts for each, whatever they have found.
+            spec.optimiser.patience_epochs = 0;
+            match self {
+                Self::GradientCurriculum => spec.optimiser.curriculum_epochs = spec.optimiser.epochs / 2,
+                Self::GradientRounded => spec.skill.timing = Timing::Rounded,
+                Self::GradientMixed => spec.optimiser.gradient = GradientEstimator::Mixed,
+                Self::GradientRestarted => spec.optimiser.gradient = GradientEstimator::Restarted,
+                Self::GradientDifferences => spec.optimiser.gradient = GradientEstimator::Differences,
+                Self::GradientAdjoint => spec.optimiser.gradient = GradientEstimator::Adjoint,
+                Self::Gradient | Self::GradientSteps | Self::Sac | Self::CmaEs | Self::Random => {}
+            }
+        })
     }
 
     /// The search over five parameters; none for a method that goes along a gradient.

@@ -203,8 +203,7 @@ mod tests {
             defect(&mut track);
             assert!(StepTrack::from_bytes(&track.to_bytes(), &scene).is_err(), "{index}");
         }
-        let mut longer = scene.clone();
-        longer.time.horizon_steps += 1;
+        let longer = scene.with(|spec| spec.time.horizon_steps += 1).unwrap();
         let refused = StepTrack::from_bytes(&begun(&scene).to_bytes(), &longer);
         assert_eq!(refused, Err(StateError::Nonsense));
     }

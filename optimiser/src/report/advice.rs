@@ -270,7 +270,7 @@ mod tests {
 
     #[test]
     fn each_reason_for_a_miss_is_told_from_the_others() {
-        let mut scene = Scene::load("bench").unwrap();
+        let scene = Scene::load("bench").unwrap();
         let flat = epochs(&[(0, 0, 0), (0, 3, 1), (2, 0, 0)]);
         let text = said(&scene, &flat, 2);
         assert!(
@@ -284,10 +284,10 @@ mod tests {
         assert!(text.contains("no epoch carried more than 4.92 g (615 particles)"), "{text}");
         assert!(text.contains("11.") && text.contains("heaped"), "{text}");
 
-        scene.optimiser.curriculum_epochs = 5;
+        let curriculum = scene.with(|spec| spec.optimiser.curriculum_epochs = 5).unwrap();
         let stuck = epochs(&[(300, 0, 1000), (320, 0, 1000), (310, 0, 1000)]);
-        assert!(said(&scene, &stuck, 1).contains("could only move in 0 of 2 updates, after the curriculum"));
-        scene.optimiser.curriculum_epochs = 0;
+        let text = said(&curriculum, &stuck, 1);
+        assert!(text.contains("could only move in 0 of 2 updates, after the curriculum"), "{text}");
         let text = said(&scene, &stuck, 1);
         assert!(text.contains("stayed on the tool at a pouring angle of 70.0 deg"), "{text}");
 
@@ -332,9 +332,12 @@ mod tests {
 
     #[test]
     fn grains_larger_than_the_tolerance_are_said() {
-        let mut scene = Scene::load("bench").unwrap();
-        scene.objective.amount =
-            powderline_simulator::scene::Amount::new(powderline_simulator::scene::Quantity::Particles(10));
+        let scene = Scene::load("bench").unwrap().with(|spec| {
+            spec.objective.amount = powderline_simulator::scene::Amount::new(
+                powderline_simulator::scene::Quantity::Particles(10),
+            );
+        });
+        let scene = scene.unwrap();
         let text = said(&scene, &epochs(&[(20, 0, 0), (12, 0, 0)]), 1);
         assert!(text.contains("one particle is 10 % of the wanted amount"), "{text}");
     }

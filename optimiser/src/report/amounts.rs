@@ -142,8 +142,7 @@ mod tests {
 
     #[test]
     fn as_much_as_can_be_had_is_neither_met_nor_missed() {
-        let mut scene = Scene::load("bench").unwrap();
-        scene.objective.aim = Aim::All;
+        let scene = Scene::load("bench").unwrap().with(|spec| spec.objective.aim = Aim::All).unwrap();
         assert_eq!(Amounts::from(&scene).is_met(3), None);
     }
 }

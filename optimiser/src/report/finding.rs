@@ -257,7 +257,7 @@ mod tests {
 
     #[test]
     fn a_search_is_settled_when_the_amount_is_met_and_nothing_more_is_gained() {
-        let mut scene = Scene::load("bench").unwrap();
+        let scene = Scene::load("bench").unwrap();
         let settled = |scene: &Scene, epochs: &[Judged]| {
             let run =
                 RunSoFar { scene, seed: 1, precision: Precision::F32, epochs, ended_of: None, shipped: None };
@@ -270,23 +270,22 @@ mod tests {
         assert!(!settled(&scene, &judged(&[100, 1200, 1110, 900], &losses, &[1])), "it may not be performed");
         epochs[1].record.step = Step::Restart;
         assert!(settled(&scene, &epochs[..2]), "it leads nowhere");
-        scene.optimiser.patience_epochs = 0;
-        assert!(!settled(&scene, &epochs), "it goes on to the last");
-        scene.optimiser.patience_epochs = 2;
-        scene.objective.aim = Aim::All;
-        assert!(!settled(&scene, &epochs), "there is always more");
+        let patient = scene.with(|spec| spec.optimiser.patience_epochs = 0).unwrap();
+        assert!(!settled(&patient, &epochs), "it goes on to the last");
+        let greedy = scene.with(|spec| spec.objective.aim = Aim::All).unwrap();
+        assert!(!settled(&greedy, &epochs), "there is always more");
     }
 
     #[test]
     fn without_an_epoch_within_the_tolerance_the_plan_is_the_smallest_miss() {
-        let mut scene = Scene::load("bench").unwrap();
-        scene.objective.amount.tolerance = 0.005;
+        let scene =
+            Scene::load("bench").unwrap().with(|spec| spec.objective.amount.tolerance = 0.005).unwrap();
         let amounts = Amounts::from(&scene);
         // Epoch 1 hits but is blocked, 3 and 4 miss alike, 2 has the lowest loss.
         let epochs = judged(&[0, 1200, 1150, 1190, 1210, 1100], &[90.0, 15.0, 14.0, 20.0, 18.0, 30.0], &[1]);
         assert_eq!(Rule::of(&scene).choose(&amounts, &epochs), Some(4));
-        scene.objective.aim = Aim::All;
-        assert_eq!(Rule::of(&scene).choose(&amounts, &epochs), Some(2));
+        let greedy = scene.with(|spec| spec.objective.aim = Aim::All).unwrap();
+        assert_eq!(Rule::of(&greedy).choose(&amounts, &epochs), Some(2));
         assert_eq!(Rule::LeastLost.choose(&amounts, &judged(&[5], &[1.0], &[0])), None);
         // The earliest of equals.
         assert_eq!(Rule::LeastLost.choose(&amounts, &judged(&[5, 5, 5], &[2.0, 1.0, 1.0], &[])), Some(1));

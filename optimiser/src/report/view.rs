@@ -89,14 +89,18 @@ mod tests {
 
     #[test]
     fn cuboids_are_drawn_where_they_stand() {
-        let mut scene = Scene::load("bench").unwrap();
+        let scene = Scene::load("bench").unwrap();
         let handle = bench(&scene, &[], 1, 0.01).tool;
         let one = Cuboid {
             centre_m: [0.0, 0.0, -0.01],
             size_m: [0.02, 0.03, 0.004],
             rotation_deg: [30.0, -20.0, 70.0],
         };
-        scene.tool.shape = ToolShape::Cuboids { cuboid: vec![one] };
+        let scene = scene.with(|spec| {
+            spec.tool.shape = ToolShape::Cuboids { cuboid: vec![one] };
+            spec.skill.scooping_depth_m = [0.002, 0.010];
+        });
+        let scene = scene.unwrap();
         let drawn = bench(&scene, &[], 1, 0.01).tool;
         assert_ne!(drawn.points_m, handle.points_m);
         let rod = Mesh::capsule([0.0; 3], [1.0; 3], 0.1).points_m.len();
@@ -108,10 +112,9 @@ mod tests {
 
     #[test]
     fn gates_are_drawn_where_they_are_shut() {
-        let mut scene = Scene::load("bench").unwrap();
         let plate = Gate {
             name: "plate".into(),
-            position_m: [0.1, 0.05, 0.02],
+            position_m: [0.12, 0.05, 0.02],
             yaw_deg: 90.0,
             friction: 0.4,
             opens_at_s: 1.0,
@@ -119,14 +122,15 @@ mod tests {
             opening: GateOpening::Vanish {},
         };
         let tube = GateShape::Tube { inner_radius_m: 0.01, height_m: 0.03, wall_thickness_m: 0.002 };
-        scene.gates = vec![plate.clone(), Gate { shape: tube, ..plate }];
+        let gates = vec![plate.clone(), Gate { name: "tube".into(), shape: tube, ..plate }];
+        let scene = Scene::load("bench").unwrap().with(|spec| spec.gates = gates).unwrap();
         let drawn = bench(&scene, &[], 1, 0.01).gates;
         let extent = |mesh: &Mesh, axis: usize| {
             let along = || mesh.points_m.iter().map(|point| point[axis]);
             [along().fold(f64::MAX, f64::min), along().fold(f64::MIN, f64::max)]
         };
         let wanted =
-            [[[0.098, 0.102], [0.035, 0.065], [0.02, 0.04]], [[0.088, 0.112], [0.038, 0.062], [0.02, 0.05]]];
+            [[[0.118, 0.122], [0.035, 0.065], [0.02, 0.04]], [[0.108, 0.132], [0.038, 0.062], [0.02, 0.05]]];
         for (gate, wanted) in drawn.iter().zip(wanted) {
             for (axis, ends) in wanted.into_iter().enumerate() {
                 let found = extent(&gate.at(0.0).unwrap(), axis);
@@ -138,11 +142,21 @@ mod tests {
 
     /// A bench with its skill in the middle of all ranges, somewhere in a volume.
     fn placed(size_m: Option<[f64; 3]>, by_m: [f64; 3]) -> Bench {
-        let mut scene = Scene::load("bench").unwrap();
+        let mut scene = Scene::load("bench").unwrap().into_spec();
         scene.domain.size_m = size_m.unwrap_or(scene.domain.size_m);
         let moved = |at: &mut [f64; 3]| (0..3).for_each(|axis| at[axis] += by_m[axis]);
         scene.containers.iter_mut().for_each(|container| moved(&mut container.position_m));
-        moved(&mut scene.tool.start_position_m);
+        let (powder, limits) = (&mut scene.powder, &mut scene.limits);
+        [
+            &mut scene.tool.start_position_m,
+            &mut scene.objective.p_target_m,
+            &mut powder.fill_min_m,
+            &mut powder.fill_max_m,
+            &mut limits.workspace_min_m,
+            &mut limits.workspace_max_m,
+        ]
+        .map(moved);
+        let scene = scene.validate().unwrap();
         let map = SkillMap::new(&scene);
         let controls = map.controls(&[0.0; 5]).unwrap();
         let next = |pose: &mut Pose, control: &_| {

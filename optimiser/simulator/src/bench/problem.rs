@@ -74,10 +74,10 @@ impl Problem {
 
     /// The same with control steps of one substep each.
     pub(crate) fn by_substeps(&self) -> Self {
-        let mut finer = self.clone();
-        finer.scene.time.control_period_us /= SUBSTEPS;
-        finer.scene.time.substeps = 1;
-        finer
+        let mut scene = self.scene.clone().into_spec();
+        scene.time.control_period_us /= SUBSTEPS;
+        scene.time.substeps = 1;
+        Self { scene: scene.unchecked(), packing: self.packing.clone(), ..*self }
     }
 
     /// Controls of the bowl in these control steps.
@@ -99,7 +99,7 @@ impl Problem {
 /// The shipped bench with another box, another bowl and another grid. Beyond what is changed here nothing of it
 /// matters.
 fn scene(shape: &Shape, grid: usize) -> Scene {
-    let mut scene = Scene::load(DEFAULT_SCENE).expect("the shipped scene is valid");
+    let mut scene = Scene::load(DEFAULT_SCENE).expect("the shipped scene is valid").into_spec();
     let cell = scene.domain.cell_m;
     let middle = (grid / 2) as f64 * cell;
     let half_width = 0.5 * shape.width as f64 * cell;
@@ -127,7 +127,7 @@ fn scene(shape: &Shape, grid: usize) -> Scene {
     scene.tool.handle.radius_m = 0.5 * cell;
     scene.tool.start_position_m = [middle, middle, (1.0 + shape.depth) * cell];
     scene.tool.start_pitch_deg = 20.0;
-    scene
+    scene.unchecked()
 }
 
 /// Positions, m: one particle somewhere in each eighth of a cell that the bowl leaves free, from the floor upwards.

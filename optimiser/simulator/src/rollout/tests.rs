@@ -464,7 +464,7 @@ fn a_scoop_of_cuboids_stands_where_the_scoop_does() {
     let refused = |scene: &Scene, height_mm: u8| {
         let mut scene = scene.clone();
         scene.tool.start_position_m[2] = 1e-3 * f64::from(height_mm);
-        scene.validate("it").err().map(|error| error.to_string())
+        scene.clone().into_spec().validate_as("it").err().map(|error| error.to_string())
     };
     let answers: Vec<_> = (15..65).map(|mm| [&scoop, &cuboids].map(|scene| refused(scene, mm))).collect();
     assert!(answers.iter().all(|[a, b]| a == b), "{answers:#?}");

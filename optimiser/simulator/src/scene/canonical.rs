@@ -2,7 +2,7 @@
 
 use sha2::{Digest as _, Sha256};
 
-use super::Scene;
+use super::SceneSpec;
 
 /// SHA-256 over a scene's canonical form.
 pub type Digest = [u8; 32];
@@ -11,7 +11,7 @@ pub type Digest = [u8; 32];
 /// digests always mean equal scenes.
 pub const DIGEST_VERSION: u32 = 10;
 
-impl Scene {
+impl SceneSpec {
     /// The scene as TOML. It loads back to an equal scene, every float to the same bits.
     pub fn to_toml(&self) -> String {
         toml::to_string(self).expect("every field has a notation in TOML")

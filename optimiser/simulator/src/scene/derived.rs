@@ -1,6 +1,8 @@
 //! Quantities that follow from a scene's fields.
 
-use super::{Container, ContainerShape, FillShape, Objective, Powder, Quantity, Scene, Time, YieldSurface};
+use super::{
+    Container, ContainerShape, FillShape, Objective, Powder, Quantity, Scene, SceneSpec, Time, YieldSurface,
+};
 
 /// Edge of a grid block, in cells.
 pub const BLOCK_CELLS: usize = 4;
@@ -20,7 +22,7 @@ pub const MAX_PARTICLES: usize = 4_000_000;
 /// The highest CFL number at which a scene is accepted.
 pub const MAX_CFL: f64 = 0.5;
 
-/// The largest [`Scene::viscous_loss`] at which a scene is accepted.
+/// The largest [`SceneSpec::viscous_loss`] at which a scene is accepted.
 pub const MAX_VISCOUS_LOSS: f64 = 0.5;
 
 impl Time {
@@ -154,20 +156,22 @@ impl Container {
 }
 
 impl Scene {
+    /// The same with powder that never sleeps.
+    #[must_use]
+    pub fn without_sleep(&self) -> Self {
+        let mut scene = self.clone();
+        scene.0.domain.sleep_speed_m_s = 0.0;
+        scene
+    }
+}
+
+impl SceneSpec {
     /// The point of the source container that is nearest to the target point, metres; the target point itself in a scene that
     /// was made up for measurements and has no source.
     pub(crate) fn nearest_of_source_m(&self) -> [f64; 3] {
         let Objective { source, p_target_m, .. } = &self.objective;
         let source = self.containers.iter().find(|container| container.name == *source);
         source.map_or(*p_target_m, |source| source.nearest_m(p_target_m))
-    }
-
-    /// The same with powder that never sleeps.
-    #[must_use]
-    pub fn without_sleep(&self) -> Self {
-        let mut scene = self.clone();
-        scene.domain.sleep_speed_m_s = 0.0;
-        scene
     }
 
     /// Volume of one particle at rest, cell^3 / particles_per_cell, m^3.

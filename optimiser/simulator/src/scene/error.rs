@@ -113,4 +113,11 @@ pub enum SceneError {
         /// What would be right.
         expected: String,
     },
+    /// Several values out of range, two at least, in the order of the fields. Displays a line for each.
+    #[error("{}", lines(.0))]
+    Several(Vec<Self>),
+}
+
+fn lines(errors: &[SceneError]) -> String {
+    errors.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n")
 }

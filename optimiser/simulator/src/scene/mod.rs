@@ -1,9 +1,9 @@
 //! The description of a bench: what `scene.toml` holds, with SI units in the key names.
 //!
-//! A [`Scene`] that came out of [`Scene::load`] or [`Scene::from_toml`] is valid: every number lies
-//! in the range documented at its field and the fields agree with each other. One that is built or
-//! changed in code is checked by [`Scene::validate`]. World frame: z up, floor at z = 0, the
-//! simulated volume is `[0, domain.size_m]`.
+//! A [`Scene`] is valid: every number lies in the range documented at its field, and the fields agree with each
+//! other. It comes from [`Scene::load`], from [`Scene::from_toml`], or from a [`SceneSpec`], which has the same fields
+//! with anything in them, by [`SceneSpec::validate`]. World frame: z up, floor at z = 0, the simulated volume is
+//! `[0, domain.size_m]`.
 //!
 //! Four scenes come along:
 //!
@@ -20,8 +20,7 @@
 //! prescribed, so nothing is differentiated by it. Powder fills a box or the round column in it
 //! ([`FillShape`]).
 //!
-//! To build one in code, load the one that is nearest, change its fields, and validate it; every
-//! field is public. Some advice:
+//! To build one in code, load the one that is nearest and change its fields, [`Scene::with`]. Some advice:
 //! - What is to be resolved (a wall, a heap, the inside of a tool) should be four cells wide or
 //!   high; a slope of a heap that is two cells high means nothing.
 //! - Faces of containers lie best on grid nodes (multiples of the cell) or midway;
@@ -57,6 +56,7 @@ mod remarks;
 mod solid;
 mod timing;
 mod tool_body;
+mod valid;
 mod validate;
 
 use serde::{Deserialize, Serialize};
@@ -79,11 +79,12 @@ pub use read::MAX_SCENE_BYTES;
 pub use solid::Obstacle;
 pub(crate) use tool_body::PlacedTool;
 pub use tool_body::ToolPart;
+pub use valid::Scene;
 
-/// A whole bench, as written in TOML.
+/// A whole bench, as written in TOML, valid or not.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Scene {
+pub struct SceneSpec {
     /// Name shown in reports, 1 to 64 printable characters.
     pub name: String,
     /// Simulated volume and grid.

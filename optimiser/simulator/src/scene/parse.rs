@@ -5,7 +5,7 @@ use toml::de::{DeTable, DeValue, Deserializer, Error};
 
 use super::closest_match::did_you_mean;
 use super::error::listed_path;
-use super::{DEFAULT_SCENE, Scene, SceneError, embedded_scene};
+use super::{DEFAULT_SCENE, SceneError, SceneSpec, embedded_scene};
 
 /// Tables of a scene, besides its [`LISTS`] of tables.
 const TABLES: [&str; 9] =
@@ -15,7 +15,7 @@ const TABLES: [&str; 9] =
 const LISTS: [&str; 2] = ["container", "gate"];
 
 /// Reads a scene without judging its values.
-pub(super) fn parse(file: &str, text: &str) -> Result<Scene, SceneError> {
+pub(super) fn parse(file: &str, text: &str) -> Result<SceneSpec, SceneError> {
     let source = Source { file, text };
     let raw = DeTable::parse(text).map_err(|error| source.syntax(&error))?;
     let raw = raw.into_inner();
@@ -45,10 +45,10 @@ struct Source<'a> {
 }
 
 impl Source<'_> {
-    fn scene(&self, raw: &DeTable<'_>) -> Result<Scene, SceneError> {
+    fn scene(&self, raw: &DeTable<'_>) -> Result<SceneSpec, SceneError> {
         self.check_tables(raw)?;
         let deserializer = Deserializer::parse(self.text).map_err(|error| self.syntax(&error))?;
-        let scene: Scene = serde_path_to_error::deserialize(deserializer).map_err(|error| {
+        let scene: SceneSpec = serde_path_to_error::deserialize(deserializer).map_err(|error| {
             let path = error.path().to_string();
             let field = if path == "." { "the scene" } else { &path };
             self.structure(field, start(error.inner()), in_plain_words(&path, error.inner().message()))

@@ -31,9 +31,7 @@ impl Scene {
         if text.lines().all(|line| line.trim_start().is_empty() || line.trim_start().starts_with('#')) {
             return Err(SceneError::Empty { file: source_name.to_owned() });
         }
-        let scene = parse(source_name, text)?;
-        scene.validate(source_name)?;
-        Ok(scene)
+        parse(source_name, text)?.validate_as(source_name)
     }
 }
 

@@ -47,7 +47,7 @@ fn limits() -> Limits {
 
 /// Opens half-way between straight up and its heading, so that no axis is special.
 fn tool() -> Tool {
-    let mut tool = Scene::load("bench").unwrap().tool;
+    let mut tool = Scene::load("bench").unwrap().into_spec().tool;
     tool.start_position_m = [0.1, -0.2, 0.3];
     tool.start_pitch_deg = 30.0;
     tool

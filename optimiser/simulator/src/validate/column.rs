@@ -2,7 +2,7 @@
 //! energy.
 
 use crate::real::Real;
-use crate::scene::Scene;
+use crate::scene::SceneSpec;
 use crate::validate::Scope;
 use crate::validate::case::{Case, Claim, Halt, Meter};
 use crate::validate::measures::Deposit;
@@ -56,7 +56,7 @@ impl Column {
         RADIUS_M * (1.5 + 1.5 * run_out(self.aspect))
     }
 
-    pub(super) fn scene(&self, law: &Scene) -> Scene {
+    pub(super) fn scene(&self, law: &SceneSpec) -> SceneSpec {
         let cell = RADIUS_M / f64::from(self.cells_per_radius);
         let width = 2.0 * self.reach_m();
         let mut scene = apparatus(law, [width, width, self.height_m() + 6.0 * cell], cell);
@@ -68,7 +68,7 @@ impl Column {
     }
 
     /// Particles times substeps.
-    pub(super) fn work(&self, law: &Scene) -> f64 {
+    pub(super) fn work(&self, law: &SceneSpec) -> f64 {
         let scene = self.scene(law);
         let volume = core::f64::consts::PI * RADIUS_M * RADIUS_M * self.height_m();
         volume / scene.particle_volume_m3() * END_S / scene.time.substep_s()
@@ -76,7 +76,7 @@ impl Column {
 
     pub(super) fn collapse<T: Real>(
         &self,
-        law: &Scene,
+        law: &SceneSpec,
         seed: u64,
         meter: &Meter<'_>,
     ) -> Result<Collapsed, Halt> {
@@ -176,7 +176,7 @@ fn claim_of_energy() -> Claim {
     }
 }
 
-fn case(law: &Scene, column: Column, seeds: u64) -> Case<'_> {
+fn case(law: &SceneSpec, column: Column, seeds: u64) -> Case<'_> {
     let mut claims = vec![
         claim_of_run_out(&column, "99 %"),
         claim_of_run_out(&column, "one grain thick"),
@@ -194,7 +194,7 @@ fn case(law: &Scene, column: Column, seeds: u64) -> Case<'_> {
 }
 
 /// Columns of these aspect ratios.
-pub(super) fn cases(law: &Scene, scope: Scope) -> Vec<Case<'_>> {
+pub(super) fn cases(law: &SceneSpec, scope: Scope) -> Vec<Case<'_>> {
     let coarse = [0.5, 1.0, 2.0, 4.0].map(|aspect| (Column::new(aspect, 6), scope.seeds()));
     let fine: &[f64] = if scope == Scope::Full { &[0.5, 1.0, 1.5, 2.0, 3.0, 4.0] } else { &[1.0] };
     // Seeds differ less there, and cost sixteen times as much.
@@ -205,7 +205,7 @@ pub(super) fn cases(law: &Scene, scope: Scope) -> Vec<Case<'_>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::DEFAULT_SCENE;
+    use crate::scene::{DEFAULT_SCENE, Scene};
 
     #[test]
     fn the_laws_of_lube_et_al_are_theirs() {

@@ -1,7 +1,7 @@
 //! Lines that must fail, because something is broken on purpose: if they do not, the lines that they are made
 //! of prove nothing.
 
-use crate::scene::Scene;
+use crate::scene::SceneSpec;
 use crate::validate::case::{Case, Claim, Meter};
 use crate::validate::column::{self, Column};
 use crate::validate::element::{self, Device};
@@ -20,7 +20,7 @@ fn broken(claim: Claim, how: &str) -> Claim {
 }
 
 /// All of them.
-pub(super) fn cases(law: &Scene) -> Vec<Case<'_>> {
+pub(super) fn cases(law: &SceneSpec) -> Vec<Case<'_>> {
     let column = Column { friction_angle_deg: 0.0, ..Column::new(1.0, 6) };
     let liquid = Case {
         claims: vec![broken(column::claim_of_run_out(&column, "99 %"), "no friction")],

@@ -5,7 +5,7 @@
 //! constant pressure, as by the cell of a triaxial device.
 
 use crate::mpm::material::{Material, trial_strain};
-use crate::scene::{Powder, Scene};
+use crate::scene::{Powder, SceneSpec};
 use crate::small::{Mat3, Sym3, trace};
 use crate::validate::case::{Case, Claim};
 use crate::validate::rig::{YOUNGS_MODULUS, returned};
@@ -112,7 +112,7 @@ fn mobilised(stress: Sym3<f64>) -> f64 {
 }
 
 /// The powder of the law with this friction angle, dry.
-fn powder(law: &Scene, key_deg: f64) -> Powder {
+fn powder(law: &SceneSpec, key_deg: f64) -> Powder {
     let mut powder = law.powder.clone();
     powder.cohesion_pa = 0.0;
     powder.youngs_modulus_pa = YOUNGS_MODULUS;
@@ -121,12 +121,12 @@ fn powder(law: &Scene, key_deg: f64) -> Powder {
 }
 
 /// Degrees that a powder of this key mobilises.
-pub(super) fn angle_deg(law: &Scene, device: Device, key_deg: f64) -> f64 {
+pub(super) fn angle_deg(law: &SceneSpec, device: Device, key_deg: f64) -> f64 {
     mobilised(Sample::new(&powder(law, key_deg)).loaded(device).stress).to_degrees()
 }
 
 /// The same with the cone through the corners of triaxial extension.
-pub(super) fn angle_of_wrong_cone_deg(law: &Scene, device: Device, key_deg: f64) -> f64 {
+pub(super) fn angle_of_wrong_cone_deg(law: &SceneSpec, device: Device, key_deg: f64) -> f64 {
     let mut sample = Sample::new(&powder(law, key_deg));
     let sine = libm::sin(key_deg.to_radians());
     sample.material.slope *= (3.0 - sine) / (3.0 + sine);
@@ -139,7 +139,7 @@ const COMPRESSION: f64 = 0.01;
 
 /// Pressures of powder that has expanded and is back at its volume, and beyond that, each over what the
 /// elastic strain between would have made.
-pub(super) fn pressures_after_expansion(law: &Scene, forgets_volume: bool) -> [f64; 2] {
+pub(super) fn pressures_after_expansion(law: &SceneSpec, forgets_volume: bool) -> [f64; 2] {
     let mut sample = Sample { forgets_volume, ..Sample::new(&powder(law, 30.0)) };
     let by = |sample: &mut Sample, growth: f64| (0..100).for_each(|_| sample.expand(0.01 * growth));
     by(&mut sample, EXPANSION);
@@ -220,7 +220,7 @@ pub(super) fn claims_of_volume() -> [Claim; 2] {
 pub(super) const KEYS: [f64; 6] = [20.0, 25.0, 30.0, 35.0, 40.0, 45.0];
 
 /// All of it; it takes no time.
-pub(super) fn cases(law: &Scene) -> Vec<Case<'_>> {
+pub(super) fn cases(law: &SceneSpec) -> Vec<Case<'_>> {
     let angles = Device::ALL.map(|device| Case {
         claims: KEYS.map(|key| claim(device, key)).into(),
         seeds: 1,
@@ -239,7 +239,7 @@ pub(super) fn cases(law: &Scene) -> Vec<Case<'_>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::DEFAULT_SCENE;
+    use crate::scene::{DEFAULT_SCENE, Scene};
 
     #[test]
     fn mohrs_circle_gives_the_angle_of_its_tangent() {

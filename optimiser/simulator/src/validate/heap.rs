@@ -1,6 +1,6 @@
 //! Heaps that are poured on a rough plate: how steep they are.
 
-use crate::scene::Scene;
+use crate::scene::SceneSpec;
 use crate::validate::Scope;
 use crate::validate::case::{Case, Claim, Halt, Meter};
 use crate::validate::measures::Deposit;
@@ -26,7 +26,7 @@ fn cone_height_m(angle_deg: f64) -> f64 {
 }
 
 /// The apparatus and the stream: it begins three cells above the top that the heap should have.
-fn set_up(law: &Scene, key_deg: f64) -> (Scene, Stream) {
+fn set_up(law: &SceneSpec, key_deg: f64) -> (SceneSpec, Stream) {
     let top = cone_height_m(key_deg) + 3.0 * CELL_M;
     let mut scene = apparatus(law, [2.0 * REACH_M, 2.0 * REACH_M, top + 4.0 * CELL_M], CELL_M);
     scene.powder.friction_angle_deg = key_deg;
@@ -39,7 +39,7 @@ fn set_up(law: &Scene, key_deg: f64) -> (Scene, Stream) {
 
 /// Poured as for this key, of powder with another friction angle if there is one given; its slope in degrees.
 pub(super) fn slope_deg(
-    law: &Scene,
+    law: &SceneSpec,
     key_deg: f64,
     friction_angle_deg: f64,
     seed: u64,
@@ -56,7 +56,7 @@ pub(super) fn slope_deg(
 }
 
 /// Particles times substeps.
-pub(super) fn work(law: &Scene, key_deg: f64) -> f64 {
+pub(super) fn work(law: &SceneSpec, key_deg: f64) -> f64 {
     let (scene, stream) = set_up(law, key_deg);
     let particles = VOLUME_M3 / scene.particle_volume_m3();
     particles * (0.5 * stream.seconds() + REST_S) / scene.time.substep_s()
@@ -80,7 +80,7 @@ pub(super) fn claim(key_deg: f64) -> Claim {
 }
 
 /// Heaps of several keys.
-pub(super) fn cases(law: &Scene, scope: Scope) -> Vec<Case<'_>> {
+pub(super) fn cases(law: &SceneSpec, scope: Scope) -> Vec<Case<'_>> {
     let keys: &[f64] = if scope == Scope::Full { &[25.0, 30.0, 35.0, 40.0] } else { &[30.0] };
     let case = |key: f64| Case {
         claims: vec![claim(key)],

@@ -1,6 +1,6 @@
 //! What must not matter: the time step, the stiffness that stands for rigid grains, the number format.
 
-use crate::scene::Scene;
+use crate::scene::SceneSpec;
 use crate::validate::Scope;
 use crate::validate::case::{Case, Claim, Halt, Meter};
 use crate::validate::column::Column;
@@ -23,7 +23,7 @@ fn claim(name: String, why: &'static str) -> Claim {
     }
 }
 
-fn case(law: &Scene, claim: Claim, seeds: u64, other: Column) -> Case<'_> {
+fn case(law: &SceneSpec, claim: Claim, seeds: u64, other: Column) -> Case<'_> {
     let measure = move |seed, meter: &Meter<'_>| {
         let usual = COLUMN.collapse::<f32>(law, seed, meter)?.run_out();
         Ok::<_, Halt>(vec![other.collapse::<f32>(law, seed, meter)?.run_out() / usual])
@@ -33,7 +33,7 @@ fn case(law: &Scene, claim: Claim, seeds: u64, other: Column) -> Case<'_> {
 }
 
 /// The largest time step that a scene may have, over that of the column.
-fn longest_step(law: &Scene) -> f64 {
+fn longest_step(law: &SceneSpec) -> f64 {
     let mut scene = COLUMN.scene(law);
     let usual = scene.time.substeps;
     super::rig::set_time_step(&mut scene, 0.0);
@@ -41,7 +41,7 @@ fn longest_step(law: &Scene) -> f64 {
 }
 
 /// All of it.
-pub(super) fn cases(law: &Scene, scope: Scope) -> Vec<Case<'_>> {
+pub(super) fn cases(law: &SceneSpec, scope: Scope) -> Vec<Case<'_>> {
     let seeds = scope.seeds();
     let of_step = "6 %: a time step that is stable is small; what is lost in each of them must not add up";
     let steps = [("the longest time step", longest_step(law)), ("a quarter of the time step", 4.0)];

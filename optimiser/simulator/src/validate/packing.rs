@@ -3,7 +3,7 @@
 use crate::rollout::{
     Destination, Evaluate, Recording, RolloutError, Simulator, SimulatorSettings, Snapshot,
 };
-use crate::scene::{Container, ContainerShape, DEFAULT_SCENE, Scene};
+use crate::scene::{Container, ContainerShape, DEFAULT_SCENE, Scene, SceneSpec};
 use crate::skill::{SkillMap, Theta};
 use crate::validate::Scope;
 use crate::validate::case::{Case, Claim, Halt, Meter};
@@ -43,7 +43,7 @@ fn container(middle: f64) -> Container {
     }
 }
 
-fn box_and_stream(law: &Scene, cell_m: f64) -> (Scene, Stream) {
+fn box_and_stream(law: &SceneSpec, cell_m: f64) -> (SceneSpec, Stream) {
     let width = WIDTH_M + 2.0 * WALL_M + 0.016;
     let top = WALL_M + HEIGHT_M + DROP_M;
     let mut scene = apparatus(law, [width, width, top + 0.016], cell_m);
@@ -62,7 +62,7 @@ fn spread(particles: &[[f64; 3]], volume_m3: f64) -> [f64; 3] {
 
 /// Of the box.
 pub(super) fn in_box(
-    law: &Scene,
+    law: &SceneSpec,
     cell_m: f64,
     forgets_volume: bool,
     seed: u64,
@@ -80,16 +80,16 @@ pub(super) fn in_box(
 }
 
 /// Particles times substeps, of the box.
-pub(super) fn work_of_box(law: &Scene, cell_m: f64) -> f64 {
+pub(super) fn work_of_box(law: &SceneSpec, cell_m: f64) -> f64 {
     let (scene, stream) = box_and_stream(law, cell_m);
     let particles = stream.volume_m3 / scene.particle_volume_m3();
     particles * (0.5 * stream.seconds() + REST_S) / scene.time.substep_s()
 }
 
 /// The default scene with the powder's law of another one, and finer by a whole number.
-fn bench(law: &Scene, finer: u32) -> Scene {
-    let mut scene = Scene::load(DEFAULT_SCENE).expect("the shipped scene is valid");
-    let Scene { domain, powder, .. } = apparatus(law, scene.domain.size_m, scene.domain.cell_m);
+fn bench(law: &SceneSpec, finer: u32) -> Scene {
+    let mut scene = Scene::load(DEFAULT_SCENE).expect("the shipped scene is valid").into_spec();
+    let SceneSpec { domain, powder, .. } = apparatus(law, scene.domain.size_m, scene.domain.cell_m);
     let own = scene.clone();
     scene.powder = powder;
     scene.powder.fill_min_m = own.powder.fill_min_m;
@@ -101,7 +101,7 @@ fn bench(law: &Scene, finer: u32) -> Scene {
     // A powder that is lighter or more viscous than the scene's own may need more.
     set_time_step(&mut scene, 0.0);
     scene.time.substeps = scene.time.substeps.max(own.time.substeps * finer);
-    scene
+    scene.unchecked()
 }
 
 /// Of the heap that the skill leaves in the target; and how much arrives, kg.
@@ -189,7 +189,7 @@ fn claim_of_mass() -> Claim {
 }
 
 /// The box, and in full the skill.
-pub(super) fn cases(law: &Scene, scope: Scope) -> Vec<Case<'_>> {
+pub(super) fn cases(law: &SceneSpec, scope: Scope) -> Vec<Case<'_>> {
     let cells: &[f64] = if scope == Scope::Full { &[0.004, 0.002] } else { &[0.004] };
     let boxed = |cell: f64| Case {
         claims: claims("box", cell, [0.95, 1.05]).into(),
@@ -226,8 +226,12 @@ mod tests {
         assert_eq!(bench(&scene, 1), scene);
         let fine = bench(&scene, 2);
         assert_eq!((fine.domain.cell_m, fine.time.substeps), (0.002, 40));
-        assert!(fine.validate("bench").is_ok());
+        assert!(fine.clone().into_spec().validate_as("bench").is_ok());
         let light = bench(&Scene::load("vial").unwrap(), 2);
-        assert!(light.validate("bench").is_ok() && light.time.substeps > 40, "{}", light.time.substeps);
+        assert!(
+            light.clone().into_spec().validate_as("bench").is_ok() && light.time.substeps > 40,
+            "{}",
+            light.time.substeps
+        );
     }
 }

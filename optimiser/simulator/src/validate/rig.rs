@@ -9,7 +9,7 @@ use crate::mpm::principal;
 use crate::mpm::sort::EscapedParticle;
 use crate::mpm::substep::{State, Workspace};
 use crate::real::Real;
-use crate::scene::{BLOCK_CELLS, MAX_VISCOUS_LOSS, Scene};
+use crate::scene::{BLOCK_CELLS, MAX_VISCOUS_LOSS, Scene, SceneSpec};
 use crate::small::{Sym3, inner, plus_diagonal, trace};
 use crate::validate::case::{Halt, Meter};
 
@@ -25,7 +25,7 @@ const CFL: f64 = 0.5;
 /// An empty apparatus: the law of the powder and the numerics of `law`, and nothing else of it.
 ///
 /// The powder is dry and is as stiff, and has the friction angle, that lines have unless they say otherwise.
-pub(super) fn apparatus(law: &Scene, size_m: [f64; 3], cell_m: f64) -> Scene {
+pub(super) fn apparatus(law: &SceneSpec, size_m: [f64; 3], cell_m: f64) -> SceneSpec {
     let mut scene = law.clone();
     let block_m = BLOCK_CELLS as f64 * cell_m;
     scene.domain.size_m = size_m.map(|length| (length / block_m - 1e-6).ceil() * block_m);
@@ -46,7 +46,7 @@ pub(super) const FRICTION_ANGLE: f64 = 30.0;
 pub(super) const YOUNGS_MODULUS: f64 = 1e4;
 
 /// Sets the time step for powder that is nowhere faster than `speed_m_s`.
-pub(super) fn set_time_step(scene: &mut Scene, speed_m_s: f64) {
+pub(super) fn set_time_step(scene: &mut SceneSpec, speed_m_s: f64) {
     scene.time.control_period_us = (1e6 * PERIOD_S) as u32;
     let sound = scene.powder.sound_speed_m_s();
     let by_speed = PERIOD_S * (sound + speed_m_s) / (CFL * scene.domain.cell_m);
@@ -61,16 +61,16 @@ pub(super) fn fall_speed(height_m: f64) -> f64 {
 }
 
 /// Particles of a box, as a scene packs its own.
-pub(super) fn packed(scene: &Scene, min_m: [f64; 3], max_m: [f64; 3], seed: u64) -> Vec<[f64; 3]> {
+pub(super) fn packed(scene: &SceneSpec, min_m: [f64; 3], max_m: [f64; 3], seed: u64) -> Vec<[f64; 3]> {
     let mut filled = scene.clone();
     filled.powder.fill_min_m = min_m;
     filled.powder.fill_max_m = max_m;
-    filled.particle_positions_m(seed)
+    filled.unchecked().particle_positions_m(seed)
 }
 
 /// Particles of an upright cylinder.
 pub(super) fn packed_cylinder(
-    scene: &Scene,
+    scene: &SceneSpec,
     [x, y, z]: [f64; 3],
     radius_m: f64,
     height_m: f64,
@@ -104,7 +104,8 @@ pub(super) struct Rig<T: Real> {
 
 impl<T: Real> Rig<T> {
     /// Particles at rest and free of stress.
-    pub(super) fn new(scene: Scene, particles: &[[f64; 3]]) -> Result<Self, Halt> {
+    pub(super) fn new(scene: SceneSpec, particles: &[[f64; 3]]) -> Result<Self, Halt> {
+        let scene = scene.unchecked();
         let model = Model::new(&scene);
         let state = State::new(&model, &Particles::at_rest(particles))?;
         Ok(Self { scene, model, state, workspace: Workspace::new(), bodies: away(), forgets_volume: false })
@@ -125,7 +126,7 @@ impl<T: Real> Rig<T> {
         self
     }
 
-    pub(super) fn scene(&self) -> &Scene {
+    pub(super) fn scene(&self) -> &SceneSpec {
         &self.scene
     }
 
@@ -254,7 +255,7 @@ mod tests {
     use super::*;
     use crate::scene::DEFAULT_SCENE;
 
-    fn scene() -> Scene {
+    fn scene() -> SceneSpec {
         let law = Scene::load(DEFAULT_SCENE).unwrap();
         let mut scene = apparatus(&law, [0.03; 3], 0.004);
         set_time_step(&mut scene, 1.0);

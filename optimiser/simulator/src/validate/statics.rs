@@ -1,6 +1,6 @@
 //! Powder that stands or slides as a whole: its weight on the base of a box, a block of it on an incline.
 
-use crate::scene::{Container, ContainerShape, Scene};
+use crate::scene::{Container, ContainerShape, SceneSpec};
 use crate::validate::case::{Case, Claim, Halt, Meter};
 use crate::validate::measures::line;
 use crate::validate::rig::{GRAVITY, Rig, apparatus, packed, set_time_step};
@@ -16,7 +16,7 @@ const DEPTH_M: f64 = 0.024;
 const REST_S: f64 = 4.0;
 
 /// A bed in a box without friction whose walls and floor lie so many cells off the nodes.
-fn boxed(law: &Scene, shift_cells: f64) -> Scene {
+fn boxed(law: &SceneSpec, shift_cells: f64) -> SceneSpec {
     let shift = shift_cells * CELL_M;
     let mut scene = apparatus(law, [0.064, 0.064, 0.048], CELL_M);
     scene.containers.push(Container {
@@ -32,7 +32,7 @@ fn boxed(law: &Scene, shift_cells: f64) -> Scene {
 }
 
 /// Pressure at the base over the weight above it.
-fn base_pressure(scene: Scene, seed: u64, meter: &Meter<'_>) -> Result<f64, Halt> {
+fn base_pressure(scene: SceneSpec, seed: u64, meter: &Meter<'_>) -> Result<f64, Halt> {
     let [x, y, z] = scene.containers[0].position_m;
     let half = 0.5 * WIDTH_M;
     let bed = packed(&scene, [x - half, y - half, z], [x + half, y + half, z + DEPTH_M], seed);
@@ -44,7 +44,7 @@ fn base_pressure(scene: Scene, seed: u64, meter: &Meter<'_>) -> Result<f64, Halt
     Ok(line(&points)[0] / weight)
 }
 
-fn base(law: &Scene, shift_cells: f64, place: &str) -> Case<'static> {
+fn base(law: &SceneSpec, shift_cells: f64, place: &str) -> Case<'static> {
     let scene = boxed(law, shift_cells);
     let claim = Claim {
         group: "weight on a base",
@@ -79,7 +79,7 @@ const LIES_S: [f64; 2] = [0.4, 1.0];
 const SLIDES_S: [f64; 2] = [0.1, 0.3];
 
 /// A block on an incline, which is a level floor under gravity that is tilted.
-fn incline(law: &Scene, tilt_deg: f64) -> Scene {
+fn incline(law: &SceneSpec, tilt_deg: f64) -> SceneSpec {
     let mut scene = apparatus(law, [0.512, BLOCK_M[1], 0.032], CELL_M);
     let (sin, cos) = libm::sincos(tilt_deg.to_radians());
     scene.domain.gravity_m_s2 = [GRAVITY * sin, 0.0, -GRAVITY * cos];
@@ -92,7 +92,7 @@ fn incline(law: &Scene, tilt_deg: f64) -> Scene {
 /// Mean velocity down the incline before and after it is watched, m/s, and mean way, m: of its middle third,
 /// as its ends crumble.
 fn slide(
-    scene: Scene,
+    scene: SceneSpec,
     [before_s, watched_s]: [f64; 2],
     seed: u64,
     meter: &Meter<'_>,
@@ -112,7 +112,7 @@ fn slide(
     Ok(([early, mean(rig.velocities())], mean(rig.positions()) - from))
 }
 
-fn on_incline(law: &Scene, tilt_deg: f64) -> Case<'static> {
+fn on_incline(law: &SceneSpec, tilt_deg: f64) -> Case<'static> {
     let scene = incline(law, tilt_deg);
     let (sin, cos) = libm::sincos(tilt_deg.to_radians());
     let slides = sin > FRICTION * cos;
@@ -159,7 +159,7 @@ fn on_incline(law: &Scene, tilt_deg: f64) -> Case<'static> {
 }
 
 /// All of it.
-pub(super) fn cases(law: &Scene) -> Vec<Case<'_>> {
+pub(super) fn cases(law: &SceneSpec) -> Vec<Case<'_>> {
     let bases =
         [(0.0, "on nodes"), (0.5, "midway between nodes")].map(|(shift, place)| base(law, shift, place));
     let inclines = [10.0, 18.0, 25.0, 35.0].map(|tilt| on_incline(law, tilt));

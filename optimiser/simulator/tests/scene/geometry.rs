@@ -1,24 +1,24 @@
 //! Rules about places, with turned and round containers and the box scoop.
 
 use powderline_simulator::scene::{
-    ContainerShape, FillShape, Gate, GateOpening, GateShape, Scene, SceneError, ToolShape,
+    ContainerShape, FillShape, Gate, GateOpening, GateShape, Scene, SceneError, SceneSpec, ToolShape,
 };
 
-fn bench() -> Scene {
-    Scene::load("bench").unwrap()
+fn bench() -> SceneSpec {
+    Scene::load("bench").unwrap().into_spec()
 }
 
 /// The field that a scene is refused for, if it is.
-fn refused_field(scene: &Scene) -> Option<String> {
-    match scene.validate("scene") {
-        Ok(()) => None,
+fn refused_field(scene: &SceneSpec) -> Option<String> {
+    match scene.clone().validate_as("scene") {
+        Ok(_) => None,
         Err(SceneError::Invalid { field, .. }) => Some(field),
         Err(other) => panic!("{other}"),
     }
 }
 
 /// The same bench turned by a quarter: x becomes y, y becomes -x.
-fn quarter_turn(scene: &mut Scene) {
+fn quarter_turn(scene: &mut SceneSpec) {
     let depth_m = scene.domain.size_m[1];
     let turn = |[x, y, z]: [f64; 3]| [depth_m - y, x, z];
     let [low, high] = [scene.powder.fill_min_m, scene.powder.fill_max_m].map(turn);
@@ -46,7 +46,7 @@ fn a_turned_bench_is_as_valid_and_as_invalid() {
     let sentence = "scene: skill.sweep_m is 0.03, but while scooping along skill.heading_deg = 90 the tool would go 0.0075 m \
                     into the +x wall of container \"source\", turned by 90 degrees; a shorter sweep or a start further back \
                     would be right";
-    assert_eq!(scene.validate("scene").unwrap_err().to_string(), sentence);
+    assert_eq!(scene.clone().validate_as("scene").unwrap_err().to_string(), sentence);
 }
 
 #[test]
@@ -55,7 +55,7 @@ fn a_wall_beside_the_way_is_not_said_to_be_ahead() {
     // 20 mm of bowl at y = 58 mm, and 20 mm of sweep, of which 6.8 mm go sideways: 4.8 mm into the wall at 80 mm.
     scene.skill.heading_deg = 20.0;
     scene.tool.start_position_m[1] = 0.058;
-    let sentence = scene.validate("scene").unwrap_err().to_string();
+    let sentence = scene.clone().validate_as("scene").unwrap_err().to_string();
     let about =
         "would go 0.0048 m into the +y wall of container \"source\"; a start so much further from that wall";
     assert!(sentence.contains(about), "{sentence}");
@@ -104,7 +104,7 @@ fn a_round_wall_is_met_where_its_radius_says() {
     // The bowl's 20 mm and the 10.5 mm that its middle starts behind the container's need 30.5 mm.
     assert_eq!(refused_with_radius(0.0307), None);
     assert_eq!(refused_with_radius(0.0303).as_deref(), Some("tool.start_position_m"));
-    let sentence = scene.validate("scene").unwrap_err().to_string();
+    let sentence = scene.clone().validate_as("scene").unwrap_err().to_string();
     let about =
         "into the wall of container \"source\" at 183 degrees from +x; a start further inside would be right";
     assert!(sentence.contains(about), "{sentence}");
@@ -134,7 +134,7 @@ fn a_column_is_as_wide_as_the_round_source_that_holds_it() {
     let mut scene = bench();
     scene.powder.fill_shape = FillShape::Cylinder;
     scene.containers[0].yaw_deg = 45.0;
-    let sentence = scene.validate("scene").map_err(|error| error.to_string());
+    let sentence = scene.clone().validate_as("scene").map_err(|error| error.to_string());
     assert!(sentence.is_err_and(|sentence| !sentence.contains("powder")));
 }
 
@@ -143,7 +143,7 @@ fn powder_starts_anywhere_but_in_walls_and_floors() {
     let mut scene = bench();
     let mut refusal = |min_m, max_m| {
         (scene.powder.fill_min_m, scene.powder.fill_max_m) = (min_m, max_m);
-        scene.validate("scene").err().map(|error| error.to_string())
+        scene.clone().validate_as("scene").err().map(|error| error.to_string())
     };
     for (min_m, max_m, what) in [
         ([0.024, 0.016, 0.004], [0.088, 0.080, 0.040], "heaped above the rim"),
@@ -188,7 +188,7 @@ fn pipe(inner_radius_m: f64) -> Gate {
 }
 
 /// The bench with a column of powder of 12 mm radius in the middle of the source.
-fn column() -> Scene {
+fn column() -> SceneSpec {
     let mut scene = bench();
     scene.powder.fill_min_m = [0.044, 0.036, 0.004];
     scene.powder.fill_max_m = [0.068, 0.060, 0.026];

@@ -1,6 +1,6 @@
 //! Initial particle positions.
 
-use powderline_simulator::scene::{FillShape, Scene};
+use powderline_simulator::scene::{Amount, FillShape, Quantity, Scene};
 use proptest::prelude::*;
 
 #[test]
@@ -37,9 +37,7 @@ fn one_particle_in_every_sub_cell_in_order() {
 
 /// A column of 32 mm radius in whole sub-cells.
 fn column() -> Scene {
-    let mut scene = Scene::load("bench").unwrap();
-    scene.powder.fill_shape = FillShape::Cylinder;
-    scene
+    Scene::load("bench").unwrap().with(|spec| spec.powder.fill_shape = FillShape::Cylinder).unwrap()
 }
 
 #[test]
@@ -91,10 +89,15 @@ proptest! {
         size in prop::array::uniform3(0.003..0.03f64),
         seed in any::<u64>(),
     ) {
-        let mut scene = Scene::load("bench").unwrap();
-        scene.powder.particles_per_cell = per_cell;
-        let (low, high) = (scene.powder.fill_min_m, &mut scene.powder.fill_max_m);
-        *high = std::array::from_fn(|axis| low[axis] + size[axis]);
+        let scene = Scene::load("bench").unwrap().with(|spec| {
+            spec.objective.amount = Amount::new(Quantity::Particles(1));
+            spec.powder.particles_per_cell = per_cell;
+            let low = spec.powder.fill_min_m;
+            spec.powder.fill_max_m = std::array::from_fn(|axis| low[axis] + size[axis]);
+        });
+        // Smaller than a particle.
+        prop_assume!(scene.is_ok());
+        let scene = scene.unwrap();
         let positions = scene.particle_positions_m(seed);
         prop_assert_eq!(positions.len(), scene.particle_count());
         let expected = size.iter().product::<f64>() / scene.particle_volume_m3();
@@ -111,11 +114,17 @@ proptest! {
         height in 0.001..0.02f64,
         seed in any::<u64>(),
     ) {
-        let mut scene = Scene::load("bench").unwrap();
-        scene.powder.fill_shape = FillShape::Cylinder;
-        scene.powder.particles_per_cell = per_cell;
-        let low = scene.powder.fill_min_m;
-        scene.powder.fill_max_m = [low[0] + 2.0 * radius, low[1] + 2.0 * radius, low[2] + height];
+        let bench = Scene::load("bench").unwrap();
+        let low = bench.powder.fill_min_m;
+        let scene = bench.with(|spec| {
+            spec.objective.amount = Amount::new(Quantity::Particles(1));
+            spec.powder.fill_shape = FillShape::Cylinder;
+            spec.powder.particles_per_cell = per_cell;
+            spec.powder.fill_max_m = [low[0] + 2.0 * radius, low[1] + 2.0 * radius, low[2] + height];
+        });
+        // Smaller than a particle.
+        prop_assume!(scene.is_ok());
+        let scene = scene.unwrap();
         let positions = scene.particle_positions_m(seed);
         prop_assert_eq!(positions.len(), scene.particle_count());
         let volume = std::f64::consts::PI * radius * radius * height;

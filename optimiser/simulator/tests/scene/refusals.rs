@@ -1,6 +1,6 @@
 //! Every bad scene is refused with one sentence that names the file, the field, its value and what would be right.
 
-use powderline_simulator::scene::{Profile, Scene};
+use powderline_simulator::scene::{Profile, Scene, SceneError, SceneSpec};
 
 /// The valid scene that every case spoils in one place.
 const BASE: &str = include_str!("base.toml");
@@ -8,8 +8,8 @@ const BASE: &str = include_str!("base.toml");
 /// What replaces what in `base.toml`, and the refusal after the file's name.
 type Case = (&'static str, &'static str, &'static str);
 
-fn base() -> Scene {
-    Scene::from_toml("base.toml", BASE).unwrap()
+fn base() -> SceneSpec {
+    Scene::from_toml("base.toml", BASE).unwrap().into_spec()
 }
 
 fn refusal(text: &str) -> String {
@@ -970,10 +970,10 @@ fn arms_are_refused() {
 
 #[test]
 fn seventeen_gates_are_refused() {
-    let mut scene = Scene::from_toml("base.toml", &format!("{BASE}{GATES}")).unwrap();
+    let mut scene = Scene::from_toml("base.toml", &format!("{BASE}{GATES}")).unwrap().into_spec();
     scene.gates = vec![scene.gates[1].clone(); 17];
     assert_eq!(
-        scene.validate("bad.toml").unwrap_err().to_string(),
+        scene.validate_as("bad.toml").unwrap_err().to_string(),
         "bad.toml: gate is a list of 17, but a scene has at most 16 gates"
     );
 }
@@ -999,10 +999,39 @@ fn constant_speed_above_the_limit_is_refused() {
     scene.skill.profile = Profile::ConstantSpeed;
     scene.limits.linear_velocity_m_s = 0.1;
     assert_eq!(
-        scene.validate("bad.toml").unwrap_err().to_string(),
+        scene.validate_as("bad.toml").unwrap_err().to_string(),
         "bad.toml: skill.linear_speed_m_s is 0.14, but limits.linear_velocity_m_s = 0.1 allows no more with \
          profile = \"constant_speed\""
     );
+}
+
+#[test]
+fn all_that_is_wrong_is_said_at_once() {
+    let mut scene = base();
+    scene.powder.density_kg_m3 = -1.0;
+    scene.domain.gravity_m_s2 = [f64::NAN, 0.0, -981.0];
+    scene.skill.lift_height_m = [0.2, 0.1];
+    let several = "bad.toml: domain.gravity_m_s2[0] is nan, but it must be from -100 to 100\n\
+                   bad.toml: powder.density_kg_m3 is -1, but it must be from 10 to 25000\n\
+                   bad.toml: skill.lift_height_m is [0.2, 0.1], but the first number must not exceed the second";
+    assert_eq!(scene.validate_as("bad.toml").unwrap_err().to_string(), several);
+    // Rules between fields that do not build on each other.
+    let mut scene = base();
+    scene.time.substeps = 1;
+    scene.powder.viscosity_pa_s = 100.0;
+    let error = scene.validate_as("bad.toml").unwrap_err();
+    assert!(matches!(&error, SceneError::Several(all) if all.len() == 2), "{error}");
+}
+
+#[test]
+fn a_scene_without_a_file_goes_by_its_name() {
+    let mut scene = base();
+    scene.time.settle_s = -1.0;
+    let sentence = |spec: SceneSpec| spec.validate().unwrap_err().to_string();
+    let right = "time.settle_s is -1, but it must be from 0 to 60";
+    assert_eq!(sentence(scene.clone()), format!("scene {:?}: {right}", scene.name));
+    scene.name.clear();
+    assert!(sentence(scene).starts_with("the scene: name is \"\", but"));
 }
 
 #[test]
@@ -1012,7 +1041,7 @@ fn one_container_or_seventeen_are_refused() {
         let mut scene = base.clone();
         scene.containers = vec![base.containers[0].clone(); count];
         assert_eq!(
-            scene.validate("bad.toml").unwrap_err().to_string(),
+            scene.validate_as("bad.toml").unwrap_err().to_string(),
             format!(
                 "bad.toml: container is a list of {count}, but a scene has 2 to 16 containers, one of them the \
                  source and one the target"
@@ -1028,7 +1057,7 @@ fn too_many_particles_are_refused() {
     scene.powder.particles_per_cell = 64;
     scene.time.substeps = 400;
     assert_eq!(
-        scene.validate("bad.toml").unwrap_err().to_string(),
+        scene.validate_as("bad.toml").unwrap_err().to_string(),
         "bad.toml: domain.cell_m is 0.0006, but that makes 2.67e7 particles and at most 4000000 are allowed; about \
          0.0013 would be right"
     );

@@ -41,7 +41,7 @@ fn the_gate_that_the_reference_shows_is_one() {
 /// The arm beside the bench stands in its scene, and with the programs that know no scenes.
 #[test]
 fn the_simulated_arm_is_that_of_the_bench() {
-    let arm = Scene::load("bench").unwrap().arm.unwrap();
+    let arm = Scene::load("bench").unwrap().into_spec().arm.unwrap();
     let (of_scene, known) = (Mount::of(&arm).model(Posture::PREFERRED[0]), ArmModel::bench());
     let poses = |model: &ArmModel| [model.world_from_base, model.flange_from_tool];
     for (a, b) in poses(&of_scene).iter().zip(&poses(&known)) {
@@ -58,7 +58,7 @@ fn the_arm_that_the_reference_shows_is_one() {
         "payload_kg = 0.4",
         1,
     );
-    let arm = Scene::from_toml("bench", &with).unwrap().arm.unwrap();
+    let arm = Scene::from_toml("bench", &with).unwrap().into_spec().arm.unwrap();
     let chosen = PostureChoice { shoulder: Shoulder::Forward, elbow: Elbow::Up, wrist: Wrist::Positive };
     assert_eq!((arm.posture, arm.payload_kg), (Some(chosen), Some(0.4)));
 }

@@ -5,7 +5,7 @@ use powderline_simulator::scene::{Gate, GateOpening, GateShape, Obstacle};
 
 /// A finished run of a scene that is no embedded one.
 fn run_of_ones_own(place: &Place) -> String {
-    let mut scene = Scene::load("bench-small").unwrap();
+    let mut scene = Scene::load("bench-small").unwrap().into_spec();
     scene.name = "my bench".into();
     fs::write(place.path("mine.toml"), scene.to_toml()).unwrap();
     let folder = place.text("run");
@@ -63,11 +63,12 @@ fn a_moved_plan_of_an_embedded_scene_needs_no_scene() {
 #[test]
 fn a_skill_through_a_wall_is_said_first() {
     let place = Place::new();
-    let mut scene = Scene::load("bench-small").unwrap();
+    let mut scene = Scene::load("bench-small").unwrap().into_spec();
     scene.skill.lift_height_m[0] = 0.010;
     let file = place.text("low.toml");
     fs::write(&file, scene.to_toml()).unwrap();
-    let (theta, collision) = powderline_simulator::skill::colliding_skill(&scene).unwrap();
+    let (theta, collision) =
+        powderline_simulator::skill::colliding_skill(&scene.validate().unwrap()).unwrap();
     let through = format!("--theta={}", theta.map(|x| x.to_string()).join(","));
     let Obstacle::Container(container) = collision.obstacle.clone() else { panic!("{collision}") };
     let sentence = format!("{collision}: the simulated tool can do that, an arm cannot");
@@ -99,7 +100,7 @@ fn a_skill_through_a_wall_is_said_first() {
 #[test]
 fn a_skill_through_a_gate_is_said_and_one_after_it_has_opened_is_not() {
     let place = Place::new();
-    let mut scene = Scene::load("bench-small").unwrap();
+    let mut scene = Scene::load("bench-small").unwrap().into_spec();
     scene.gates = vec![Gate {
         name: "lock".into(),
         position_m: [0.084, 0.032, 0.0],

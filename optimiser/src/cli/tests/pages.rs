@@ -116,7 +116,7 @@ fn what_cannot_be_drawn_is_refused() {
 
 /// The scene `bench-small` with another arm.
 fn with_arm(place: &Place, change: impl Fn(&mut Arm)) -> String {
-    let mut scene = Scene::load("bench-small").unwrap();
+    let mut scene = Scene::load("bench-small").unwrap().into_spec();
     change(scene.arm.as_mut().unwrap());
     let file = place.text("moved.toml");
     fs::write(&file, scene.to_toml()).unwrap();

@@ -164,7 +164,7 @@ fn a_vertical_cut_stands_to_its_critical_height() {
     for (phi, strength) in [(35.0f64, None), (35.0, Some(0.3)), (25.0, Some(0.3))] {
         let needed = 9810.0 * 0.024 / (4.0 * (45.0 + 0.5 * phi).to_radians().tan());
         let moved = |part: f64| {
-            let mut powder = Scene::load("bench-small").unwrap().powder;
+            let mut powder = Scene::load("bench-small").unwrap().into_spec().powder;
             powder.friction_angle_deg = phi;
             powder.yield_surface = YieldSurface::MatsuokaNakai;
             powder.volume_correction = VolumeCorrection::Grid;

@@ -34,7 +34,7 @@ fn column(opens_at_s: f64, opening: GateOpening) -> Scene {
         ..pipe.clone()
     };
     scene.gates = vec![pipe, plate];
-    assert_eq!(scene.validate("column"), Ok(()));
+    assert_eq!(scene.clone().into_spec().validate_as("column").err(), None);
     scene
 }
 
@@ -71,7 +71,7 @@ fn powder_that_starts_outside_the_source_is_all_accounted_for() {
     scene.gates[0].position_m = [edge_m, y, height_m + 0.004];
     scene.gates[0].opens_at_s = 9000.0;
     scene.gates.push(lid);
-    assert_eq!(scene.validate("funnel"), Ok(()));
+    assert_eq!(scene.clone().into_spec().validate_as("funnel").err(), None);
     let mut s = simulator::<f32>(&scene, 2, 1 << 30);
     let mut last = None;
     for steps in [2, 10, 60] {

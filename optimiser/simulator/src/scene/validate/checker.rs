@@ -35,7 +35,7 @@ impl Range {
     }
 
     /// False for NaN.
-    fn contains(&self, value: f64) -> bool {
+    pub(super) fn contains(&self, value: f64) -> bool {
         let above = if self.low_excluded { value > self.low } else { value >= self.low };
         let below = if self.high_excluded { value < self.high } else { value <= self.high };
         above && below
@@ -109,17 +109,8 @@ impl Checker<'_> {
         self.number(field, f64::from(value), Range::closed(f64::from(low), f64::from(high)))
     }
 
-    /// Every component within the same range.
-    pub(super) fn vector(&self, field: &str, values: &[f64], range: Range) -> Checked {
-        values
-            .iter()
-            .enumerate()
-            .try_for_each(|(index, value)| self.number(&format!("{field}[{index}]"), *value, range))
-    }
-
-    /// `[low, high]`, both within the range, low not above high.
-    pub(super) fn bounds(&self, field: &str, bounds: [f64; 2], range: Range) -> Checked {
-        self.vector(field, &bounds, range)?;
+    /// `[low, high]`, low not above high.
+    pub(super) fn ordered(&self, field: &str, bounds: [f64; 2]) -> Checked {
         if bounds[0] <= bounds[1] {
             return Ok(());
         }

@@ -1,4 +1,4 @@
-//! Whether a scene makes sense; the first thing wrong is reported as one sentence.
+//! Whether a scene makes sense; what is wrong is said in one sentence each.
 
 mod checker;
 mod fields;
@@ -6,12 +6,12 @@ mod gates;
 mod layout;
 mod reach;
 
-use super::{Container, Scene, SceneError};
+use super::error::is_name;
+use super::{Container, Scene, SceneError, SceneSpec};
 use checker::Checker;
 
-impl Scene {
-    /// Checks every field's range and the rules between fields; the first thing wrong is returned.
-    /// `file` stands for the scene in messages.
+impl SceneSpec {
+    /// The scene, if every field is in its range and all of them agree. Messages call it by its name.
     ///
     /// The rules between fields, in this order: cells and particles within [`super::MAX_CELLS`] and
     /// [`super::MAX_PARTICLES`]; substeps of a rollout within [`super::MAX_SUBSTEPS`]; CFL number
@@ -25,35 +25,51 @@ impl Scene {
     /// the limits.
     ///
     /// # Errors
-    /// [`SceneError::Invalid`] with the field, its value and what would be right.
-    pub fn validate(&self, file: &str) -> Result<(), SceneError> {
-        let checker = Checker { file };
-        // Each check may rely on those before it.
-        fields::check(&checker, self)?;
-        layout::check_size(&checker, self)?;
-        layout::check_substeps(&checker, self)?;
-        layout::check_cfl(&checker, self)?;
-        layout::check_powder_law(&checker, self)?;
-        layout::check_containers(&checker, self)?;
-        layout::check_objective(&checker, self)?;
-        layout::check_powder(&checker, self)?;
-        gates::check(&checker, self)?;
-        layout::check_start(&checker, self)?;
-        reach::check(&checker, self)
+    /// [`SceneError::Invalid`]: all fields that are out of range, each with its value and what would be right; where there are none,
+    /// the first of these rules that is broken, and of substeps, CFL number, viscous loss and cohesion all.
+    pub fn validate(self) -> Result<Scene, SceneError> {
+        let file =
+            if is_name(&self.name) { format!("scene {:?}", self.name) } else { "the scene".to_owned() };
+        self.validate_as(&file)
     }
 
-    /// The container that the tool scoops from, and that the powder starts in as a rule.
+    /// The same with another word for the scene in messages, such as the path of its file.
     ///
-    /// # Panics
-    /// If the scene was not validated and names no such container.
+    /// # Errors
+    /// As [`Self::validate`].
+    pub fn validate_as(self, file: &str) -> Result<Scene, SceneError> {
+        let scene = Scene(self);
+        let checker = Checker { file };
+        all_right(fields::check(&checker, &scene))?;
+        // Each of these may rely on those before it.
+        layout::check_size(&checker, &scene)?;
+        let alone = [layout::check_substeps, layout::check_cfl, layout::check_powder_law];
+        all_right(alone.iter().filter_map(|check| check(&checker, &scene).err()).collect())?;
+        layout::check_containers(&checker, &scene)?;
+        layout::check_objective(&checker, &scene)?;
+        layout::check_powder(&checker, &scene)?;
+        gates::check(&checker, &scene)?;
+        layout::check_start(&checker, &scene)?;
+        reach::check(&checker, &scene)?;
+        Ok(scene)
+    }
+}
+
+fn all_right(mut errors: Vec<SceneError>) -> Result<(), SceneError> {
+    match errors.len() {
+        0 => Ok(()),
+        1 => Err(errors.remove(0)),
+        _ => Err(SceneError::Several(errors)),
+    }
+}
+
+impl Scene {
+    /// The container that the tool scoops from, and that the powder starts in as a rule.
     pub fn source(&self) -> &Container {
         self.container_named(&self.objective.source)
     }
 
     /// The container that the powder should go to.
-    ///
-    /// # Panics
-    /// If the scene was not validated and names no such container.
     pub fn target(&self) -> &Container {
         self.container_named(&self.objective.target)
     }
