@@ -9,7 +9,7 @@ use powderline_shared::displacement::{Axis, Lsb, Setpoint};
 use powderline_shared::fault::{Fault, FaultCode};
 use powderline_shared::limits::PeakUse;
 use powderline_shared::mass::Mass;
-use powderline_shared::plan::{Mounting, PlanReader, Precision, Prediction, SKILL_PARAMETERS, StartPose};
+use powderline_shared::plan::{Mounting, PlanReader, Precision, Prediction, SkillParameter, StartPose};
 use serde::Serialize;
 
 use crate::run::{FrameCounts, RunResult};
@@ -257,11 +257,11 @@ impl fmt::Display for PlanFacts {
             self.optimiser_version, self.seed, self.precision
         )?;
         write!(f, "  skill     ")?;
-        for ((name, unit), (separator, value)) in SKILL_PARAMETERS
+        for (parameter, (separator, value)) in SkillParameter::ALL
             .into_iter()
             .zip(["", ", ", ", ", ", ", ", "].into_iter().zip(self.skill_parameters))
         {
-            write!(f, "{separator}{name} {value:.4} {unit}")?;
+            write!(f, "{separator}{} {value:.4} {}", parameter.name(), parameter.unit())?;
         }
         let length_s = seconds(u64::from(self.control_period_us).saturating_mul(u64::from(self.step_count)));
         writeln!(f)?;

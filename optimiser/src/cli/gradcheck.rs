@@ -3,7 +3,7 @@
 use super::{CliError, Context, Interrupt, Progress, Resources, options::PrecisionArg, slopes};
 use crate::report::words::precision_name;
 use clap::{Args, ValueEnum};
-use powderline_shared::plan::{Precision, SKILL_PARAMETERS};
+use powderline_shared::plan::{Precision, SkillParameter};
 use powderline_simulator::Real;
 use powderline_simulator::rollout::gradcheck::{
     CHECKED_THETA, HALF_STEPS, Smoothed, Window, check_window, smoothed,
@@ -188,11 +188,12 @@ fn text(report: &Report) -> String {
             "\nAgainst differences over +-{} in theta, whole horizon: cosine {:.3}\n",
             s.half_step, s.cosine
         );
-        for (k, (name, _)) in SKILL_PARAMETERS.iter().enumerate() {
+        for ((parameter, adjoint), difference) in SkillParameter::ALL.iter().zip(s.adjoint).zip(s.differences)
+        {
             let _ = writeln!(
                 out,
-                "{name:24}  adjoint {:>12.4} m   differences {:>12.4} m",
-                s.adjoint[k], s.differences[k]
+                "{:24}  adjoint {adjoint:>12.4} m   differences {difference:>12.4} m",
+                parameter.name()
             );
         }
     }
@@ -207,8 +208,8 @@ fn write_window(out: &mut String, w: &Window) {
         let _ = write!(out, "{h:>9.0e}");
     }
     out.push('\n');
-    for ((name, _), c) in SKILL_PARAMETERS.iter().zip(&w.components) {
-        let _ = write!(out, "{name:24}");
+    for (parameter, c) in SkillParameter::ALL.iter().zip(&w.components) {
+        let _ = write!(out, "{:24}", parameter.name());
         if c.error.is_none() {
             let _ = writeln!(out, "{:>16}", "not at work");
             continue;

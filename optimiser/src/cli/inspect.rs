@@ -11,7 +11,7 @@ use clap::Args;
 use powderline_shared::{
     limits::{Limits, PeakUse},
     plan::{
-        PlanHeader, PlanReader, Prediction, SKILL_PARAMETERS, StartPose,
+        PlanHeader, PlanReader, Prediction, SkillParameter, StartPose,
         file::{parse_plan, read_plan_file},
     },
 };
@@ -144,9 +144,9 @@ impl Report {
             self.translation_lsb_nm,
             self.rotation_lsb_nrad
         )?;
-        for (index, parameter_) in self.parameters.iter().enumerate() {
-            let value = parameter(index, parameter_.value);
-            writeln!(text, "{:<24}{value:>12}   theta {:>8.4}", parameter_.name, parameter_.theta)?;
+        for (which, shown) in SkillParameter::ALL.into_iter().zip(&self.parameters) {
+            let value = parameter(which, shown.value);
+            writeln!(text, "{:<24}{value:>12}   theta {:>8.4}", shown.name, shown.theta)?;
         }
         self.write_motion(text)
     }
@@ -208,6 +208,7 @@ impl Report {
 }
 
 fn parameters(header: &PlanHeader) -> Vec<Parameter> {
-    let names = SKILL_PARAMETERS.into_iter().zip(header.theta).zip(header.skill_parameters);
-    names.map(|(((name, unit), theta), value)| Parameter { name, theta, value, unit }).collect()
+    let all = SkillParameter::ALL.into_iter().zip(header.theta).zip(header.skill_parameters);
+    all.map(|((which, theta), value)| Parameter { name: which.name(), theta, value, unit: which.unit() })
+        .collect()
 }

@@ -21,7 +21,7 @@ use crate::{
 };
 use clap::Args;
 use powderline_shared::plan::{
-    PlanReader, SKILL_PARAMETERS,
+    PlanReader, SkillParameter,
     file::{parse_plan, read_plan_file},
 };
 use powderline_simulator::{
@@ -290,17 +290,17 @@ fn show_outcome(page: &mut Page, task: &Task, amounts: &Amounts, outcome: &Outco
 /// The skill in physical units.
 fn parameters(plan: &PlanReader<'_>) -> Table {
     let header = plan.header();
-    let row = |index: usize| {
+    let row = |which: SkillParameter| {
         vec![
-            SKILL_PARAMETERS[index].0.into(),
-            parameter(index, header.skill_parameters[index]),
-            format!("{:.4}", header.theta[index]),
+            which.name().into(),
+            parameter(which, header.skill_parameters[which.index()]),
+            format!("{:.4}", header.theta[which.index()]),
         ]
     };
     Table {
         title: "Skill of the plan".into(),
         columns: ["parameter", "value", "theta"].map(String::from).into(),
-        rows: (0..SKILL_PARAMETERS.len()).map(row).map(Into::into).collect(),
+        rows: SkillParameter::ALL.into_iter().map(row).map(Into::into).collect(),
     }
 }
 
@@ -381,10 +381,10 @@ fn over_epochs(name: &str, epochs: &[Judged], value: impl Fn(&EpochRecord) -> f6
 
 /// A curve for each of the five parameters.
 fn by_parameter(epochs: &[Judged], value: impl Fn(&EpochRecord) -> [Option<f64>; 5]) -> Vec<Series> {
-    let series = |index: usize| {
-        over_epochs(SKILL_PARAMETERS[index].0, epochs, |record| value(record)[index].unwrap_or(f64::NAN))
+    let series = |which: SkillParameter| {
+        over_epochs(which.name(), epochs, |record| value(record)[which.index()].unwrap_or(f64::NAN))
     };
-    (0..SKILL_PARAMETERS.len()).map(series).collect()
+    SkillParameter::ALL.into_iter().map(series).collect()
 }
 
 /// Marks the shipped epoch, those passed over, and the curriculum's share.
@@ -406,11 +406,12 @@ fn run_charts(record: &RunRecord, finding: &Finding) -> Vec<Chart> {
     let grams = |record: &EpochRecord| 1e3 * finding.amounts.kg(record.census.target);
     let wanted = |_: &EpochRecord| 1e3 * finding.amounts.wanted_kg;
     let parameters = |unit: &str, scale: f64| {
-        (0..SKILL_PARAMETERS.len())
-            .filter(|index| SKILL_PARAMETERS[*index].1 == unit)
-            .map(|index| {
-                let value = |epoch: &EpochRecord| scale * record.map.parameters(&epoch.theta)[index];
-                over_epochs(SKILL_PARAMETERS[index].0, epochs, value).coloured(index)
+        SkillParameter::ALL
+            .into_iter()
+            .filter(|which| which.unit() == unit)
+            .map(|which| {
+                let value = |epoch: &EpochRecord| scale * record.map.parameters(&epoch.theta)[which.index()];
+                over_epochs(which.name(), epochs, value).coloured(which.index())
             })
             .collect()
     };

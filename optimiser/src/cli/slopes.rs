@@ -7,7 +7,7 @@ use super::{
     options::DEFAULT_PRECISION,
 };
 use crate::report::words::precision_name;
-use powderline_shared::plan::{Precision, SKILL_PARAMETERS};
+use powderline_shared::plan::{Precision, SkillParameter};
 use powderline_simulator::rollout::slopes::{
     Fit, HALF_STEP, LEAST_DELIVERED, Measured, Row, Summary, cosine, measure, skill,
 };
@@ -300,10 +300,10 @@ fn write_summary(out: &mut String, summary: &Summary, skills: usize) {
     line("  without the constant direction", &|fit| fit.residual_cosine.map_or("-".into(), two));
     line("length over the slope's: median", &|fit| format!("{:.2}", fit.length[0]));
     line("  range", &|fit| format!("{:.2} to {:.2}", fit.length[1], fit.length[2]));
-    for (k, (name, _)) in SKILL_PARAMETERS.iter().enumerate() {
-        line(&format!("{name}: signs, correlation"), &|fit| {
-            let [right, of] = fit.signs[k];
-            let correlation = fit.correlation[k].map_or("-".into(), |r| format!("{r:.2}"));
+    for parameter in SkillParameter::ALL {
+        line(&format!("{}: signs, correlation", parameter.name()), &|fit| {
+            let [right, of] = fit.signs[parameter.index()];
+            let correlation = fit.correlation[parameter.index()].map_or("-".into(), |r| format!("{r:.2}"));
             format!("{right} of {of}, {correlation}")
         });
     }

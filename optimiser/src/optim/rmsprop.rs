@@ -22,7 +22,7 @@
 //! sign has gone too far and halves its steps, and lengthens them again while it goes on in one direction. That is the rule
 //! of Rprop (Riedmiller and Braun 1993), which RMSprop descends from.
 
-use powderline_shared::plan::SKILL_PARAMETERS;
+use powderline_shared::plan::SkillParameter;
 use powderline_simulator::{
     scene,
     skill::{Theta, check_theta},
@@ -89,10 +89,10 @@ pub struct RmsPropState {
 
 /// A gradient that no update can be made from.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
-#[error("the gradient with respect to the {name} is {value}", name = SKILL_PARAMETERS[*index].0)]
+#[error("the gradient with respect to the {} is {value}", parameter.name())]
 pub struct GradientError {
-    /// Which component, from 0.
-    pub index: usize,
+    /// Which component.
+    pub parameter: SkillParameter,
     /// Its value.
     pub value: f64,
 }
@@ -140,12 +140,13 @@ impl RmsProp {
     ) -> Result<RmsPropState, GradientError> {
         let mut next = RmsPropState { updates: state.updates + 1, ..*state };
         let active = self.active_components(state.updates);
-        for (index, &g) in gradient.iter().enumerate().take(active) {
+        for (parameter, &g) in SkillParameter::ALL.into_iter().zip(gradient).take(active) {
+            let index = parameter.index();
             let late = if index < CURRICULUM_COMPONENTS { 0 } else { self.curriculum_epochs };
             let before = late.max(state.before_restart);
             let (pace, step) = self
                 .step(&state.paces[index], g, noise[index], next.updates - before)
-                .ok_or(GradientError { index, value: g })?;
+                .ok_or(GradientError { parameter, value: g })?;
             next.paces[index] = pace;
             next.theta[index] = (state.theta[index] - step).clamp(-1.0, 1.0);
         }

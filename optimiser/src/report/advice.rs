@@ -1,20 +1,8 @@
 //! What could help a run whose plan misses the wanted amount, from what its epochs measured.
 
 use super::{amounts::Amounts, judged::Judged, words::parameter};
-use powderline_shared::plan::SKILL_PARAMETERS;
+use powderline_shared::plan::SkillParameter;
 use powderline_simulator::scene::{Scene, figures::mass};
-
-/// Keys of a scene's `[skill]` in the order of theta.
-const KEYS: [&str; 5] = [
-    "scooping_depth_m",
-    "scooping_angle_deg",
-    "lift_height_m",
-    "transport_displacement_m",
-    "pouring_angle_deg",
-];
-const DEPTH: usize = 0;
-const TRANSPORT: usize = 3;
-const POUR: usize = 4;
 
 /// Powder that counts as none, and as a good part, of the wanted.
 const NEXT_TO_NOTHING: f64 = 0.01;
@@ -76,37 +64,30 @@ impl Measured<'_> {
         self.amounts.miss(self.plan.record.census.target) < 0.0
     }
 
-    /// The range of a parameter as it stands in the scene.
-    fn range(&self, index: usize) -> [f64; 2] {
-        let skill = &self.scene.skill;
-        [
-            skill.scooping_depth_m,
-            skill.scooping_angle_deg,
-            skill.lift_height_m,
-            skill.transport_displacement_m,
-            skill.pouring_angle_deg,
-        ][index]
+    /// A parameter's value at a theta, as people say it.
+    fn value(&self, which: SkillParameter, theta: f64) -> String {
+        let [low, high] = self.scene.skill.range(which);
+        let value = low + 0.5 * (theta + 1.0) * (high - low);
+        parameter(which, if which.is_angle() { value.to_radians() } else { value })
     }
 
-    /// A parameter's value at a theta, as people say it.
-    fn value(&self, index: usize, theta: f64) -> String {
-        let [low, high] = self.range(index);
-        let value = low + 0.5 * (theta + 1.0) * (high - low);
-        parameter(index, if SKILL_PARAMETERS[index].1 == "rad" { value.to_radians() } else { value })
+    /// The same in the plan.
+    fn in_plan(&self, which: SkillParameter) -> String {
+        self.value(which, self.plan.record.theta[which.index()])
     }
 
     /// Such as `skill.scooping_depth_m = [0.002, 0.02]`.
-    fn key(&self, index: usize) -> String {
-        let [low, high] = self.range(index);
-        format!("skill.{} = [{low}, {high}]", KEYS[index])
+    fn key(&self, which: SkillParameter) -> String {
+        let [low, high] = self.scene.skill.range(which);
+        format!("skill.{} = [{low}, {high}]", which.key())
     }
 
     /// The smallest and largest value of a parameter in all epochs.
-    fn tried(&self, index: usize) -> String {
-        let values = || self.epochs.iter().map(|epoch| epoch.record.theta[index]);
+    fn tried(&self, which: SkillParameter) -> String {
+        let values = || self.epochs.iter().map(|epoch| epoch.record.theta[which.index()]);
         let [low, high] =
             [values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max)];
-        let [low, high] = [low, high].map(|theta| self.value(index, theta));
+        let [low, high] = [low, high].map(|theta| self.value(which, theta));
         if low == high { low } else { format!("{low} to {high}") }
     }
 
@@ -116,11 +97,11 @@ impl Measured<'_> {
             format!(
                 "in no epoch did the tool take up powder, so that the search had no slope to follow: it went {} deep into a bed of \
                  {} mm, with scooping angles of {}; a range that reaches deeper than {} would be right, and {} is the next to look at",
-                self.tried(DEPTH),
+                self.tried(SkillParameter::ScoopingDepth),
                 powderline_simulator::scene::figures::about(1e3 * bed_m, 3),
-                self.tried(1),
-                self.key(DEPTH),
-                self.key(1)
+                self.tried(SkillParameter::ScoopingAngle),
+                self.key(SkillParameter::ScoopingDepth),
+                self.key(SkillParameter::ScoopingAngle)
             )
         })
     }
@@ -164,7 +145,7 @@ impl Measured<'_> {
                 self.amounts.powder(most),
                 mass(capacity.level_kg),
                 mass(capacity.heaped_kg),
-                self.key(DEPTH)
+                self.key(SkillParameter::ScoopingDepth)
             )
         })
     }
@@ -186,8 +167,8 @@ impl Measured<'_> {
         } else {
             format!(
                 "{poured} stayed on the tool at a pouring angle of {}; a range that goes further than {} would be right",
-                self.value(POUR, self.plan.record.theta[POUR]),
-                self.key(POUR)
+                self.in_plan(SkillParameter::PouringAngle),
+                self.key(SkillParameter::PouringAngle)
             )
         })
     }
@@ -198,8 +179,8 @@ impl Measured<'_> {
             format!(
                 "{} fell on rims or beside them, with a transport displacement of {}; see where with `optimise report`, {} and the heading decide it",
                 self.amounts.powder(lost),
-                self.value(TRANSPORT, self.plan.record.theta[TRANSPORT]),
-                self.key(TRANSPORT)
+                self.in_plan(SkillParameter::TransportDisplacement),
+                self.key(SkillParameter::TransportDisplacement)
             )
         })
     }
@@ -232,16 +213,16 @@ impl Measured<'_> {
 
     /// Parameters that stand at an end of their range.
     fn at_bounds(&self) -> impl Iterator<Item = String> {
-        (0..KEYS.len()).filter_map(|index| {
-            let theta = self.plan.record.theta[index];
-            let [low, high] = self.range(index);
+        SkillParameter::ALL.into_iter().filter_map(|which| {
+            let theta = self.plan.record.theta[which.index()];
+            let [low, high] = self.scene.skill.range(which);
             (theta.abs() >= AT_BOUND && low < high).then(|| {
                 format!(
                     "the {} stands at the {} end of its range, {}; a wider {} would be right",
-                    SKILL_PARAMETERS[index].0,
+                    which.name(),
                     if theta > 0.0 { "upper" } else { "lower" },
-                    self.value(index, theta.signum()),
-                    self.key(index)
+                    self.value(which, theta.signum()),
+                    self.key(which)
                 )
             })
         })

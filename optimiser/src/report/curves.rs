@@ -8,7 +8,7 @@ use plotters::{
     coord::{Shift, ranged1d::Ranged},
     prelude::*,
 };
-use powderline_shared::plan::SKILL_PARAMETERS;
+use powderline_shared::plan::SkillParameter;
 use powderline_simulator::{scene::figures::mass, skill::SkillMap};
 use std::ops::Range;
 use thiserror::Error;
@@ -163,15 +163,15 @@ impl Curves<'_> {
             "mm" => ("skill: lengths (mm)", 1e3),
             _ => ("skill: angles (deg)", 1f64.to_degrees()),
         };
-        let is_here = |k: &usize| (SKILL_PARAMETERS[*k].1 == "rad") == (unit == "deg");
-        let line = |k: usize| Line {
+        let is_here = |parameter: &SkillParameter| parameter.is_angle() == (unit == "deg");
+        let line = |parameter: SkillParameter| Line {
             marked: true,
             of_plan: None,
-            note: SKILL_PARAMETERS[k].0.into(),
-            colour: COLOURS[k],
-            points: self.points(|record| factor * self.map.parameters(&record.theta)[k]),
+            note: parameter.name().into(),
+            colour: COLOURS[parameter.index()],
+            points: self.points(|record| factor * self.map.parameters(&record.theta)[parameter.index()]),
         };
-        let lines: Vec<Line> = (0..SKILL_PARAMETERS.len()).filter(is_here).map(line).collect();
+        let lines: Vec<Line> = SkillParameter::ALL.into_iter().filter(is_here).map(line).collect();
         let values = lines.iter().flat_map(|line| &line.points).map(|point| point.1);
         Panel { caption, values: Axis::around(values, 1.0, false), lines, epoch_axis: unit == "deg" }
     }

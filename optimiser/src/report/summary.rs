@@ -5,7 +5,7 @@ use super::{
     finding::{Finding, Outcome},
     words::{count, parameter},
 };
-use powderline_shared::plan::SKILL_PARAMETERS;
+use powderline_shared::plan::SkillParameter;
 use std::fmt::Write;
 
 impl Finding {
@@ -151,9 +151,9 @@ impl Finding {
             self.advice.iter().try_for_each(|advice| writeln!(text, "- {advice}"))?;
         }
         writeln!(text, "\n{:<24}{:>12}{:>14}", "skill", "at epoch 0", "in the plan")?;
-        for (index, (name, _)) in SKILL_PARAMETERS.iter().enumerate() {
-            let [from, to] = [first[index], plan[index]].map(|value| parameter(index, value));
-            writeln!(text, "{name:<24}{from:>12}{to:>14}")?;
+        for which in SkillParameter::ALL {
+            let [from, to] = [first, plan].map(|values| parameter(which, values[which.index()]));
+            writeln!(text, "{:<24}{from:>12}{to:>14}", which.name())?;
         }
         Ok(())
     }

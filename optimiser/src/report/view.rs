@@ -147,15 +147,16 @@ mod tests {
         let moved = |at: &mut [f64; 3]| (0..3).for_each(|axis| at[axis] += by_m[axis]);
         scene.containers.iter_mut().for_each(|container| moved(&mut container.position_m));
         let (powder, limits) = (&mut scene.powder, &mut scene.limits);
-        [
+        for at in [
             &mut scene.tool.start_position_m,
             &mut scene.objective.p_target_m,
             &mut powder.fill_min_m,
             &mut powder.fill_max_m,
             &mut limits.workspace_min_m,
             &mut limits.workspace_max_m,
-        ]
-        .map(moved);
+        ] {
+            moved(at);
+        }
         let scene = scene.validate().unwrap();
         let map = SkillMap::new(&scene);
         let controls = map.controls(&[0.0; 5]).unwrap();

@@ -1,6 +1,6 @@
 //! Numbers in words.
 
-use powderline_shared::plan::{Precision, SKILL_PARAMETERS};
+use powderline_shared::plan::{Precision, SkillParameter};
 pub(crate) use powderline_simulator::scene::figures::{count, grouped};
 
 /// A duration to the precision that a waiting person needs.
@@ -21,12 +21,9 @@ pub(crate) fn precision_name(precision: Precision) -> &'static str {
     }
 }
 
-/// A physical skill parameter as people say it: millimetres and degrees.
-pub(crate) fn parameter(index: usize, value: f64) -> String {
-    match SKILL_PARAMETERS[index].1 {
-        "rad" => format!("{:.1} deg", value.to_degrees()),
-        _ => format!("{:.1} mm", 1e3 * value),
-    }
+/// The value of a skill parameter, metres or radians, as people say it: millimetres and degrees.
+pub(crate) fn parameter(which: SkillParameter, value: f64) -> String {
+    if which.is_angle() { format!("{:.1} deg", value.to_degrees()) } else { format!("{:.1} mm", 1e3 * value) }
 }
 
 /// Bytes as hexadecimal digits.
@@ -43,8 +40,8 @@ mod tests {
         assert_eq!(duration(12.4), "12 s");
         assert_eq!(duration(100.0), "2 min");
         assert_eq!(duration(7260.0), "2 h 01 min");
-        assert_eq!(parameter(0, 0.0123), "12.3 mm");
-        assert_eq!(parameter(4, 1.0), "57.3 deg");
+        assert_eq!(parameter(SkillParameter::ScoopingDepth, 0.0123), "12.3 mm");
+        assert_eq!(parameter(SkillParameter::PouringAngle, 1.0), "57.3 deg");
         assert_eq!(hex(&[0, 255]), "00ff");
     }
 }

@@ -21,15 +21,6 @@ pub const MAX_STEPS: u32 = 1_000_000;
 /// How far the norm of the start orientation may be from 1.
 const UNIT_TOLERANCE: f64 = 1e-9;
 
-/// Names and units of [`PlanHeader::skill_parameters`] and [`PlanHeader::theta`], in their order.
-pub const SKILL_PARAMETERS: [(&str, &str); 5] = [
-    ("scooping depth", "m"),
-    ("scooping angle", "rad"),
-    ("lift height", "m"),
-    ("transport displacement", "m"),
-    ("pouring angle", "rad"),
-];
-
 /// Version of the program that made a plan.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Version {
@@ -89,7 +80,7 @@ pub struct PlanHeader {
     pub seed: u64,
     /// Number format of the simulation.
     pub precision: Precision,
-    /// Skill parameters, normalised to [-1, 1], in the order of [`SKILL_PARAMETERS`].
+    /// Skill parameters, normalised to [-1, 1], in the order of [`SkillParameter::ALL`](super::SkillParameter::ALL).
     pub theta: [f64; 5],
     /// The same in physical units: m, rad, m, m, rad.
     pub skill_parameters: [f64; 5],

@@ -17,15 +17,16 @@ mod error;
 #[cfg(feature = "std")]
 pub mod file;
 mod header;
+mod parameter;
 mod reader;
 mod writer;
 
 pub use checksum::{Crc32, Fnv1a64};
 pub use error::PlanError;
 pub use header::{
-    MAX_STEPS, Mounting, PERIOD_US_MAX, PERIOD_US_MIN, PlanHeader, Precision, Prediction, SKILL_PARAMETERS,
-    StartPose, Version,
+    MAX_STEPS, Mounting, PERIOD_US_MAX, PERIOD_US_MIN, PlanHeader, Precision, Prediction, StartPose, Version,
 };
+pub use parameter::SkillParameter;
 pub use reader::{PlanReader, Setpoints, Steps};
 pub use writer::{PlanSummary, PlanWriter, Sink, SliceSink, WriteError};
 

@@ -78,7 +78,7 @@ pub struct Evaluation {
     pub loss: f64,
     /// Target count minus the particles inside the target container at the end.
     pub indicator: i64,
-    /// Particles by their [`Destination`] at the end; [`Scene::particle_mass_kg`] each.
+    /// Particles by their [`Destination`] at the end; [`SceneSpec::particle_mass_kg`](crate::scene::SceneSpec::particle_mass_kg) each.
     pub census: Census,
     /// Derivative of the loss with respect to theta, when asked for.
     pub gradient: Option<Theta>,

@@ -1,7 +1,10 @@
 //! Quantities that follow from a scene's fields.
 
+use powderline_shared::plan::SkillParameter;
+
 use super::{
-    Container, ContainerShape, FillShape, Objective, Powder, Quantity, Scene, SceneSpec, Time, YieldSurface,
+    Container, ContainerShape, FillShape, Objective, Powder, Quantity, Scene, SceneSpec, Skill, Time,
+    YieldSurface,
 };
 
 /// Edge of a grid block, in cells.
@@ -152,6 +155,19 @@ impl Container {
             origin_y + sin * x + cos * y,
             origin_z + z.clamp(0.0, self.inner_height_m()),
         ]
+    }
+}
+
+impl Skill {
+    /// Range of a parameter, in the unit of its key.
+    pub fn range(&self, parameter: SkillParameter) -> [f64; 2] {
+        match parameter {
+            SkillParameter::ScoopingDepth => self.scooping_depth_m,
+            SkillParameter::ScoopingAngle => self.scooping_angle_deg,
+            SkillParameter::LiftHeight => self.lift_height_m,
+            SkillParameter::TransportDisplacement => self.transport_displacement_m,
+            SkillParameter::PouringAngle => self.pouring_angle_deg,
+        }
     }
 }
 

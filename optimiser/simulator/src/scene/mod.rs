@@ -25,7 +25,7 @@
 //!   high; a slope of a heap that is two cells high means nothing.
 //! - Faces of containers lie best on grid nodes (multiples of the cell) or midway;
 //!   [`Scene::warnings`] names those that do not.
-//! - A finer cell needs more substeps: [`Scene::cfl_number`] must be at most [`MAX_CFL`], and
+//! - A finer cell needs more substeps: [`SceneSpec::cfl_number`] must be at most [`MAX_CFL`], and
 //!   viscosity takes at most [`MAX_VISCOUS_LOSS`].
 //! - A core advances 10 to 20 million particles by a substep in a second; a gradient costs about
 //!   five times as much.

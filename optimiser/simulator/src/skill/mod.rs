@@ -33,7 +33,7 @@ use motion::{Coordinates, Segment, TimeParametrisation, Travel};
 use powderline_shared::{
     displacement::{Displacement, SetpointError},
     limits::{LimitsError, Violation},
-    plan::SKILL_PARAMETERS,
+    plan::SkillParameter,
     pose::Pose,
 };
 use thiserror::Error;
@@ -49,10 +49,10 @@ pub type Control = [f64; 6];
 #[non_exhaustive]
 pub enum SkillError {
     /// A component of theta is outside `[-1, 1]`, or not a number.
-    #[error("theta's component {index} ({name}) is {value}, outside [-1, 1]", name = SKILL_PARAMETERS[*index].0)]
+    #[error("theta's component {} ({}) is {value}, outside [-1, 1]", parameter.index(), parameter.name())]
     Theta {
-        /// Which component, from 0.
-        index: usize,
+        /// Which component.
+        parameter: SkillParameter,
         /// Its value.
         value: f64,
     },
@@ -149,16 +149,13 @@ impl SkillMap {
     }
 
     fn from_parts(skill: &Skill, time: &Time, limits: &Limits, tool: &Tool) -> Self {
-        let radians = |bounds: [f64; 2]| bounds.map(f64::to_radians);
+        let bounds = |parameter: SkillParameter| {
+            let range = skill.range(parameter);
+            if parameter.is_angle() { range.map(f64::to_radians) } else { range }
+        };
         let (sin, cos) = libm::sincos(skill.heading_deg.to_radians());
         Self {
-            bounds: [
-                skill.scooping_depth_m,
-                radians(skill.scooping_angle_deg),
-                skill.lift_height_m,
-                skill.transport_displacement_m,
-                radians(skill.pouring_angle_deg),
-            ],
+            bounds: SkillParameter::ALL.map(bounds),
             forward: [cos, sin, 0.0],
             pitch_axis: [-sin, cos, 0.0],
             approach_m: skill.approach_m,
@@ -284,8 +281,9 @@ impl SkillMap {
 /// # Errors
 /// [`SkillError::Theta`] for the first such component.
 pub fn check_theta(theta: &Theta) -> Result<(), SkillError> {
-    match theta.iter().position(|value| !(-1.0..=1.0).contains(value)) {
-        Some(index) => Err(SkillError::Theta { index, value: theta[index] }),
+    let mut components = SkillParameter::ALL.into_iter().zip(*theta);
+    match components.find(|(_, value)| !(-1.0..=1.0).contains(value)) {
+        Some((parameter, value)) => Err(SkillError::Theta { parameter, value }),
         None => Ok(()),
     }
 }
