@@ -329,6 +329,27 @@ mod tests {
     }
 
     #[test]
+    fn lengths_and_angles_have_a_panel_each() {
+        let scene = Scene::load("bench").unwrap();
+        let (map, amounts) = (SkillMap::new(&scene), Amounts::from(&scene));
+        let curves = Curves {
+            title: ["", ""],
+            history: &[record(0, 1.0)],
+            epochs: 1,
+            curriculum_epochs: 0,
+            shipped: None,
+            plan: None,
+            passed_over: &[],
+            map: &map,
+            amounts: &amounts,
+        };
+        let names =
+            |unit| curves.skill(unit).lines.iter().map(|line| line.note.to_string()).collect::<Vec<_>>();
+        assert_eq!(names("mm"), ["scooping depth", "lift height", "transport displacement"]);
+        assert_eq!(names("deg"), ["scooping angle", "pouring angle"]);
+    }
+
+    #[test]
     fn draws_all_panels_at_any_time() {
         for epochs in [0, 1, 2, 31] {
             let svg = svg(epochs, 30, 1100.0);

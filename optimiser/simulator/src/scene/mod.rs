@@ -5,7 +5,7 @@
 //! with anything in them, by [`SceneSpec::validate`]. World frame: z up, floor at z = 0, the simulated volume is
 //! `[0, domain.size_m]`.
 //!
-//! Four scenes come along:
+//! Five scenes come along:
 //!
 //! | Name | Particles | Cell | Tool, inside | Wanted | What it is |
 //! |---|---|---|---|---|---|
