@@ -8,16 +8,19 @@
 //! |---|---|
 //! | `cuts=insert+scoop:4+lift` | cuts at that many equal parts' ends of a segment, its end the last |
 //! | `radius=0.006` | `Restarts::radius_m` |
+//! | `ahead=0.02` | `Restarts::ahead_s` |
 //! | `room=0.004` | `Restarts::room_m` |
 //! | `from=scoop` | tool and powder as one body from the end of that segment on; `never`: the adjoint goes through all of the motion |
 //! | `over=transport` | the segment over which the body is moved |
 //! | `ways=3` | only so many of the ways, as in `Carrying::ways` |
+//! | `sleep=0.02` | `Carrying::sleep_speed_m_s` |
 //! | `residue=0` | `Restarts::through_residue` |
 //! | `end=0` | `Restarts::begins_with_slopes` |
 //! | `trace=1` | shows the cuts |
 
 use std::ops::Range;
 
+use powderline_simulator::bench::cpu_seconds;
 use powderline_simulator::rollout::restart::{Carrying, Restarted, Restarts};
 use powderline_simulator::rollout::slopes::{HALF_STEP, cosine};
 use powderline_simulator::rollout::{ParticleSimulator, RolloutError, SimulatorSettings, boxed_simulator};
@@ -37,16 +40,23 @@ const SKILLS: [Theta; 7] = [
     [0.6, 0.5, 0.0, 0.1, 0.8],
 ];
 
-const VARIANTS: [&str; 9] = [
+const VARIANTS: [&str; 16] = [
     "",
     "from=never",
+    "from=never end=0",
     "from=never cuts=scoop:4+lift+transport+pour:4",
     "from=scoop",
     "ways=0",
     "over=transport",
     "cuts=scoop",
+    "cuts=insert+scoop:2",
     "cuts=insert+scoop:8",
+    "radius=0.004",
+    "radius=0.010",
+    "ahead=0.02",
+    "room=0",
     "residue=0",
+    "sleep=0.002",
 ];
 
 fn main() -> Result<(), Failure> {
@@ -60,15 +70,17 @@ fn main() -> Result<(), Failure> {
     let mut simulator = boxed_simulator(&scene, &settings)?;
     for skill in skills.split(',') {
         let theta = SKILLS.get(skill.parse::<usize>()?).ok_or("there is no such skill")?;
-        let slope = slope(simulator.as_mut(), theta)?;
+        let (slope, rollout_s) = slope(simulator.as_mut(), theta)?;
         println!("skill {skill}: slope {}", shown(&slope));
         for words in &variants {
             let (restarts, traces) = variant(&scene, &map, theta, words)?;
+            let from_s = cpu_seconds();
             let found = simulator.evaluate_restarted(theta, &restarts, &mut |_, _| true)?;
+            let rollouts = (cpu_seconds() - from_s) / rollout_s;
             let gradient = found.evaluation.gradient.unwrap_or_default();
             let longer = length(&gradient) / length(&slope);
             println!(
-                "{} cosine {:5.2} length {longer:5.2}  {words}",
+                "{} cosine {:5.2} length {longer:5.2} rollouts {rollouts:4.1}  {words}",
                 shown(&gradient),
                 cosine(&gradient, &slope)
             );
@@ -80,16 +92,21 @@ fn main() -> Result<(), Failure> {
     Ok(())
 }
 
-/// Central differences over what a search might step, metres.
-fn slope(simulator: &mut dyn ParticleSimulator, theta: &Theta) -> Result<Theta, RolloutError> {
+/// Central differences over what a search might step, metres, and processor time of one of their rollouts, seconds.
+fn slope(simulator: &mut dyn ParticleSimulator, theta: &Theta) -> Result<(Theta, f64), RolloutError> {
     let moved = |(k, step): (usize, f64)| {
         let mut moved = *theta;
         moved[k] += step;
         moved
     };
     let both: Vec<Theta> = (0..5).flat_map(|k| [(k, HALF_STEP), (k, -HALF_STEP)]).map(moved).collect();
+    // Settles the powder, so that it counts nowhere.
+    simulator.evaluate_all(&[], &mut |_, _| true)?;
+    let from_s = cpu_seconds();
     let ends = simulator.evaluate_all(&both, &mut |_, _| true)?;
-    Ok(std::array::from_fn(|k| (ends[2 * k].loss - ends[2 * k + 1].loss) / (2.0 * HALF_STEP)))
+    let rollout_s = (cpu_seconds() - from_s) / both.len() as f64;
+    let slope = std::array::from_fn(|k| (ends[2 * k].loss - ends[2 * k + 1].loss) / (2.0 * HALF_STEP));
+    Ok((slope, rollout_s))
 }
 
 fn variant(scene: &Scene, map: &SkillMap, theta: &Theta, words: &str) -> Result<(Restarts, bool), Failure> {
@@ -100,11 +117,13 @@ fn variant(scene: &Scene, map: &SkillMap, theta: &Theta, words: &str) -> Result<
         match key {
             "cuts" => restarts.steps = cuts(scene, map, theta, value)?,
             "radius" => restarts.radius_m = value.parse()?,
+            "ahead" => restarts.ahead_s = value.parse()?,
             "room" => restarts.room_m = value.parse()?,
             "from" if value == "never" => restarts.carrying = None,
             "from" => carrying(&mut restarts)?.from = spans(scene, map, theta, value)?.end,
             "over" => carrying(&mut restarts)?.over = spans(scene, map, theta, value)?,
             "ways" => carrying(&mut restarts)?.ways.truncate(value.parse()?),
+            "sleep" => carrying(&mut restarts)?.sleep_speed_m_s = value.parse()?,
             "residue" => restarts.through_residue = value == "1",
             "end" => restarts.begins_with_slopes = value == "1",
             "trace" => traces = value == "1",

@@ -106,7 +106,7 @@ pub(crate) fn nanoseconds() -> Reading {
 }
 
 /// Processor time of this process's threads so far, all together, seconds; wall-clock time where the system does not tell.
-pub(crate) fn cpu_seconds() -> f64 {
+pub fn cpu_seconds() -> f64 {
     nanoseconds()[1] as f64 * 1e-9
 }
 

@@ -116,7 +116,7 @@ use crate::scene::figures::grouped;
 
 pub use crate::mpm::timings::Stage;
 pub use counted::Elementary;
-pub(crate) use machine::cpu_seconds;
+pub use machine::cpu_seconds;
 pub use measure::{
     Arithmetic, Bench, Machine, Memory, Report, STAGES, Settings, StageReport, TimeStats, Watch, WholeReport,
     run,

@@ -104,6 +104,11 @@ impl<T: Real> Model<T> {
         Self { residue: None, ..self.clone() }
     }
 
+    /// The same with powder that falls asleep below this speed, m/s.
+    pub(crate) fn with_sleep_speed(&self, speed_m_s: f64) -> Self {
+        Self { sleep_speed: T::from_f64(speed_m_s), ..self.clone() }
+    }
+
     pub(crate) fn new(scene: &Scene) -> Self {
         let grid = layout::Grid::new(scene);
         let dx = scene.domain.cell_m;

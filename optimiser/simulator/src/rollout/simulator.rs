@@ -255,8 +255,9 @@ impl<T: Real> Simulator<T> {
         let (evaluation, values) = judged?;
         let rest = |way: &Displacement, sign: f64| carrying.moved(controls, way, sign)[over.start..].to_vec();
         let branches = carrying.ways.iter().flat_map(|way| [rest(way, 1.0), rest(way, -1.0)]).collect();
-        let ends =
-            self.evaluate_motions_by(costs, &before, branches, &mut |d, t| part(steps, branched, d, t));
+        let model = self.model.with_sleep_speed(carrying.sleep_speed_m_s);
+        let ends = self
+            .evaluate_motions_by((&model, costs), &before, branches, &mut |d, t| part(steps, branched, d, t));
         self.recycle(before);
         let ends: Vec<[f64; 2]> = ends?.chunks_exact(2).map(|ends| [ends[0].loss, ends[1].loss]).collect();
         let body = carrying.body(&ends);
@@ -287,13 +288,14 @@ impl<T: Real> Simulator<T> {
         motions: Vec<Vec<Displacement>>,
         progress: Progress<'_>,
     ) -> Result<Vec<Evaluation>, RolloutError> {
-        self.evaluate_motions_by(None, from, motions, progress)
+        let model = self.model.clone();
+        self.evaluate_motions_by((&model, None), from, motions, progress)
     }
 
-    /// The same by another loss.
+    /// The same by another model of the powder and another loss.
     fn evaluate_motions_by(
         &mut self,
-        costs: Option<CostsFn<'_>>,
+        (model, costs): (&Model<T>, Option<CostsFn<'_>>),
         from: &RolloutState<T>,
         motions: Vec<Vec<Displacement>>,
         progress: Progress<'_>,
@@ -304,7 +306,7 @@ impl<T: Real> Simulator<T> {
         let paths: Vec<Trajectory> = motions.into_iter().map(|controls| self.path(from, controls)).collect();
         let count = self.worker_count(paths.len());
         self.ensure_workers(count)?;
-        let Self { scene, model, pool, workspace, workers, .. } = self;
+        let Self { scene, pool, workspace, workers, .. } = self;
         let start = from.state.copied(&mut workspace.spare);
         let lost = |substep, lost, state: &State<T>| lost_error(scene, substep, lost, Some(state));
         let judge = |path: &Trajectory, state: &State<T>| {
