@@ -17,7 +17,7 @@ use powderline_simulator::{
 };
 use serde::{Deserialize, Serialize};
 
-const SEAL: Seal = Seal { magic: *b"PLSTEPS\0", version: 4 };
+const SEAL: Seal = Seal { magic: *b"PLSTEPS\0", version: 3 };
 
 /// What a track's epochs depend on, beside the search itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -7,7 +7,7 @@ use powderline_shared::plan::Precision;
 use powderline_simulator::{mpm::PHYSICS_VERSION, scene::Digest};
 use serde::{Deserialize, Serialize};
 
-const SEAL: Seal = Seal { magic: *b"PLSTATE\0", version: 9 };
+const SEAL: Seal = Seal { magic: *b"PLSTATE\0", version: 8 };
 
 /// A run between two epochs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -106,8 +106,8 @@ mod tests {
     #[test]
     fn version_from_the_future_is_refused_with_both_numbers() {
         let mut bytes = state().to_bytes();
-        bytes[8] = 10;
+        bytes[8] = 9;
         let error = RunState::from_bytes(&bytes).unwrap_err().to_string();
-        assert!(error.contains("version 10") && error.contains("version 9"), "{error}");
+        assert!(error.contains("version 9") && error.contains("version 8"), "{error}");
     }
 }
