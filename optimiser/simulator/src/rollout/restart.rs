@@ -644,7 +644,9 @@ mod tests {
         let ahead = Restarts { ahead_s: 0.02, ..case.restarts.clone() };
         let mut bar = vec![Group::ZERO; particles.groups.len()];
         Cut { restarts: &ahead, ..cut }.restart(&particles, &values, &mut bar, (&pose, false));
-        let ratio = |(g, l, _): (usize, usize, u32)| (0..3).all(|k| bar[g].v[k][l] == 0.02 * bar[g].x[k][l]);
+        let is_near = |[v, x]: [f64; 2]| (v - 0.02 * x).abs() < 1e-12;
+        let ratio =
+            |(g, l, _): (usize, usize, u32)| (0..3).all(|k| is_near([bar[g].v[k][l], bar[g].x[k][l]]));
         assert!(
             particles.occupied().all(ratio) && bar.iter().any(|group| group.v[0].iter().any(|v| *v != 0.0))
         );
