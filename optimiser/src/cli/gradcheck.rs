@@ -13,6 +13,7 @@ use powderline_simulator::scene::{Aim, DEFAULT_SCENE, Scene};
 use powderline_simulator::skill::SkillMap;
 use serde::Serialize;
 use std::fmt::Write;
+use std::path::PathBuf;
 
 /// Arguments of `optimise gradcheck`.
 #[derive(Clone, Debug, Args)]
@@ -51,6 +52,9 @@ pub(super) struct GradcheckArgs {
     /// Threads and memory.
     #[command(flatten)]
     pub resources: Resources,
+    /// Folder that keeps the table of --skills or --theta, skill by skill; one that was stopped goes on from there
+    #[arg(long, value_name = "DIR", conflicts_with_all = ["steps", "short"])]
+    pub out: Option<PathBuf>,
     /// Print one JSON object
     #[arg(long)]
     pub json: bool,

@@ -6,8 +6,10 @@ use super::{
     motion::{collision_words, parse_theta},
     options::DEFAULT_PRECISION,
 };
-use crate::report::words::precision_name;
+use crate::report::folder::RunFolder;
+use crate::report::words::{hex, precision_name};
 use powderline_shared::plan::{Precision, SkillParameter};
+use powderline_simulator::mpm::PHYSICS_VERSION;
 use powderline_simulator::rollout::slopes::{
     Fit, HALF_STEP, LEAST_DELIVERED, Measured, Row, Summary, cosine, measure, skill,
 };
@@ -17,63 +19,70 @@ use powderline_simulator::rollout::{
 };
 use powderline_simulator::scene::{Aim, Scene};
 use powderline_simulator::skill::{SkillMap, Theta, collision};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::fmt::Write;
 
 /// Skills that are tried at most for each one that is asked for.
 const TRIES: u64 = 20;
 
-#[derive(Serialize)]
+/// The table so far, in the folder of `--out`.
+const TABLE: &str = "gradcheck.json";
+
+#[derive(Serialize, Deserialize)]
 struct Report {
-    scene: String,
-    aim: Aim,
-    precision: &'static str,
-    half_step: f64,
-    least_delivered: u32,
-    packing_seeds: Vec<u64>,
+    #[serde(flatten)]
+    of: Subject,
     /// Whether all that was asked for has been measured.
     complete: bool,
     skills: Vec<Skill>,
     passed_over: Vec<PassedOver>,
+    #[serde(skip_deserializing)]
     summary: Option<Summary>,
+    /// Without the skills whose differences look across the edge of the miss, if there are such.
+    #[serde(skip_deserializing)]
+    summary_beside_edge: Option<Summary>,
 }
 
-#[derive(Serialize)]
+/// What a table is of: skills that were measured otherwise do not stand in it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Subject {
+    scene: String,
+    scene_digest: String,
+    aim: Aim,
+    precision: String,
+    physics: u32,
+    half_step: f64,
+    least_delivered: u32,
+    packing_seeds: Vec<u64>,
+    /// The first of the drawn skills; none if they were given.
+    first: Option<u64>,
+}
+
+#[derive(Serialize, Deserialize)]
 struct Skill {
-    #[serde(flatten)]
-    asked: Asked,
+    /// Its number among the drawn ones; none of one that was given.
+    draw: Option<u64>,
     #[serde(flatten)]
     row: Row,
 }
 
 /// A skill that says nothing of gradients.
-#[derive(Serialize)]
+#[derive(Serialize, Deserialize)]
 struct PassedOver {
-    #[serde(flatten)]
-    asked: Asked,
+    draw: Option<u64>,
+    theta: Theta,
     why: String,
 }
 
 /// Which skill.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 struct Asked {
-    /// Its number among the drawn ones; none of one that was given.
     draw: Option<u64>,
-    #[serde(skip)]
     theta: Theta,
 }
 
-/// A skill with what has been measured of it.
-struct Found {
-    asked: Asked,
-    packings: Vec<Measured>,
-}
-
-/// What `measure` says of a skill.
-enum Outcome {
-    Measured(Measured),
-    PassedOver(String),
-}
+/// What comes of a skill: what was measured of it, or why nothing was.
+type Outcome<T> = Result<T, String>;
 
 /// Runs the command.
 ///
@@ -89,29 +98,58 @@ pub(super) fn execute(
     let settings = arguments.resources.settings(seed, precision);
     let (count, asked) = asked(arguments)?;
     check_memory(scene, &settings, Workload::Gradient, 0)?;
-    let mut report = Report {
+    let of = Subject {
         scene: scene.name.clone(),
+        scene_digest: hex(&scene.digest()),
         aim: scene.objective.aim,
-        precision: precision_name(precision),
+        precision: precision_name(precision).into(),
+        physics: PHYSICS_VERSION,
         half_step: HALF_STEP,
         least_delivered: LEAST_DELIVERED,
         packing_seeds: (0..arguments.packings).map(|k| seed.wrapping_add(k.into())).collect(),
+        first: arguments.skills.map(|_| arguments.first),
+    };
+    let folder = arguments.out.as_deref().map(RunFolder::take).transpose()?;
+    let mut table = Table { report: begun(of, folder.as_ref())?, folder, json: arguments.json };
+    let bench = Bench { scene, map: SkillMap::new(scene), settings };
+    table.begin(context)?;
+    let finished = fill(&mut table, count, &asked, context, &mut |skill, seed, tick| {
+        bench.outcome(&skill.theta, seed, tick)
+    });
+    // What took so long is shown, even if it ended early.
+    table.end(finished.is_ok(), context)?;
+    finished.map_err(|error| match &table.folder {
+        Some(_) => error.with_remark("what was measured is saved, and the same command goes on from there"),
+        None => error,
+    })
+}
+
+/// What a table that was begun in the folder has, if it is of the same.
+fn begun(of: Subject, folder: Option<&RunFolder>) -> Result<Report, CliError> {
+    let empty = |of| Report {
+        of,
         complete: false,
         skills: Vec::new(),
         passed_over: Vec::new(),
         summary: None,
+        summary_beside_edge: None,
     };
-    let finished = fill(&mut report, count, asked, scene, &settings, context);
-    report.complete = finished.is_ok();
-    let rows: Vec<Row> = report.skills.iter().map(|skill| skill.row.clone()).collect();
-    report.summary = Summary::new(&rows);
-    // What took so long is shown, even if it ended early.
-    if arguments.json {
-        context.json(&report)?;
-    } else {
-        write!(context.out, "{}", text(&report))?;
+    let Some(folder) = folder.filter(|folder| folder.file(TABLE).exists()) else { return Ok(empty(of)) };
+    let file = folder.file(TABLE).display().to_string();
+    let report: Report = serde_json::from_slice(&folder.read(TABLE)?)
+        .map_err(|error| CliError::Input(format!("{file} is no table of gradcheck: {error}")))?;
+    if let Some((field, [found, asked])) = report.of.other_than(&of) {
+        return Err(CliError::Input(format!(
+            "{file} was begun with {field} {found}, and {asked} is asked for; another --out begins a new table"
+        )));
     }
-    finished
+    if report.skills.iter().any(|skill| skill.row.packings.len() != of.packing_seeds.len()) {
+        return Err(CliError::Input(format!(
+            "{file} is no table of gradcheck: a skill has not all of its {} packings",
+            of.packing_seeds.len()
+        )));
+    }
+    Ok(report)
 }
 
 /// How many skills are wanted, and which are tried for that.
@@ -135,126 +173,227 @@ fn asked(arguments: &GradcheckArgs) -> Result<(usize, Vec<Asked>), CliError> {
     Ok((all.len(), all))
 }
 
-/// Measures packing after packing, so that one simulator at a time takes memory. The first packing finds the skills; one stays only
-/// with all its packings, unless the time does not suffice for them.
+/// A skill with the packing of a seed.
+type MeasureFn<'a> = &'a mut dyn FnMut(
+    &Asked,
+    u64,
+    powderline_simulator::rollout::Progress<'_>,
+) -> Result<Outcome<Measured>, CliError>;
+
+/// Measures skill after skill, each with all packings, until there are `count` in the table.
 fn fill(
-    report: &mut Report,
+    table: &mut Table,
     count: usize,
-    asked: Vec<Asked>,
-    scene: &Scene,
-    settings: &SimulatorSettings,
+    asked: &[Asked],
     context: &mut Context<'_>,
+    measure: MeasureFn<'_>,
 ) -> Result<(), CliError> {
-    let interrupt = context.interrupt.clone();
-    let mut progress = Progress::new(context.err, context.live);
-    let map = SkillMap::new(scene);
-    let packings = report.packing_seeds.clone();
-    let mut found: Vec<Found> =
-        asked.into_iter().map(|asked| Found { asked, packings: Vec::new() }).collect();
-    let mut finished = Ok(());
-    for (seed, number) in packings.iter().zip(1..) {
-        let mut simulator = boxed_simulator(scene, &SimulatorSettings { seed: *seed, ..*settings })?;
-        let mut skills = 0;
-        let of_this = next_packing(&mut found, count, &mut report.passed_over, &mut |asked: &Asked| {
-            skills += 1;
-            progress.begin(&format!("skill {skills}, packing {number} of {}", packings.len()), 0, &[]);
-            let mut tick = |done, total| {
-                progress.tick(done, total);
-                !interrupt.is_requested()
-            };
-            outcome(simulator.as_mut(), scene, &map, &asked.theta, &mut tick)
-        });
-        if of_this.is_err() {
-            report.packing_seeds.truncate(number);
-            finished = of_this;
+    for skill in asked {
+        if table.report.skills.len() >= count {
             break;
         }
-    }
-    progress.clear();
-    let row = |found: Found| Skill { asked: found.asked, row: Row::new(found.asked.theta, found.packings) };
-    report.skills = found.into_iter().map(row).collect();
-    let measured = report.skills.len();
-    if finished.is_ok() && (measured == 0 || count > 1 && measured < 2) {
-        let tried = report.passed_over.len() + measured;
-        return Err(CliError::Failed(format!(
-            "of {tried} skills {measured} could be measured: fewer than two make no table; another --first finds others"
-        )));
-    }
-    finished
-}
-
-/// Measures skills with one more packing, until there are `count`, and leaves those in `found` that it has. If `measure` fails,
-/// those that have any packing stay.
-fn next_packing(
-    found: &mut Vec<Found>,
-    count: usize,
-    passed_over: &mut Vec<PassedOver>,
-    measure: &mut dyn FnMut(&Asked) -> Result<Outcome, CliError>,
-) -> Result<(), CliError> {
-    let mut to_come = std::mem::take(found).into_iter();
-    while found.len() < count
-        && let Some(mut skill) = to_come.next()
-    {
-        match measure(&skill.asked) {
-            Ok(Outcome::Measured(measured)) => {
-                skill.packings.push(measured);
-                found.push(skill);
-            }
-            Ok(Outcome::PassedOver(why)) => passed_over.push(PassedOver { asked: skill.asked, why }),
-            Err(error) => {
-                let rest = std::iter::once(skill).chain(to_come);
-                found.extend(rest.filter(|skill| !skill.packings.is_empty()));
-                return Err(error);
-            }
+        if table.has(skill) {
+            continue;
         }
+        let outcome = packings(table, skill, context, measure)?;
+        table.push(*skill, outcome, context)?;
+    }
+    let (measured, passed_over) = (table.report.skills.len(), table.report.passed_over.len());
+    if measured == 0 || count > 1 && measured < 2 {
+        return Err(CliError::Failed(format!(
+            "of {} skills {measured} could be measured: fewer than two make no table; another --first finds others",
+            measured + passed_over
+        )));
     }
     Ok(())
 }
 
-/// Measures one skill, if an arm may perform it and it delivers something.
-fn outcome(
-    simulator: &mut dyn ParticleSimulator,
-    scene: &Scene,
-    map: &SkillMap,
-    theta: &Theta,
-    tick: powderline_simulator::rollout::Progress<'_>,
-) -> Result<Outcome, CliError> {
-    let controls: Vec<Displacement> = match map.controls(theta) {
-        Ok(controls) => controls,
-        Err(error) => return Ok(Outcome::PassedOver(error.to_string())),
-    };
-    if let Some(collision) = collision(scene, map.start_pose(), &controls) {
-        return Ok(Outcome::PassedOver(collision_words(&collision)));
-    }
-    match measure(simulator, theta, &Restarts::of_skill(scene, map, theta), tick) {
-        Ok(Some(measured)) => Ok(Outcome::Measured(measured)),
-        Ok(None) => Ok(Outcome::PassedOver(format!("delivers fewer than {LEAST_DELIVERED} particles"))),
-        Err(error @ (RolloutError::Stopped | RolloutError::Threads { .. } | RolloutError::Memory { .. })) => {
-            Err(CliError::from(error))
+/// One skill with all packings, up to the first that says nothing of it.
+fn packings(
+    table: &Table,
+    skill: &Asked,
+    context: &mut Context<'_>,
+    measure: MeasureFn<'_>,
+) -> Result<Outcome<Vec<Measured>>, CliError> {
+    let interrupt = context.interrupt.clone();
+    let mut progress = Progress::new(context.err, context.live);
+    let (seeds, row) = (&table.report.of.packing_seeds, table.report.skills.len() + 1);
+    let mut all = Vec::new();
+    for (seed, number) in seeds.iter().zip(1..) {
+        progress.begin(&format!("skill {row}, packing {number} of {}", seeds.len()), 0, &[]);
+        let mut tick = |done, total| {
+            progress.tick(done, total);
+            !interrupt.is_requested()
+        };
+        match measure(skill, *seed, &mut tick) {
+            Ok(Ok(measured)) => all.push(measured),
+            other => {
+                progress.clear();
+                return other.map(|outcome| outcome.map(|_| all));
+            }
         }
-        Err(error) => Ok(Outcome::PassedOver(error.to_string())),
+    }
+    progress.clear();
+    Ok(Ok(all))
+}
+
+/// What measures skills.
+struct Bench<'a> {
+    scene: &'a Scene,
+    map: SkillMap,
+    settings: SimulatorSettings,
+}
+
+impl Bench<'_> {
+    /// Measures one skill, if an arm may perform it and it delivers something. With a simulator of its own, so that one at a time
+    /// takes memory.
+    fn outcome(
+        &self,
+        theta: &Theta,
+        seed: u64,
+        tick: powderline_simulator::rollout::Progress<'_>,
+    ) -> Result<Outcome<Measured>, CliError> {
+        let controls: Vec<Displacement> = match self.map.controls(theta) {
+            Ok(controls) => controls,
+            Err(error) => return Ok(Err(error.to_string())),
+        };
+        if let Some(collision) = collision(self.scene, self.map.start_pose(), &controls) {
+            return Ok(Err(collision_words(&collision)));
+        }
+        let mut simulator: Box<dyn ParticleSimulator> =
+            boxed_simulator(self.scene, &SimulatorSettings { seed, ..self.settings })?;
+        let restarts = Restarts::of_skill(self.scene, &self.map, theta);
+        match measure(simulator.as_mut(), theta, &restarts, tick) {
+            Ok(Some(measured)) => Ok(Ok(measured)),
+            Ok(None) => Ok(Err(format!("delivers fewer than {LEAST_DELIVERED} particles"))),
+            Err(
+                error @ (RolloutError::Stopped | RolloutError::Threads { .. } | RolloutError::Memory { .. }),
+            ) => Err(CliError::from(error)),
+            Err(error) => Ok(Err(error.to_string())),
+        }
     }
 }
 
-impl Asked {
-    fn name(&self) -> String {
-        self.draw.map_or("a given skill".into(), |draw| format!("skill {draw}"))
+/// What has been measured, on the terminal and in the folder as it comes.
+struct Table {
+    report: Report,
+    folder: Option<RunFolder>,
+    json: bool,
+}
+
+impl Table {
+    /// Whether a skill was tried before.
+    fn has(&self, asked: &Asked) -> bool {
+        let Report { skills, passed_over, .. } = &self.report;
+        skills.iter().any(|skill| skill.row.theta == asked.theta)
+            || passed_over.iter().any(|skill| skill.theta == asked.theta)
+    }
+
+    /// Shows what is there so far.
+    fn begin(&self, context: &mut Context<'_>) -> Result<(), CliError> {
+        self.show(&self.report.of.text(), context)?;
+        self.report.skills.iter().try_for_each(|skill| self.show(&skill.text(), context))
+    }
+
+    fn push(
+        &mut self,
+        Asked { draw, theta }: Asked,
+        outcome: Outcome<Vec<Measured>>,
+        context: &mut Context<'_>,
+    ) -> Result<(), CliError> {
+        match outcome {
+            Ok(packings) => {
+                let skill = Skill { draw, row: Row::new(theta, packings) };
+                self.show(&skill.text(), context)?;
+                self.report.skills.push(skill);
+            }
+            Err(why) => self.report.passed_over.push(PassedOver { draw, theta, why }),
+        }
+        self.save()
+    }
+
+    /// What was left out and the summary, or all as JSON.
+    fn end(&mut self, complete: bool, context: &mut Context<'_>) -> Result<(), CliError> {
+        let Report { of, skills, .. } = &self.report;
+        let rows: Vec<Row> = skills.iter().map(|skill| skill.row.clone()).collect();
+        let level: Vec<Row> = rows.iter().filter(|row| !row.across_edge).cloned().collect();
+        let has_edge = of.aim == Aim::Amount && level.len() < rows.len();
+        self.report.summary = Summary::new(&rows);
+        self.report.summary_beside_edge = if has_edge { Summary::new(&level) } else { None };
+        self.report.complete = complete;
+        self.save()?;
+        if self.json {
+            return context.json(&self.report);
+        }
+        let mut out: String = self.report.passed_over.iter().map(PassedOver::text).collect();
+        if let Some(summary) = &self.report.summary {
+            write_summary(&mut out, summary, &format!("over {} skills", rows.len()));
+            let _ = writeln!(
+                out,
+                "\nBy processor time the exact gradient costs {:.1} rollouts, the restarted one {:.1}.",
+                summary.exact_in_rollouts, summary.restarted_in_rollouts
+            );
+        }
+        if let Some(summary) = &self.report.summary_beside_edge {
+            let _ = writeln!(
+                out,
+                "\nOf these, differences of {} look across the edge of the miss: from too much to too little. Without them:",
+                rows.len() - level.len()
+            );
+            write_summary(&mut out, summary, &format!("over {} skills", level.len()));
+        }
+        self.show(&out, context)
+    }
+
+    fn show(&self, text: &str, context: &mut Context<'_>) -> Result<(), CliError> {
+        if !self.json {
+            write!(context.out, "{text}")?;
+            context.out.flush()?;
+        }
+        Ok(())
+    }
+
+    fn save(&self) -> Result<(), CliError> {
+        let Some(folder) = &self.folder else { return Ok(()) };
+        let text = serde_json::to_vec(&self.report).map_err(std::io::Error::from)?;
+        Ok(folder.replace(TABLE, &text)?)
     }
 }
 
-fn text(report: &Report) -> String {
-    let mut out = String::new();
-    let seeds: Vec<String> = report.packing_seeds.iter().map(u64::to_string).collect();
-    let _ = writeln!(
-        out,
-        "{}, {}, packings {}; m per unit of theta, differences over +-{}",
-        report.scene,
-        report.precision,
-        seeds.join(", "),
-        report.half_step
-    );
-    for Skill { asked, row } in &report.skills {
-        let _ = writeln!(out, "\n{}: theta {}", asked.name(), numbers(&row.theta));
+impl Subject {
+    /// What another table is not of: the field, what this has and what that has.
+    fn other_than(&self, that: &Self) -> Option<(String, [serde_json::Value; 2])> {
+        let fields = |subject: &Self| match serde_json::to_value(subject) {
+            Ok(serde_json::Value::Object(fields)) => fields,
+            _ => serde_json::Map::new(),
+        };
+        let those = fields(that);
+        let mut both = fields(self).into_iter().zip(those);
+        both.find_map(|((name, a), (_, b))| (a != b).then_some((name, [a, b])))
+    }
+
+    fn text(&self) -> String {
+        let seeds: Vec<String> = self.packing_seeds.iter().map(u64::to_string).collect();
+        format!(
+            "{}, {}, packings {}; m per unit of theta, differences over +-{}\n",
+            self.scene,
+            self.precision,
+            seeds.join(", "),
+            self.half_step
+        )
+    }
+}
+
+impl PassedOver {
+    fn text(&self) -> String {
+        format!("\n{} is left out: {}\n", name(self.draw), self.why)
+    }
+}
+
+impl Skill {
+    fn text(&self) -> String {
+        let (mut out, row) = (String::new(), &self.row);
+        let _ = writeln!(out, "\n{}: theta {}", name(self.draw), numbers(&row.theta));
         let delivered: Vec<String> = row.packings.iter().map(|one| one.delivered.to_string()).collect();
         let _ =
             writeln!(out, "  slope      {}   {} particles arrive", numbers(&row.slope), delivered.join(", "));
@@ -265,27 +404,25 @@ fn text(report: &Report) -> String {
             let cosine = cosine(gradient, &row.slope);
             let _ = writeln!(out, "  {name:9}  {}   cosine {cosine:.2}", numbers(gradient));
         }
+        out
     }
-    for PassedOver { asked, why } in &report.passed_over {
-        let _ = writeln!(out, "\n{} is left out: {why}", asked.name());
-    }
-    if let Some(summary) = &report.summary {
-        write_summary(&mut out, summary, report.skills.len());
-    }
-    out
+}
+
+fn name(draw: Option<u64>) -> String {
+    draw.map_or("a given skill".into(), |draw| format!("skill {draw}"))
 }
 
 fn numbers(theta: &[f64; 5]) -> String {
     theta.map(|x| format!("{x:9.3}")).join(" ")
 }
 
-fn write_summary(out: &mut String, summary: &Summary, skills: usize) {
+fn write_summary(out: &mut String, summary: &Summary, over: &str) {
     let columns = [
         ("exact", &summary.exact),
         ("restarted", &summary.restarted),
         ("constant direction", &summary.constant),
     ];
-    let _ = write!(out, "\n{:37}", format!("over {skills} skills"));
+    let _ = write!(out, "\n{over:37}");
     columns.iter().for_each(|(name, _)| out.push_str(&format!("{name:>20}")));
     out.push('\n');
     let mut line = |name: &str, of: &dyn Fn(&Fit) -> String| {
@@ -307,11 +444,6 @@ fn write_summary(out: &mut String, summary: &Summary, skills: usize) {
             format!("{right} of {of}, {correlation}")
         });
     }
-    let _ = writeln!(
-        out,
-        "\nBy processor time the exact gradient costs {:.1} rollouts, the restarted one {:.1}.",
-        summary.exact_in_rollouts, summary.restarted_in_rollouts
-    );
 }
 
 #[cfg(test)]
@@ -321,59 +453,101 @@ mod tests {
     fn measured() -> Measured {
         let one = [1.0; 5];
         serde_json::from_value(serde_json::json!({
-            "delivered": 50, "slope": one, "exact": one, "restarted": one,
+            "delivered": 50, "across_edge": false, "slope": one, "exact": one, "restarted": one,
             "seconds": { "rollout": 1.0, "exact": 8.0, "restarted": 6.0 }
         }))
         .unwrap()
     }
 
-    fn skills(count: u64) -> Vec<Found> {
-        (0..count)
-            .map(|draw| Found { asked: Asked { draw: Some(draw), theta: skill(draw) }, packings: Vec::new() })
-            .collect()
+    fn subject() -> Subject {
+        Subject {
+            scene: "bench".into(),
+            scene_digest: "00".into(),
+            aim: Aim::Amount,
+            precision: "f32".into(),
+            physics: PHYSICS_VERSION,
+            half_step: HALF_STEP,
+            least_delivered: LEAST_DELIVERED,
+            packing_seeds: vec![1, 2],
+            first: Some(0),
+        }
     }
 
-    /// Ctrl-C in the second packing: what has been measured stays, with as many packings as there are.
-    #[test]
-    fn what_was_measured_before_a_stop_stays() {
-        let (mut found, mut passed_over) = (skills(9), Vec::new());
-        let mut odd = |asked: &Asked| {
+    fn skills(count: u64) -> Vec<Asked> {
+        (0..count).map(|draw| Asked { draw: Some(draw), theta: skill(draw) }).collect()
+    }
+
+    /// Fills a table of three out of nine, in which odd draws deliver, 3 only with the first packing. `left` measurements succeed, and the
+    /// next one is stopped.
+    fn filled(folder: &std::path::Path, subject: Subject, left: u32) -> (Result<Table, CliError>, String) {
+        let (mut out, mut err, mut left) = (Vec::new(), Vec::new(), left);
+        let mut context = Context {
+            factory: &|_, _| unreachable!(),
+            interrupt: super::super::Interrupt::default(),
+            out: &mut out,
+            err: &mut err,
+            live: false,
+        };
+        let mut measure = |asked: &Asked, seed: u64, _: powderline_simulator::rollout::Progress<'_>| {
+            if left == 0 {
+                return Err(CliError::from(RolloutError::Stopped));
+            }
+            left -= 1;
             Ok(match asked.draw {
-                Some(draw) if draw % 2 == 1 => Outcome::Measured(measured()),
-                _ => Outcome::PassedOver("even".into()),
+                Some(draw) if draw % 2 == 1 && (draw, seed) != (3, 2) => Ok(measured()),
+                _ => Err("delivers too little".into()),
             })
         };
-        next_packing(&mut found, 3, &mut passed_over, &mut odd).unwrap();
-        let draws = |found: &[Found]| found.iter().map(|found| found.asked.draw.unwrap()).collect::<Vec<_>>();
-        assert_eq!(draws(&found), [1, 3, 5]);
-        assert_eq!(passed_over.len(), 3);
-        let mut left = 1;
-        let stopped = next_packing(&mut found, 3, &mut passed_over, &mut |_| {
-            left -= 1;
-            if left < 0 {
-                Err(CliError::from(RolloutError::Stopped))
-            } else {
-                Ok(Outcome::Measured(measured()))
-            }
+        let folder = RunFolder::take(folder).unwrap();
+        let table = begun(subject, Some(&folder)).and_then(|report| {
+            let mut table = Table { report, folder: Some(folder), json: false };
+            table.begin(&mut context)?;
+            fill(&mut table, 3, &skills(9), &mut context, &mut measure)?;
+            table.end(true, &mut context)?;
+            Ok(table)
         });
-        assert!(stopped.is_err());
-        assert_eq!(draws(&found), [1, 3, 5]);
-        assert_eq!(found.iter().map(|found| found.packings.len()).collect::<Vec<_>>(), [2, 1, 1]);
+        (table, String::from_utf8(out).unwrap())
     }
 
-    /// Stopped while the first packing looks for skills: what has not been tried is no skill.
+    fn draws(report: &Report) -> Vec<u64> {
+        report.skills.iter().filter_map(|skill| skill.draw).collect()
+    }
+
+    /// One that delivers too little with the second packing makes room for another.
     #[test]
-    fn what_was_not_measured_before_a_stop_goes() {
-        let (mut found, mut passed_over) = (skills(4), Vec::new());
-        let mut left = 2;
-        let stopped = next_packing(&mut found, 4, &mut passed_over, &mut |_| {
-            left -= 1;
-            if left < 0 {
-                Err(CliError::from(RolloutError::Stopped))
-            } else {
-                Ok(Outcome::Measured(measured()))
-            }
-        });
-        assert!(stopped.is_err() && found.len() == 2 && passed_over.is_empty());
+    fn a_table_has_as_many_skills_as_asked_for() {
+        let place = tempfile::tempdir().unwrap();
+        let (table, out) = filled(place.path(), subject(), 99);
+        let table = table.unwrap();
+        assert_eq!(draws(&table.report), [1, 5, 7]);
+        assert_eq!(table.report.passed_over.len(), 5);
+        assert!(table.report.skills.iter().all(|skill| skill.row.packings.len() == 2));
+        assert!(out.contains("skill 3 is left out") && out.contains("over 3 skills"), "{out}");
+    }
+
+    /// Stopped, it goes on from where it was, to the same table; each skill is shown when it is done.
+    #[test]
+    fn a_table_that_was_stopped_goes_on() {
+        let place = tempfile::tempdir().unwrap();
+        let (stopped, out) = filled(place.path(), subject(), 4);
+        assert!(stopped.is_err() && out.contains("skill 1: theta") && !out.contains("median"), "{out}");
+        let (table, out) = filled(place.path(), subject(), 8);
+        assert_eq!(draws(&table.unwrap().report), [1, 5, 7]);
+        let at_once = tempfile::tempdir().unwrap();
+        assert_eq!(out, filled(at_once.path(), subject(), 99).1);
+        // Nothing is left to be done.
+        assert_eq!(filled(place.path(), subject(), 0).1, out);
+    }
+
+    #[test]
+    fn a_table_of_something_else_is_not_gone_on_with() {
+        let place = tempfile::tempdir().unwrap();
+        filled(place.path(), subject(), 99).0.unwrap();
+        let other = Subject { packing_seeds: vec![1, 3], ..subject() };
+        let error = filled(place.path(), other, 0).0.err().unwrap().to_string();
+        assert!(error.contains("packing_seeds [1,2], and [1,3] is asked for"), "{error}");
+        std::fs::write(place.path().join(TABLE), "{}").unwrap();
+        let error = filled(place.path(), subject(), 0).0.err().unwrap().to_string();
+        assert!(error.contains("gradcheck.json is no table of gradcheck: missing field"), "{error}");
     }
 }

@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::bench::cpu_seconds;
 use crate::rollout::restart::Restarts;
-use crate::rollout::{ParticleSimulator, Progress, RolloutError};
+use crate::rollout::{Evaluation, ParticleSimulator, Progress, RolloutError};
 use crate::skill::Theta;
 
 /// Half-step of the differences, in units of theta.
@@ -33,6 +33,10 @@ const GRADIENT_WORK: u64 = 8;
 pub struct Measured {
     /// Particles that arrive.
     pub delivered: u32,
+    /// Whether one of the differences looks across the edge of the miss: where the skill brings too little its end brings enough, or the
+    /// other way round. With [`Aim::Amount`](crate::scene::Aim::Amount) the loss has a kink there, and such a difference is the mean of
+    /// two slopes.
+    pub across_edge: bool,
     /// Central differences of the loss, metres.
     pub slope: Theta,
     /// The gradient by the exact adjoint, metres.
@@ -84,7 +88,8 @@ pub fn measure(
     };
     // Settles the powder, so that it counts nowhere.
     simulator.evaluate_all(&[], &mut |_, _| part(0, 1, 0, 1))?;
-    let delivered = simulator.evaluate(theta, false, &mut |d, t| part(0, 1, d, t))?.census.target;
+    let at = simulator.evaluate(theta, false, &mut |d, t| part(0, 1, d, t))?;
+    let delivered = at.census.target;
     if delivered < LEAST_DELIVERED {
         return Ok(None);
     }
@@ -98,6 +103,8 @@ pub fn measure(
     let ends = simulator.evaluate_all(&both_ways, &mut |d, t| part(1, ROLLOUTS - 1, d, t))?;
     let rollout = (cpu_seconds() - from_s) / both_ways.len() as f64;
     let slope = std::array::from_fn(|k| (ends[2 * k].loss - ends[2 * k + 1].loss) / (2.0 * HALF_STEP));
+    let is_short = |end: &Evaluation| end.indicator > 0;
+    let across_edge = ends.iter().any(|end| is_short(end) != is_short(&at));
     let from_s = cpu_seconds();
     let mut gradient = |restarts: &Restarts, from: u64| -> Result<_, RolloutError> {
         let found =
@@ -109,6 +116,7 @@ pub fn measure(
     let restarted = gradient(restarts, ROLLOUTS + GRADIENT_WORK)?;
     Ok(Some(Measured {
         delivered,
+        across_edge,
         slope,
         exact,
         restarted,
@@ -117,13 +125,15 @@ pub fn measure(
 }
 
 /// One skill over all packings.
-#[derive(Clone, Debug, Serialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 #[non_exhaustive]
 pub struct Row {
     /// The skill.
     pub theta: Theta,
     /// By packing.
     pub packings: Vec<Measured>,
+    /// Whether a difference looks across the edge of the miss with any of them.
+    pub across_edge: bool,
     /// Mean slope, metres.
     pub slope: Theta,
     /// How uncertain that is, metres; none of a single packing.
@@ -182,7 +192,8 @@ impl Row {
             })
         });
         let (exact, restarted) = (mean(|one| &one.exact), mean(|one| &one.restarted));
-        Self { theta, packings, slope, noise, exact, restarted }
+        let across_edge = packings.iter().any(|one| one.across_edge);
+        Self { theta, packings, across_edge, slope, noise, exact, restarted }
     }
 }
 
@@ -290,7 +301,7 @@ mod tests {
 
     fn measured(slope: Theta, exact: Theta, restarted: Theta) -> Measured {
         let seconds = Seconds { rollout: 2.0, exact: 20.0, restarted: 10.0 };
-        Measured { delivered: 50, slope, exact, restarted, seconds }
+        Measured { delivered: 50, across_edge: false, slope, exact, restarted, seconds }
     }
 
     /// Slopes share a large first component; the restarted gradient is half as long, the exact one points the other way.
