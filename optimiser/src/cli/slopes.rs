@@ -284,9 +284,11 @@ struct Table {
 impl Table {
     /// Whether a skill was tried before.
     fn has(&self, asked: &Asked) -> bool {
+        let bits = |theta: &Theta| theta.map(f64::to_bits);
         let Report { skills, passed_over, .. } = &self.report;
-        skills.iter().any(|skill| skill.row.theta == asked.theta)
-            || passed_over.iter().any(|skill| skill.theta == asked.theta)
+        let mut tried =
+            skills.iter().map(|skill| &skill.row.theta).chain(passed_over.iter().map(|skill| &skill.theta));
+        tried.any(|theta| bits(theta) == bits(&asked.theta))
     }
 
     /// Shows what is there so far.
