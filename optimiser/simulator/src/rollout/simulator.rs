@@ -256,8 +256,9 @@ impl<T: Real> Simulator<T> {
         let rest = |way: &Displacement, sign: f64| carrying.moved(controls, way, sign)[over.start..].to_vec();
         let branches = carrying.ways.iter().flat_map(|way| [rest(way, 1.0), rest(way, -1.0)]).collect();
         let model = self.model.with_sleep_speed(carrying.sleep_speed_m_s);
-        let ends = self
-            .evaluate_motions_by((&model, costs), &before, branches, &mut |d, t| part(steps, branched, d, t));
+        let ends = self.evaluate_motions_by((Some(&model), costs), &before, branches, &mut |d, t| {
+            part(steps, branched, d, t)
+        });
         self.recycle(before);
         let ends: Vec<[f64; 2]> = ends?.chunks_exact(2).map(|ends| [ends[0].loss, ends[1].loss]).collect();
         let body = carrying.body(&ends);
@@ -288,14 +289,13 @@ impl<T: Real> Simulator<T> {
         motions: Vec<Vec<Displacement>>,
         progress: Progress<'_>,
     ) -> Result<Vec<Evaluation>, RolloutError> {
-        let model = self.model.clone();
-        self.evaluate_motions_by((&model, None), from, motions, progress)
+        self.evaluate_motions_by((None, None), from, motions, progress)
     }
 
-    /// The same by another model of the powder and another loss.
+    /// The same by another model of the powder and another loss, if there are such.
     fn evaluate_motions_by(
         &mut self,
-        (model, costs): (&Model<T>, Option<CostsFn<'_>>),
+        (other, costs): (Option<&Model<T>>, Option<CostsFn<'_>>),
         from: &RolloutState<T>,
         motions: Vec<Vec<Displacement>>,
         progress: Progress<'_>,
@@ -306,7 +306,8 @@ impl<T: Real> Simulator<T> {
         let paths: Vec<Trajectory> = motions.into_iter().map(|controls| self.path(from, controls)).collect();
         let count = self.worker_count(paths.len());
         self.ensure_workers(count)?;
-        let Self { scene, pool, workspace, workers, .. } = self;
+        let Self { scene, model, pool, workspace, workers, .. } = self;
+        let model = other.unwrap_or(model);
         let start = from.state.copied(&mut workspace.spare);
         let lost = |substep, lost, state: &State<T>| lost_error(scene, substep, lost, Some(state));
         let judge = |path: &Trajectory, state: &State<T>| {

@@ -88,6 +88,25 @@ fn restarts_change_no_bit_by_threads_or_memory_and_are_what_makes_the_difference
     assert_eq!(exact, restarted(2, 1 << 30, &usual.without_cuts()).evaluation);
 }
 
+/// Branches have a speed of their own below which powder sleeps: where all that has left the tool does, another slope is measured.
+#[test]
+fn powder_sleeps_in_branches_as_the_restarts_say() {
+    let scene = Scene::load("bench-small").expect("shipped");
+    let theta = [0.3, 0.0, 0.0, 0.0, 0.3];
+    let usual = Restarts::of_skill(&scene, &SkillMap::new(&scene), &theta);
+    let carrying = usual.carrying.clone().expect("it carries");
+    let mut s = Simulator::<f32>::new(&scene, &SimulatorSettings::default()).expect("threads");
+    let mut restarted = |sleep_speed_m_s: f64| {
+        let tilt = carrying.ways[2..].to_vec();
+        let carrying = Some(Carrying { ways: tilt, sleep_speed_m_s, ..carrying.clone() });
+        let restarts = Restarts { steps: Vec::new(), carrying, ..usual.clone() };
+        s.evaluate_restarted(&theta, &restarts, &mut |_, _| true).expect("runs").evaluation
+    };
+    let [one, asleep] = [carrying.sleep_speed_m_s, 100.0].map(&mut restarted);
+    assert_eq!(asleep.loss.to_bits(), one.loss.to_bits());
+    assert_ne!(asleep.gradient, one.gradient);
+}
+
 /// A scene that asks for it gets the restarted gradient of a skill, and everything else as before.
 #[test]
 fn a_scene_may_ask_for_the_restarted_gradient() {
