@@ -328,6 +328,12 @@ class Heard:
             raise Mismatch(f"frame {identifier:#05x} has {len(data)} bytes instead of 8")
         handlers[identifier](identifier, data)
 
+    def last_status(self, now):
+        """For a person: what it was, and how old it is."""
+        if not self.status:
+            return "no status was heard meanwhile"
+        return f"the last status, heard {now - self.status.at_s:.2f} s ago, is {self.status}"
+
     def check(self, session, identifier, tick, payload, crc, counts=None):
         if session.sum(identifier, tick, payload, counts) != crc:
             raise Mismatch(f"frame {identifier:#05x} with {payload.hex()} has a wrong checksum for tick {tick}")
@@ -481,10 +487,23 @@ class Client:
         self.heard.sent[tick] = counts
 
     def listen(self, until_s):
-        """Takes in one frame, if one comes in time."""
+        """Takes in what comes in time, and all that is there then.
+
+        On a slow machine it takes longer to ask for a session than until it is time to ask again. Were one frame taken in
+        each time, the arm would say more meanwhile than is ever heard, and its answer would wait behind that. Nor does this
+        go on for longer than RETRY_S, for where the machine hardly keeps up, setpoints would wait behind reports.
+        """
         message = self.bus.recv(max(0.0, min(until_s, self.heartbeat_at_s) - time.monotonic()))
-        if message is not None and not message.is_error_frame:
-            self.heard.handle(message.arbitration_id, bytes(message.data))
+        enough_at_s = time.monotonic() + RETRY_S
+        while message is not None:
+            if not message.is_error_frame:
+                self.heard.handle(message.arbitration_id, bytes(message.data))
+            self.beat()
+            message = self.bus.recv(0.0) if time.monotonic() < enough_at_s else None
+        self.beat()
+
+    def beat(self):
+        """Sends the heartbeat when it is time."""
         now = time.monotonic()
         if now >= self.heartbeat_at_s:
             self.heartbeat_at_s = now + HEARTBEAT_S
@@ -498,10 +517,11 @@ class Client:
         while not condition(self.heard):
             now = time.monotonic()
             if now >= give_up_at_s:
-                raise Mismatch(f"waited {patience_s} s for {what}; the last heard is {self.heard.status}")
+                raise Mismatch(f"waited {patience_s} s for {what}; {self.heard.last_status(now)}")
             if now >= ask_at_s:
                 ask()
-                ask_at_s, asked_s = now + RETRY_S, now
+                # From when all of it has left: the arm is to have that time for its answer.
+                ask_at_s, asked_s = time.monotonic() + RETRY_S, now
             self.listen(min(ask_at_s, give_up_at_s))
         self.quickest_s = min(self.quickest_s, time.monotonic() - asked_s)
 
@@ -510,6 +530,11 @@ class Client:
         """A condition: the arm is in this state and this session."""
         return lambda heard: heard.status and (heard.status.state, heard.status.session) == (name, number)
 
+    @staticmethod
+    def refused(number):
+        """A condition: this session is refused."""
+        return lambda heard: heard.refused and heard.refused[0] == number
+
     def ask_to_open(self, number, reset=0):
         """Asks for a session until there is an answer: opened, or why not."""
         body = open_request(number, self.plan_hash, self.period_us, reset)
@@ -517,8 +542,10 @@ class Client:
         self.said = dict.fromkeys(self.said, 0)
         request = segments(self.proven(body))
 
+        refused = self.refused(number)
+
         def answered(heard):
-            return heard.opened or (heard.refused and heard.refused[0] == number)
+            return heard.opened or refused(heard)
 
         self.wait_for("an answer to Open", answered, lambda: self.send(*request))
         return None if self.heard.opened else self.heard.refused[1:]
@@ -566,7 +593,8 @@ class Client:
             if status.state != "operation enabled":
                 raise Mismatch(f"the arm is in {status.state} at tick {status.tick}, with fault {self.heard.fault}")
             if time.monotonic() >= give_up_at_s:
-                raise Mismatch(f"after {patience_s} s the arm has got no further than {status}")
+                last = self.heard.last_status(time.monotonic())
+                raise Mismatch(f"after {patience_s} s the arm has got no further; {last}")
             while following <= min(TICKS, status.tick + DEPTH):
                 self.setpoint(following)
                 following += 1
@@ -662,7 +690,10 @@ def play(client, number):
 
 
 def check_keyless(client, number):
-    """An arm with a key opens nothing for somebody without one."""
+    """An arm with a key opens nothing for somebody without one.
+
+    The number is this request's alone: a second answer, should it have been sent twice, must not pass for that to another.
+    """
     key, client.key = client.key, None
     expect(client.ask_to_open(number), ("KeyWanted", ()), "the answer to Open without a key")
     client.key = key
@@ -693,26 +724,28 @@ def stop_in_motion(client, number, start):
     if not STOP_AT_TICK <= tick < TICKS:
         raise Mismatch(f"the arm was stopped at tick {tick}")
     print(f"Stopped by the stop frame at tick {tick}, {math.hypot(*reached[1][:3]) / 1e3:.2f} mm from the anchor.")
-    nonce = check_latched(client, number, client.heard.fault)
-    client.open(following_number(number), reset=nonce)
-    client.wait_for("the reset", client.state("switch on disabled", following_number(number)))
+    number, nonce = check_latched(client, number, client.heard.fault)
+    number = following_number(number)
+    client.open(number, reset=nonce)
+    client.wait_for("the reset", client.state("switch on disabled", number))
     client.heartbeat_at_s = math.inf
 
 
 def check_latched(client, number, fault):
-    """It stays latched, and no other session is opened; what it can be reset by."""
+    """It stays latched, and no other session is opened: the last number asked for, and what it can be reset by."""
     client.heartbeat_at_s = math.inf
     still_at_s = time.monotonic() + 0.5
     client.wait_for("half a second", lambda heard: time.monotonic() >= still_at_s)
     expect(client.heard.status.state, "quick stop active", "the state half a second after the stop")
     for reset in (0, 1):
-        body = open_request(following_number(number), client.plan_hash, client.period_us, reset)
+        # Each has a number of its own, by which the answers are told apart.
+        number = following_number(number)
+        body = open_request(number, client.plan_hash, client.period_us, reset)
         request = segments(client.proven(body))
-        client.heard.refused = None
-        client.wait_for("a refusal", lambda heard: heard.refused, lambda: client.send(*request))
+        client.wait_for("a refusal", client.refused(number), lambda: client.send(*request))
         _, reason, (*found, nonce) = client.heard.refused
         expect((reason, tuple(found)), ("Latched", fault), "the answer to Open while a stop is latched")
-    return nonce
+    return number, nonce
 
 
 def key_in(path):
@@ -734,6 +767,7 @@ def main():
             client = Client(bus, arguments.period_us, fnv1a(plan), arguments.key)
             if client.key:
                 check_keyless(client, number)
+                number = following_number(number)
             end = play(client, number)
             check_closed(client, number)
             stop_in_motion(client, following_number(number), end)
