@@ -9,9 +9,8 @@
 use std::fmt::Write as _;
 
 use nalgebra::Vector3;
-use powderline_shared::plan::Precision;
 use powderline_shared::pose::Pose;
-use powderline_simulator::rollout::{ParticleSimulator, Simulator, SimulatorSettings};
+use powderline_simulator::rollout::{Simulate, Simulator, SimulatorSettings};
 use powderline_simulator::scene::{ContainerShape, Scene, ToolShape};
 use powderline_simulator::skill::{SegmentKind, SkillMap, Theta};
 
@@ -43,12 +42,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let scene = Scene::load("bench")?;
     let map = SkillMap::new(&scene);
     let controls = map.quantise(&THETA)?.controls;
-    let settings = SimulatorSettings {
-        seed: scene.powder.seed,
-        precision: Precision::F32,
-        threads: None,
-        memory_bytes: 1 << 30,
-    };
+    let settings = SimulatorSettings { seed: scene.powder.seed, threads: None, memory_bytes: 1 << 30 };
     let mut simulator = Simulator::<f32>::new(&scene, &settings)?;
     let mut svg = String::new();
     open(&mut svg)?;
@@ -59,7 +53,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let steps = (time_s / scene.time.control_period_s()).round() as usize;
         let begun = &controls[..steps.min(controls.len())];
         let tool = begun.iter().fold(*map.start_pose(), |pose, control| pose.displaced(control));
-        let positions = simulator.final_positions_m(begun, &mut |_, _| true)?;
+        let positions = simulator.final_positions_m(begun)?;
         let view = View { left_m: place as f64 * (VIEW_X_M[1] - VIEW_X_M[0] + GAP_M) - VIEW_X_M[0] };
         view.draw(&mut svg, &scene, &tool, &positions)?;
         let [x, y] = view.at(VIEW_X_M[0] + 0.004, VIEW_Z_M[1] - 0.012);

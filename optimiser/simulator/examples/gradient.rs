@@ -4,7 +4,7 @@
 //! A motion of half a second, in f64. Over a motion of several seconds the adjoint is as exact, but powder forgets where each
 //! grain came from: see `optimise gradcheck`.
 
-use powderline_simulator::rollout::{Evaluate, Simulator, SimulatorSettings};
+use powderline_simulator::rollout::{Simulate, Simulator, SimulatorSettings};
 use powderline_simulator::scene::Scene;
 use powderline_simulator::skill::SkillMap;
 
@@ -15,14 +15,14 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let skill = SkillMap::new(&scene).controls(&[0.3, 0.0, 0.0, 0.0, 0.3])?;
     // The spoon is in the powder then.
     let controls: Vec<_> = skill[..100].to_vec();
-    let (at, gradient) = simulator.simulate_with_gradient(&controls, &mut |_, _| true)?;
+    let (at, gradient) = simulator.simulate_with_gradient(&controls)?;
 
     const STEP: usize = 80;
     const H: f64 = 1e-7;
     let mut moved = |h: f64| {
         let mut controls = controls.clone();
         controls[STEP].translation_m[2] += h;
-        simulator.simulate(&controls, &mut |_, _| true).map(|found| found.loss)
+        simulator.simulate(&controls).map(|found| found.loss)
     };
     let difference = (moved(H)? - moved(-H)?) / (2.0 * H);
     println!("loss {:.6} m", at.loss);

@@ -1,6 +1,8 @@
 //! Grains on their way, step by step: `cargo run --release -p powderline-simulator --example grains`.
 
-use powderline_simulator::rollout::{Evaluate, Recording, Simulator, SimulatorSettings, Snapshot};
+use std::ops::ControlFlow;
+
+use powderline_simulator::rollout::{Recording, Simulate, Simulator, SimulatorSettings, Snapshot};
 use powderline_simulator::scene::Scene;
 use powderline_simulator::skill::SkillMap;
 
@@ -21,9 +23,9 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
             1e3 * highest,
             fastest
         );
-        true
+        ControlFlow::Continue(())
     };
-    let (found, fates) = simulator.record(&recording, &mut observer, &mut |_, _| true)?;
+    let (found, fates) = simulator.record(&recording, &mut observer)?;
     println!("{} of {} particles arrive", found.census.target, fates.len());
     Ok(())
 }

@@ -2,7 +2,7 @@
 //!
 //! How high the powder is on average, which the scene's own loss does not ask for.
 
-use powderline_simulator::rollout::{ParticleSimulator, Simulator, SimulatorSettings};
+use powderline_simulator::rollout::{Simulate, Simulator, SimulatorSettings};
 use powderline_simulator::scene::Scene;
 use powderline_simulator::skill::SkillMap;
 
@@ -16,8 +16,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         let height = positions_m.iter().map(|[_, _, z]| z * share).sum();
         (height, vec![[0.0, 0.0, share]; positions_m.len()])
     };
-    let (height_m, gradient) =
-        simulator.gradient_of_custom_loss(&controls, &mean_height, &mut |_, _| true)?;
+    let (height_m, gradient) = simulator.gradient_of_custom_loss(&controls, &mean_height)?;
     println!("the powder is {:.3} mm high on average", 1e3 * height_m);
     // Later displacements have less time to work.
     for step in [20, 60, 100, 140] {

@@ -23,7 +23,7 @@ use std::ops::Range;
 use powderline_simulator::bench::cpu_seconds;
 use powderline_simulator::rollout::restart::{Carrying, Restarted, Restarts};
 use powderline_simulator::rollout::slopes::{HALF_STEP, cosine};
-use powderline_simulator::rollout::{ParticleSimulator, RolloutError, SimulatorSettings, boxed_simulator};
+use powderline_simulator::rollout::{RolloutError, Simulate, Simulator, SimulatorSettings};
 use powderline_simulator::scene::Scene;
 use powderline_simulator::skill::{SegmentKind, SkillMap, Theta};
 
@@ -67,22 +67,21 @@ fn main() -> Result<(), Failure> {
     let variants = if given.is_empty() { VARIANTS.to_vec() } else { given };
     let map = SkillMap::new(&scene);
     let settings = SimulatorSettings { seed: scene.powder.seed, ..SimulatorSettings::default() };
-    let mut simulator = boxed_simulator(&scene, &settings)?;
+    let mut simulator = Simulator::<f32>::new(&scene, &settings)?;
     for skill in skills.split(',') {
         let theta = SKILLS.get(skill.parse::<usize>()?).ok_or("there is no such skill")?;
-        let (slope, rollout_s) = slope(simulator.as_mut(), theta)?;
+        let (slope, rollout_s) = slope(&mut simulator, theta)?;
         println!("skill {skill}: slope {}", shown(&slope));
         for words in &variants {
             let (restarts, traces) = variant(&scene, &map, theta, words)?;
             let from_s = cpu_seconds();
-            let found = simulator.evaluate_restarted(theta, &restarts, &mut |_, _| true)?;
+            let found = simulator.evaluate_restarted(theta, &restarts)?;
             let rollouts = (cpu_seconds() - from_s) / rollout_s;
-            let gradient = found.evaluation.gradient.unwrap_or_default();
-            let longer = length(&gradient) / length(&slope);
+            let longer = length(&found.gradient) / length(&slope);
             println!(
                 "{} cosine {:5.2} length {longer:5.2} rollouts {rollouts:4.1}  {words}",
-                shown(&gradient),
-                cosine(&gradient, &slope)
+                shown(&found.gradient),
+                cosine(&found.gradient, &slope)
             );
             if traces {
                 trace(&found);
@@ -93,7 +92,7 @@ fn main() -> Result<(), Failure> {
 }
 
 /// Central differences over what a search might step, metres, and processor time of one of their rollouts, seconds.
-fn slope(simulator: &mut dyn ParticleSimulator, theta: &Theta) -> Result<(Theta, f64), RolloutError> {
+fn slope(simulator: &mut dyn Simulate, theta: &Theta) -> Result<(Theta, f64), RolloutError> {
     let moved = |(k, step): (usize, f64)| {
         let mut moved = *theta;
         moved[k] += step;
@@ -101,9 +100,9 @@ fn slope(simulator: &mut dyn ParticleSimulator, theta: &Theta) -> Result<(Theta,
     };
     let both: Vec<Theta> = (0..5).flat_map(|k| [(k, HALF_STEP), (k, -HALF_STEP)]).map(moved).collect();
     // Settles the powder, so that it counts nowhere.
-    simulator.evaluate_all(&[], &mut |_, _| true)?;
+    simulator.evaluate_all(&[])?;
     let from_s = cpu_seconds();
-    let ends = simulator.evaluate_all(&both, &mut |_, _| true)?;
+    let ends = simulator.evaluate_all(&both)?;
     let rollout_s = (cpu_seconds() - from_s) / both.len() as f64;
     let slope = std::array::from_fn(|k| (ends[2 * k].loss - ends[2 * k + 1].loss) / (2.0 * HALF_STEP));
     Ok((slope, rollout_s))

@@ -6,7 +6,7 @@
 
 use powderline_simulator::rollout::restart::Restarts;
 use powderline_simulator::rollout::slopes::{cosine, measure, skill};
-use powderline_simulator::rollout::{SimulatorSettings, boxed_simulator};
+use powderline_simulator::rollout::{Simulator, SimulatorSettings};
 use powderline_simulator::scene::Scene;
 use powderline_simulator::skill::{SkillMap, Theta};
 
@@ -15,10 +15,11 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let scene = Scene::load(&arguments.next().unwrap_or("bench-small".into()))?;
     let mut number = |usual: u64| arguments.next().map_or(Ok(usual), |text| text.parse());
     let (theta, seed) = (skill(number(0)?), number(1)?);
-    let mut simulator = boxed_simulator(&scene, &SimulatorSettings { seed, ..SimulatorSettings::default() })?;
+    let mut simulator =
+        Simulator::<f32>::new(&scene, &SimulatorSettings { seed, ..SimulatorSettings::default() })?;
     let restarts = Restarts::of_skill(&scene, &SkillMap::new(&scene), &theta);
     println!("skill     {}", shown(&theta));
-    let Some(found) = measure(simulator.as_mut(), &theta, &restarts, &mut |_, _| true)? else {
+    let Some(found) = measure(&mut simulator, &theta, &restarts)? else {
         println!("It delivers next to nothing: there is no slope to speak of.");
         return Ok(());
     };

@@ -1,6 +1,6 @@
 //! One skill of a shipped bench, and what it brings: `cargo run --release -p powderline-simulator --example rollout`.
 
-use powderline_simulator::rollout::{Evaluate, Simulator, SimulatorSettings};
+use powderline_simulator::rollout::{Simulate, Simulator, SimulatorSettings};
 use powderline_simulator::scene::Scene;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -8,7 +8,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut simulator = Simulator::<f32>::new(&scene, &SimulatorSettings::default())?;
     // Depth, scooping angle, lift, transport, pouring angle: each from -1 to 1 within the scene's bounds.
     for theta in [[0.0, -0.5, 0.0, 0.0, 0.3], [0.5, -0.5, 0.0, 0.0, 0.3], [1.0, -0.5, 0.0, 0.0, 0.3]] {
-        let found = simulator.evaluate(&theta, false, &mut |_, _| true)?;
+        let found = simulator.evaluate(&theta)?;
         let grams = 1e3 * scene.particle_mass_kg() * f64::from(found.census.target);
         println!(
             "{theta:5.1?}: {grams:.3} g arrive, {} particles are lost, loss {:.3} m",

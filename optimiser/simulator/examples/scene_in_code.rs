@@ -1,6 +1,6 @@
 //! A bench that is built in code, not read from a file: `cargo run --release -p powderline-simulator --example scene_in_code`.
 
-use powderline_simulator::rollout::{Evaluate, Simulator, SimulatorSettings};
+use powderline_simulator::rollout::{Simulate, Simulator, SimulatorSettings};
 use powderline_simulator::scene::{ContainerShape, Scene};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -25,7 +25,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         1e3 * capacity.heaped_kg
     );
     let mut simulator = Simulator::<f32>::new(&scene, &SimulatorSettings::default())?;
-    let found = simulator.evaluate(&[0.5, -0.5, 0.0, 0.0, 0.3], false, &mut |_, _| true)?;
+    let found = simulator.evaluate(&[0.5, -0.5, 0.0, 0.0, 0.3])?;
     println!("{} particles arrive, {} are lost", found.census.target, found.census.lost());
     Ok(())
 }

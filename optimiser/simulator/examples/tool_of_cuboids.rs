@@ -1,6 +1,6 @@
 //! A custom tool shape, put together from cuboids: `cargo run --release -p powderline-simulator --example tool_of_cuboids`.
 
-use powderline_simulator::rollout::{SimulatorSettings, boxed_simulator};
+use powderline_simulator::rollout::{Simulate, Simulator, SimulatorSettings};
 use powderline_simulator::scene::{Cuboid, Scene, ToolShape};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -27,8 +27,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         1e3 * capacity.level_kg,
         1e3 * capacity.heaped_kg
     );
-    let mut simulator = boxed_simulator(&scene, &SimulatorSettings::default())?;
-    let found = simulator.evaluate(&[0.6, 0.0, 0.0, 0.0, 0.3], false, &mut |_, _| true)?;
+    let mut simulator = Simulator::<f32>::new(&scene, &SimulatorSettings::default())?;
+    let found = simulator.evaluate(&[0.6, 0.0, 0.0, 0.0, 0.3])?;
     let particle_g = 1e3 * scene.particle_mass_kg();
     println!(
         "{:.2} g arrive, {:.2} g are lost",

@@ -13,25 +13,25 @@
 //! the five skill parameters, the loss and the search come from there.
 //!
 //! ```
-//! use powderline_simulator::rollout::{SimulatorSettings, boxed_simulator};
+//! use powderline_simulator::rollout::{Simulate, Simulator, SimulatorSettings};
 //! use powderline_simulator::scene::Scene;
 //! use powderline_simulator::skill::SkillMap;
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! // An embedded scene. `Scene::from_toml` reads your own; its error says what is wrong.
 //! let scene = Scene::load("bench-small")?;
-//! let mut simulator = boxed_simulator(&scene, &SimulatorSettings::default())?;
+//! let mut simulator = Simulator::<f32>::new(&scene, &SimulatorSettings::default())?;
 //!
 //! // Five parameters, each from -1 to 1, become one displacement of the tool per control step.
 //! let skill = SkillMap::new(&scene).controls(&[0.3, 0.0, 0.0, 0.0, 0.3])?;
 //! let controls: Vec<_> = skill.into_iter().take(60).collect();
 //!
-//! // Simulate them. The closure is told the progress; `false` stops the run.
-//! let found = simulator.simulate(&controls, &mut |_done, _total| true)?;
+//! // Simulate them.
+//! let found = simulator.simulate(&controls)?;
 //! println!("loss {} m, {} particles in the target", found.loss, found.census.target);
 //!
 //! // And the derivative of the loss by each of these displacements.
-//! let (_, gradient) = simulator.simulate_with_gradient(&controls, &mut |_, _| true)?;
+//! let (_, gradient) = simulator.simulate_with_gradient(&controls)?;
 //! assert!(gradient.iter().flat_map(|step| step.components()).any(|slope| slope != 0.0));
 //! # Ok(())
 //! # }
@@ -82,7 +82,7 @@
 //! # Extending
 //!
 //! - **A loss**: no change here; give a function to
-//!   [`rollout::ParticleSimulator::gradient_of_custom_loss`].
+//!   [`rollout::Simulate::gradient_of_custom_loss`].
 //! - **A tool shape**: no change here either, if it can be put together from cuboids:
 //!   [`scene::ToolShape::Cuboids`]. One that is round: a variant of [`scene::ToolShape`] with its
 //!   fields' ranges in `scene/validate/fields.rs`; its signed distance in `shape` (written once:

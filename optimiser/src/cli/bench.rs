@@ -73,15 +73,15 @@ pub(super) fn execute(arguments: &BenchArgs, context: &mut Context<'_>) -> Resul
         memory_bytes: arguments.memory,
     };
     let interrupt = context.interrupt.clone();
-    let mut progress = Progress::new(context.err, context.live);
+    let progress = Progress::new(&context.err, context.live);
     let mut task = String::new();
     let report = run(&settings, &mut |doing, done, total| {
         if task != doing {
             task = doing.into();
             progress.begin(doing, 0, &[]);
         }
-        progress.tick(done, total);
-        !interrupt.is_requested()
+        progress.tick(done as f64 / total.max(1) as f64);
+        interrupt.flow()
     });
     progress.clear();
     let report = report?;

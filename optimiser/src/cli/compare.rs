@@ -19,7 +19,7 @@ use clap::Args;
 use powderline_baseline::Search;
 use powderline_shared::plan::Precision;
 use powderline_simulator::{
-    rollout::{Evaluate, SimulatorSettings, Workload, check_memory, initial_loss},
+    rollout::{Simulate, Workload, initial_loss},
     scene::{DEFAULT_SCENE, Digest, Scene},
     skill::{SkillMap, Theta},
 };
@@ -292,7 +292,7 @@ impl Experiment {
         let task = Task {
             // It was right when the comparison began.
             scene: track.method.scene(&self.scene).ok()?,
-            settings: self.resources.settings(track.seed, self.plan.precision),
+            setup: self.resources.setup(track.seed, self.plan.precision),
             motion: Motion::Skill(theta),
         };
         Some((task, whose))
@@ -352,8 +352,8 @@ impl Experiment {
 
     /// A search over displacements.
     fn steps(&self, seed: u64, path: &Path, context: &mut Context<'_>) -> Result<Track, CliError> {
-        let settings = self.resources.settings(seed, self.plan.precision);
-        steps::completed(&self.scene, &settings, self.plan.budget.epochs, path, context)
+        let setup = self.resources.setup(seed, self.plan.precision);
+        steps::completed(&self.scene, &setup, self.plan.budget.epochs, path, context)
     }
 
     fn search(
@@ -365,7 +365,7 @@ impl Experiment {
         context: &mut Context<'_>,
     ) -> Result<Track, CliError> {
         let folder = RunFolder::take(path)?;
-        let settings = self.resources.settings(seed, self.plan.precision);
+        let setup = self.resources.setup(seed, self.plan.precision);
         let mut tracing = Tracing {
             known: read_tries(&folder)?,
             track: Track { method, seed, tries: Vec::new() },
@@ -376,8 +376,8 @@ impl Experiment {
         };
         tracing.replay()?;
         if !tracing.is_done() {
-            let simulator = (context.factory)(&self.scene, &settings)?;
-            tracing.go_on(&self.scene, &settings, simulator, context)?;
+            let simulator = (context.factory)(&self.scene, &setup)?;
+            tracing.go_on(&self.scene, simulator, context)?;
         }
         Ok(tracing.track)
     }
@@ -425,10 +425,10 @@ impl Experiment {
 impl Plan {
     /// Whether memory will do for every method.
     fn check_memory(&self, scene: &Scene, resources: Resources) -> Result<(), CliError> {
-        let settings = resources.settings(0, self.precision);
+        let setup = resources.setup(0, self.precision);
         let has_gradient = self.methods.iter().any(|method| method.is_gradient());
         let work = if has_gradient { Workload::Gradient } else { Workload::Batch };
-        Ok(check_memory(scene, &settings, work, 0)?)
+        Ok(setup.check_memory(scene, work, 0)?)
     }
 
     fn check(&self) -> Result<(), CliError> {
@@ -525,29 +525,24 @@ impl Tracing {
     fn go_on(
         &mut self,
         scene: &Scene,
-        settings: &SimulatorSettings,
-        mut simulator: Box<dyn Evaluate>,
+        mut simulator: Box<dyn Simulate>,
         context: &mut Context<'_>,
     ) -> Result<(), CliError> {
         let name = self.track.method.name();
-        let mut progress = Progress::new(context.err, context.live);
+        let progress = Progress::new(&context.err, context.live);
+        simulator.set_progress(progress.watch(&context.interrupt));
         progress.line(&format!(
             "{}: {name}, seed {}, {}, into {}",
             scene.name,
-            settings.seed,
+            self.track.seed,
             count(self.most.into(), "rollout"),
             self.folder.path().display()
         ));
         while !self.is_done() {
             let done = self.track.tries.len();
             progress.begin(&format!("{name} {done}/{}", self.most), 0, &[]);
-            let interrupt = context.interrupt.clone();
-            let mut tick = |done, total| {
-                progress.tick(done, total);
-                !interrupt.is_requested()
-            };
             let skills = self.ask()?;
-            let found = simulator.evaluate_all(&skills, &mut tick);
+            let found = simulator.evaluate_all(&skills);
             progress.clear();
             let found = found?;
             let seconds = (progress.seconds() * 1e3).round() / 1e3 / skills.len() as f64;

@@ -324,7 +324,8 @@ impl ExportArgs {
         });
         let around = program.as_ref().map_or(String::new(), Program::text);
         let text = format!("{destination}: {}{written}.\n{}{around}", ticks(&motion), self.text(&motion));
-        let words = if destination.is_stdout() { &mut *context.err } else { &mut *context.out };
+        let words =
+            if destination.is_stdout() { &mut context.err as &mut dyn Write } else { &mut *context.out };
         words.write_all(text.as_bytes())?;
         Ok(())
     }

@@ -1,5 +1,7 @@
 //! One motion, simulated frame by frame for pictures, pages and exports.
 
+use std::ops::ControlFlow;
+
 use super::{
     CliError, Context, Progress,
     motion::{ArmShown, Motion, Task, collision_words},
@@ -7,7 +9,7 @@ use super::{
 use crate::report::view;
 use powderline_shared::{displacement::Displacement, pose::Pose};
 use powderline_simulator::{
-    rollout::{Evaluation, Recording, RolloutError, Snapshot, Workload, check_memory},
+    rollout::{Evaluation, Recording, RolloutError, Snapshot, Workload},
     skill::SkillMap,
 };
 use powderline_view::{Bench, Frame, Sink, ViewError};
@@ -47,7 +49,7 @@ impl<'a> Film<'a> {
         };
         let every = (period_s / task.scene.time.control_period_s()).round().max(1.0) as usize;
         let film = Self { task, anchor, controls, planned, every, arm: None };
-        check_memory(&task.scene, &task.settings, Workload::Single, besides_bytes(&film.bench()))?;
+        task.setup.check_memory(&task.scene, Workload::Single, besides_bytes(&film.bench()))?;
         Ok(film)
     }
 
@@ -94,9 +96,9 @@ impl<'a> Film<'a> {
         context: &mut Context<'_>,
     ) -> Result<Evaluation, CliError> {
         let Self { task, anchor, controls, planned, every, .. } = self;
-        let mut simulator = (context.factory)(&task.scene, &task.settings)?;
-        let interrupt = context.interrupt.clone();
-        let mut progress = Progress::new(context.err, context.live);
+        let mut simulator = (context.factory)(&task.scene, &task.setup)?;
+        let progress = Progress::new(&context.err, context.live);
+        simulator.set_progress(progress.watch(&context.interrupt));
         if let Some(collision) = task.collision() {
             progress.line(&format!("Warning: {}.", collision_words(&collision)));
         }
@@ -104,10 +106,6 @@ impl<'a> Film<'a> {
             progress.line(&format!("Warning: {remark}"));
         }
         progress.begin("simulating", 0, &[]);
-        let mut tick = |done, total| {
-            progress.tick(done, total);
-            !interrupt.is_requested()
-        };
         let mut refusal = None;
         let mut observer = |snapshot: &Snapshot<'_>| {
             let frame = Frame {
@@ -120,10 +118,10 @@ impl<'a> Film<'a> {
                 velocities_m_s: snapshot.velocities_m_s,
             };
             refusal = sink.frame(&frame).err();
-            refusal.is_none()
+            if refusal.is_none() { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
         };
         let recording = Recording { anchor, controls, every: *every };
-        let recorded = simulator.record(&recording, &mut observer, &mut tick);
+        let recorded = simulator.record(&recording, &mut observer);
         progress.clear();
         match (recorded, refusal) {
             (_, Some(refusal)) => Err(refusal.into()),

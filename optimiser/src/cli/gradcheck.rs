@@ -1,6 +1,6 @@
 //! `optimise gradcheck`: the adjoint's gradient against finite differences.
 
-use super::{CliError, Context, Interrupt, Progress, Resources, options::PrecisionArg, slopes};
+use super::{CliError, Context, Interrupt, Progress, Resources, Setup, options::PrecisionArg, slopes};
 use crate::report::words::precision_name;
 use clap::{Args, ValueEnum};
 use powderline_shared::plan::{Precision, SkillParameter};
@@ -8,7 +8,7 @@ use powderline_simulator::Real;
 use powderline_simulator::rollout::gradcheck::{
     CHECKED_THETA, HALF_STEPS, Smoothed, Window, check_window, smoothed,
 };
-use powderline_simulator::rollout::{RolloutError, Simulator, SimulatorSettings, Workload, check_memory};
+use powderline_simulator::rollout::{RolloutError, Simulate, Simulator, Workload};
 use powderline_simulator::scene::{Aim, DEFAULT_SCENE, Scene};
 use powderline_simulator::skill::SkillMap;
 use serde::Serialize;
@@ -116,25 +116,24 @@ fn horizons(short: u32, own: u32) -> Vec<u32> {
 
 fn check(arguments: &GradcheckArgs, scene: &Scene, context: &mut Context<'_>) -> Result<Report, CliError> {
     let precision = arguments.precision.map_or(Precision::F64, Precision::from);
-    let settings = arguments.resources.settings(arguments.seed.unwrap_or(scene.powder.seed), precision);
+    let setup = arguments.resources.setup(arguments.seed.unwrap_or(scene.powder.seed), precision);
     match precision {
-        Precision::F32 => check_in::<f32>(arguments, scene, &settings, context),
-        Precision::F64 => check_in::<f64>(arguments, scene, &settings, context),
+        Precision::F32 => check_in::<f32>(arguments, scene, &setup, context),
+        Precision::F64 => check_in::<f64>(arguments, scene, &setup, context),
     }
 }
 
 fn check_in<T: Real>(
     arguments: &GradcheckArgs,
     scene: &Scene,
-    settings: &SimulatorSettings,
+    setup: &Setup,
     context: &mut Context<'_>,
 ) -> Result<Report, CliError> {
-    let interrupt = context.interrupt.clone();
     // Falling asleep is a jump, if a small one, that no difference over a small step survives.
     let scene = &scene.without_sleep();
-    check_memory(scene, settings, Workload::Gradient, 0)?;
-    let mut progress = Progress::new(context.err, context.live);
-    let report = compare::<T>(arguments, scene, settings, &mut progress, &interrupt);
+    setup.check_memory(scene, Workload::Gradient, 0)?;
+    let progress = Progress::new(&context.err, context.live);
+    let report = compare::<T>(arguments, scene, setup, &progress, &context.interrupt);
     progress.clear();
     report
 }
@@ -142,20 +141,17 @@ fn check_in<T: Real>(
 fn compare<T: Real>(
     arguments: &GradcheckArgs,
     scene: &Scene,
-    settings: &SimulatorSettings,
-    progress: &mut Progress<'_>,
+    setup: &Setup,
+    progress: &Progress,
     interrupt: &Interrupt,
 ) -> Result<Report, CliError> {
-    let mut simulator = Simulator::<T>::new(scene, settings)?;
+    let mut simulator = Simulator::<T>::new(scene, &setup.settings)?;
+    simulator.set_progress(progress.watch(interrupt));
     let map = SkillMap::new(scene);
     let own = scene.time.horizon_steps;
     let mut window = |start: u32, end: u32| -> Result<Window, RolloutError> {
         progress.begin(&format!("differences, control steps {start} to {end}"), 0, &[]);
-        let mut tick = |done, total| {
-            progress.tick(done, total);
-            !interrupt.is_requested()
-        };
-        check_window(&mut simulator, &map, start, end, &mut tick)
+        check_window(&mut simulator, &map, start, end)
     };
     // After the motion's end no parameter is at work.
     let motion_s = map.segments(&CHECKED_THETA).last().map_or(0.0, |segment| segment.end_s);
@@ -164,11 +160,10 @@ fn compare<T: Real>(
     let windows = starts.map(|s| window(s, own.min(s + arguments.steps))).collect::<Result<_, _>>()?;
     let longer = if arguments.short { Vec::new() } else { horizons(arguments.steps, own) };
     let growth = longer.into_iter().map(|end| window(0, end)).collect::<Result<_, _>>()?;
-    let mut tick = |_, _| !interrupt.is_requested();
-    let smoothed = if arguments.short { None } else { Some(smoothed(&mut simulator, &mut tick)?) };
+    let smoothed = if arguments.short { None } else { Some(smoothed(&mut simulator)?) };
     Ok(Report {
         scene: scene.name.clone(),
-        precision: precision_name(settings.precision),
+        precision: precision_name(setup.precision),
         theta: CHECKED_THETA,
         windows,
         growth,

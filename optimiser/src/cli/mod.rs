@@ -39,13 +39,13 @@ mod validate;
 pub use check::{CheckArgs, CheckReport, MemoryRow};
 pub use error::CliError;
 pub use interrupt::Interrupt;
-pub use options::{PrecisionArg, Resources};
-pub use progress::{Progress, is_live};
+pub use options::{PrecisionArg, Resources, Setup};
+pub use progress::{Progress, Stream, is_live};
 pub use size::{Memory, format_size, parse_size};
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
 use powderline_simulator::{
-    rollout::{Evaluate, RolloutError, SimulatorSettings, boxed_simulator},
+    rollout::{RolloutError, Simulate},
     scene::{EMBEDDED_SCENES, Scene, closest_match},
 };
 use serde::Serialize;
@@ -113,7 +113,7 @@ enum Command {
 }
 
 /// Where a command gets its simulator from.
-pub type Factory<'a> = &'a dyn Fn(&Scene, &SimulatorSettings) -> Result<Box<dyn Evaluate>, RolloutError>;
+pub type Factory<'a> = &'a dyn Fn(&Scene, &Setup) -> Result<Box<dyn Simulate>, RolloutError>;
 
 /// What surrounds a command.
 pub struct Context<'a> {
@@ -124,7 +124,7 @@ pub struct Context<'a> {
     /// Standard output.
     pub out: &'a mut (dyn Write + Send),
     /// Standard error.
-    pub err: &'a mut (dyn Write + Send),
+    pub err: Stream,
     /// Whether standard error is a terminal.
     pub live: bool,
 }
@@ -140,10 +140,10 @@ impl Context<'_> {
 /// The whole program: parses the arguments, runs the command, prints the error if there is one.
 pub fn main() -> ExitCode {
     let mut context = Context {
-        factory: &|scene, settings| Ok(boxed_simulator(scene, settings)?),
+        factory: &|scene, setup| setup.simulator(scene),
         interrupt: Interrupt::install(),
         out: &mut io::stdout(),
-        err: &mut io::stderr(),
+        err: Stream::new(io::stderr()),
         live: is_live(),
     };
     match execute(std::env::args_os(), &mut context) {
@@ -181,7 +181,7 @@ where
         factory: context.factory,
         interrupt: context.interrupt.clone(),
         out: &mut out,
-        err: &mut *context.err,
+        err: context.err.clone(),
         live: context.live,
     };
     let result = run_command(cli, &mut within);

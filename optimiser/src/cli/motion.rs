@@ -1,7 +1,7 @@
 //! Which motion a command is about: a skill, a plan, or what an arm made of a plan.
 
 use super::{
-    CliError, Resources,
+    CliError, Resources, Setup,
     executed::Executed,
     options::{DEFAULT_PRECISION, PrecisionArg},
 };
@@ -19,7 +19,6 @@ use powderline_shared::{
 };
 use powderline_simulator::{
     arm::{ArmMotion, CYCLE_US, Mount, Refusal, Surroundings, ToolPath},
-    rollout::SimulatorSettings,
     scene::{DEFAULT_SCENE, EMBEDDED_SCENES, Scene},
     skill::{Collision, LSB, SkillMap, Theta, check_theta, collision, controls_of},
 };
@@ -58,7 +57,7 @@ pub(super) struct Task {
     /// The bench.
     pub scene: Scene,
     /// How it is simulated.
-    pub settings: SimulatorSettings,
+    pub setup: Setup,
     /// What the tool does.
     pub motion: Motion,
 }
@@ -183,8 +182,8 @@ impl MotionArgs {
         // Refused here, before anything is simulated.
         SkillMap::new(&scene).controls(&theta)?;
         let precision = self.precision.map_or(DEFAULT_PRECISION, Precision::from);
-        let settings = self.resources.settings(self.seed.unwrap_or(scene.powder.seed), precision);
-        Ok(Task { scene, settings, motion: Motion::Skill(theta) })
+        let setup = self.resources.setup(self.seed.unwrap_or(scene.powder.seed), precision);
+        Ok(Task { scene, setup, motion: Motion::Skill(theta) })
     }
 
     fn plan_task(&self, path: &Path) -> Result<Task, CliError> {
@@ -195,7 +194,7 @@ impl MotionArgs {
             Some(name) => scene_given(name, path, &header)?,
             None => scene_found(path, &header)?,
         };
-        let settings = self.resources.settings(header.seed, header.precision);
+        let setup = self.resources.setup(header.seed, header.precision);
         let header = Box::new(header);
         let motion = match &self.executed {
             None => {
@@ -210,7 +209,7 @@ impl MotionArgs {
                 Motion::Executed { header, content_hash, executed, planned }
             }
         };
-        Ok(Task { scene, settings, motion })
+        Ok(Task { scene, setup, motion })
     }
 }
 

@@ -3,7 +3,10 @@
 use super::size::{Memory, parse_memory};
 use clap::{Args, ValueEnum};
 use powderline_shared::plan::Precision;
-use powderline_simulator::rollout::SimulatorSettings;
+use powderline_simulator::rollout::{
+    RolloutError, Simulate, SimulatorSettings, Workload, boxed_simulator, check_memory,
+};
+use powderline_simulator::scene::Scene;
 
 /// Number format of the simulation, as an argument.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
@@ -48,13 +51,41 @@ pub struct Resources {
 }
 
 impl Resources {
-    /// Settings of the simulator.
-    pub fn settings(&self, seed: u64, precision: Precision) -> SimulatorSettings {
-        SimulatorSettings {
-            seed,
-            precision,
-            threads: self.threads.map(usize::from),
-            memory_bytes: self.memory.bytes(),
-        }
+    /// What is to be simulated with.
+    pub fn setup(&self, seed: u64, precision: Precision) -> Setup {
+        let (threads, memory_bytes) = (self.threads.map(usize::from), self.memory.bytes());
+        Setup { precision, settings: SimulatorSettings { seed, threads, memory_bytes } }
+    }
+}
+
+/// What a simulator is made with.
+#[derive(Clone, Copy, Debug)]
+pub struct Setup {
+    /// Of its numbers.
+    pub precision: Precision,
+    /// All else.
+    pub settings: SimulatorSettings,
+}
+
+impl Setup {
+    /// The simulator of a scene.
+    ///
+    /// # Errors
+    /// See [`boxed_simulator`].
+    pub fn simulator(&self, scene: &Scene) -> Result<Box<dyn Simulate>, RolloutError> {
+        boxed_simulator(scene, self.precision, &self.settings)
+    }
+
+    /// Whether memory will do.
+    ///
+    /// # Errors
+    /// See [`check_memory`].
+    pub fn check_memory(
+        &self,
+        scene: &Scene,
+        work: Workload,
+        besides_bytes: u64,
+    ) -> Result<(), RolloutError> {
+        check_memory(scene, self.precision, &self.settings, work, besides_bytes)
     }
 }

@@ -4,13 +4,16 @@
 //! the terminal has at each redraw. A terminal that understands nothing (`TERM=dumb`) gets what a file gets. There is no colour
 //! that `NO_COLOR` would have to take away.
 
+use super::Interrupt;
 use crate::optim::EpochRecord;
 use crate::report::{
     amounts::{Amounts, percent},
     words::{duration, grouped},
 };
+use powderline_simulator::rollout::ProgressFn;
 use std::{
     io::{self, IsTerminal, Write},
+    sync::{Arc, Mutex, MutexGuard, PoisonError},
     time::{Duration, Instant},
 };
 
@@ -44,9 +47,97 @@ fn columns() -> Option<usize> {
     terminal_size::terminal_size_of(io::stderr()).map(|(width, _)| width.0.into())
 }
 
-/// Shows how far a command is.
-pub struct Progress<'a> {
-    out: &'a mut (dyn Write + Send),
+/// Where a person reads what is said on the way: standard error, or a buffer.
+#[derive(Clone)]
+pub struct Stream(Arc<Mutex<dyn Write + Send>>);
+
+impl Stream {
+    /// What is written goes there.
+    pub fn new(out: impl Write + Send + 'static) -> Self {
+        Self(Arc::new(Mutex::new(out)))
+    }
+}
+
+impl<W: Write + Send + 'static> From<Arc<Mutex<W>>> for Stream {
+    fn from(out: Arc<Mutex<W>>) -> Self {
+        Self(out)
+    }
+}
+
+impl Write for Stream {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).flush()
+    }
+}
+
+/// Shows how far a command is. Copies show the same.
+#[derive(Clone)]
+pub struct Progress(Arc<Mutex<Line>>);
+
+impl Progress {
+    /// Progress shown on `out`.
+    pub fn new(out: &Stream, live: bool) -> Self {
+        Self(Arc::new(Mutex::new(Line::new(out.clone(), live))))
+    }
+
+    fn line_of(&self) -> MutexGuard<'_, Line> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// What a simulator is to tell, until the person asks to stop.
+    pub fn watch(&self, interrupt: &Interrupt) -> ProgressFn {
+        let (progress, interrupt) = (self.clone(), interrupt.clone());
+        Box::new(move |share| {
+            progress.tick(share);
+            interrupt.flow()
+        })
+    }
+
+    /// Begins a task; `later` evaluations follow it, each of the duration of those in `history`.
+    pub fn begin(&self, task: &str, later: u32, history: &[EpochRecord]) {
+        self.line_of().begin(task, later, history);
+    }
+
+    /// Seconds since the task began.
+    pub fn seconds(&self) -> f64 {
+        self.line_of().seconds()
+    }
+
+    /// Called now and then with the share of the task that is done.
+    pub fn tick(&self, share: f64) {
+        self.line_of().tick(share);
+    }
+
+    /// Reports an epoch that is done, of those until the last that is to come and of those that there might be; on a narrow
+    /// terminal in fewer columns.
+    pub fn epoch(
+        &self,
+        record: &EpochRecord,
+        amounts: &Amounts,
+        last_and_all: [u32; 2],
+        history: &[EpochRecord],
+    ) {
+        self.line_of().epoch(record, amounts, last_and_all, history);
+    }
+
+    /// Writes a whole line, over the live one if there is one.
+    pub fn line(&self, text: &str) {
+        self.line_of().line(text);
+    }
+
+    /// Takes the live line away.
+    pub fn clear(&self) {
+        self.line_of().clear();
+    }
+}
+
+/// The live line.
+struct Line {
+    out: Stream,
     /// Whether `out` is a terminal, on which a line can be drawn over.
     live: bool,
     /// Asks the terminal for its columns.
@@ -61,13 +152,10 @@ pub struct Progress<'a> {
     later: Option<(u32, f64)>,
     /// The indicator of the latest epochs, drawn small, where the terminal can show it.
     indicators: Vec<i64>,
-    /// Shares of the task at the beginning and at the end of its present part.
-    span: [f64; 2],
 }
 
-impl<'a> Progress<'a> {
-    /// Progress shown on `out`.
-    pub fn new(out: &'a mut (dyn Write + Send), live: bool) -> Self {
+impl Line {
+    fn new(out: Stream, live: bool) -> Self {
         Self {
             out,
             live,
@@ -78,12 +166,10 @@ impl<'a> Progress<'a> {
             drawn: None,
             later: None,
             indicators: Vec::new(),
-            span: [0.0, 1.0],
         }
     }
 
-    /// Begins a task; `later` evaluations follow it, each of the duration of those in `history`.
-    pub fn begin(&mut self, task: &str, later: u32, history: &[EpochRecord]) {
+    fn begin(&mut self, task: &str, later: u32, history: &[EpochRecord]) {
         let mean_s = history.iter().map(|record| record.seconds).sum::<f64>() / history.len().max(1) as f64;
         self.task = task.into();
         self.started = Instant::now();
@@ -94,31 +180,20 @@ impl<'a> Progress<'a> {
             let latest = &history[history.len().saturating_sub(CHART_CELLS)..];
             self.indicators.extend(latest.iter().map(|record| record.indicator));
         }
-        self.span = [0.0, 1.0];
-        self.tick(0, 1);
+        self.tick(0.0);
     }
 
-    /// Begins a part of the task: what is done and in total is the part's from now on, and takes the whole task from
-    /// the first to the second of these shares.
-    pub fn span(&mut self, shares: [f64; 2]) {
-        self.span = shares;
-    }
-
-    /// Seconds since the task began.
-    pub fn seconds(&self) -> f64 {
+    fn seconds(&self) -> f64 {
         self.started.elapsed().as_secs_f64()
     }
 
-    /// Called now and then with work units done and in total, of the task or its present part.
-    pub fn tick(&mut self, done: u64, total: u64) {
+    fn tick(&mut self, share: f64) {
         if !self.live || self.drawn.is_some_and(|drawn| drawn.elapsed() < REDRAW) {
             return;
         }
         let Some(room) = self.room() else { return };
         self.drawn = Some(Instant::now());
-        let [start, end] = self.span;
-        let part = (done as f64 / total.max(1) as f64).clamp(0.0, 1.0);
-        let line = self.fitting(room, start + (end - start) * part);
+        let line = self.fitting(room, share.clamp(0.0, 1.0));
         // A terminal that cannot be written to is no reason to stop a run.
         let _ = write!(self.out, "\r\x1b[2K{line}");
         let _ = self.out.flush();
@@ -166,9 +241,7 @@ impl<'a> Progress<'a> {
         }
     }
 
-    /// Reports an epoch that is done, of those until the last that is to come and of those that there might be; on a narrow
-    /// terminal in fewer columns.
-    pub fn epoch(
+    fn epoch(
         &mut self,
         record: &EpochRecord,
         amounts: &Amounts,
@@ -201,15 +274,13 @@ impl<'a> Progress<'a> {
         }
     }
 
-    /// Writes a whole line, over the live one if there is one.
-    pub fn line(&mut self, text: &str) {
+    fn line(&mut self, text: &str) {
         let clear = if self.live { "\r\x1b[2K" } else { "" };
         let _ = writeln!(self.out, "{clear}{text}");
         let _ = self.out.flush();
     }
 
-    /// Takes the live line away.
-    pub fn clear(&mut self) {
+    fn clear(&mut self) {
         if self.live {
             let _ = write!(self.out, "\r\x1b[2K");
             let _ = self.out.flush();
@@ -286,12 +357,12 @@ mod tests {
 
     #[test]
     fn without_a_terminal_there_is_one_line_per_epoch() {
-        let mut out = Vec::new();
-        let mut progress = Progress::new(&mut out, false);
+        let out = Arc::new(Mutex::new(Vec::new()));
+        let mut progress = Line::new(out.clone().into(), false);
         progress.begin("epoch 0/30", 30, &[]);
-        progress.tick(1, 2);
+        progress.tick(0.5);
         progress.epoch(&record(0), &amounts(), [30; 2], &[record(0)]);
-        let text = String::from_utf8(out).unwrap();
+        let text = String::from_utf8(out.lock().unwrap().clone()).unwrap();
         assert_eq!(text.lines().count(), 1, "{text}");
         assert!(
             text.contains("1158.940")
@@ -303,25 +374,13 @@ mod tests {
 
     #[test]
     fn on_a_terminal_the_line_is_redrawn() {
-        let mut out = Vec::new();
-        let mut progress = Progress::new(&mut out, true);
+        let out = Arc::new(Mutex::new(Vec::new()));
+        let mut progress = Line::new(out.clone().into(), true);
         progress.begin("epoch 1/30", 29, &[record(0)]);
         progress.clear();
-        let text = String::from_utf8(out).unwrap();
+        let text = String::from_utf8(out.lock().unwrap().clone()).unwrap();
         assert!(text.starts_with("\r\x1b[2Kepoch 1/30"), "{text:?}");
         assert!(text.contains(" [....................]   0 %, about 1 min left"), "{text:?}");
-    }
-
-    #[test]
-    fn parts_share_one_bar() {
-        let mut out = Vec::new();
-        let mut progress = Progress::new(&mut out, true);
-        progress.begin("epoch 1/30", 29, &[record(0)]);
-        progress.span([0.5, 0.7]);
-        progress.drawn = None;
-        progress.tick(1, 2);
-        let text = String::from_utf8(out).unwrap();
-        assert!(text.contains("[############........]  60 %"), "{text:?}");
     }
 
     #[test]
@@ -334,8 +393,8 @@ mod tests {
 
     #[test]
     fn the_line_is_never_as_wide_as_its_terminal() {
-        let mut out = Vec::new();
-        let mut progress = Progress::new(&mut out, true);
+        let out = Arc::new(Mutex::new(Vec::new()));
+        let mut progress = Line::new(out.clone().into(), true);
         progress.begin("epoch 10/30", 20, &[record(9)]);
         progress.indicators = vec![-1_000; CHART_CELLS];
         progress.later = Some((20, 0.0));
@@ -355,14 +414,14 @@ mod tests {
 
     #[test]
     fn an_epoch_takes_one_row_of_eighty_columns() {
-        let mut out = Vec::new();
-        let mut progress = Progress::new(&mut out, true);
+        let out = Arc::new(Mutex::new(Vec::new()));
+        let mut progress = Line::new(out.clone().into(), true);
         let widths: [fn() -> Option<usize>; 4] = [|| Some(120), || Some(95), || Some(80), || Some(78)];
         for columns in widths {
             progress.columns = columns;
             progress.epoch(&record(3), &amounts(), [30; 2], &[record(3)]);
         }
-        let text = String::from_utf8(out).unwrap();
+        let text = String::from_utf8(out.lock().unwrap().clone()).unwrap();
         let rows: Vec<&str> = text.split("\r\x1b[2K").skip(1).collect();
         assert!(rows[0].ends_with("   24 mg lost  loss 1158.940 m   2.0 s  about 54 s left\n"), "{text}");
         assert!(rows[1].ends_with("   24 mg lost  loss 1158.940 m   2.0 s\n"), "{text}");
@@ -375,8 +434,8 @@ mod tests {
 
     #[test]
     fn nothing_is_drawn_while_the_window_changes() {
-        let mut out = Vec::new();
-        let mut progress = Progress::new(&mut out, true);
+        let out = Arc::new(Mutex::new(Vec::new()));
+        let mut progress = Line::new(out.clone().into(), true);
         progress.columns = || Some(100);
         assert_eq!((progress.room(), progress.room()), (Some(79), Some(79)));
         // Wider than what is ever used, it may be drawn as it likes.

@@ -5,7 +5,7 @@ use super::{
     options::{DEFAULT_PRECISION, PrecisionArg},
 };
 use crate::{
-    optim::{EpochRecord, Method, Request, Search, SearchError, Step, initial_theta},
+    optim::{Answer, EpochRecord, Method, Request, Search, SearchError, Step, initial_theta},
     report::{
         amounts::Amounts,
         curves::Curves,
@@ -21,13 +21,14 @@ use clap::Args;
 use powderline_shared::plan::{Mounting, Precision};
 use powderline_simulator::{
     arm::arm_motion,
-    rollout::{self, Evaluate, Evaluation, Places, RolloutError, check_memory},
+    rollout::{self, Evaluation, Places, RolloutError, Simulate},
     scene::{DEFAULT_SCENE, Scene},
     skill::{QuantisedControls, SkillMap, Theta, colliding_skill},
 };
 use serde::Serialize;
 use std::{
     collections::BTreeMap,
+    io::Write,
     path::{Path, PathBuf},
 };
 
@@ -110,19 +111,19 @@ struct Performed {
 }
 
 /// A run and the simulator for it.
-type Begun = (Run, Box<dyn Evaluate>);
+type Begun = (Run, Box<dyn Simulate>);
 
 fn simulator(
     arguments: &RunArgs,
     scene: &Scene,
     state: &RunState,
     context: &Context<'_>,
-) -> Result<Box<dyn Evaluate>, CliError> {
-    let settings = arguments.resources.settings(state.seed, state.precision);
+) -> Result<Box<dyn Simulate>, CliError> {
+    let setup = arguments.resources.setup(state.seed, state.precision);
     if !state.finished {
-        check_memory(scene, &settings, rollout::Workload::Gradient, 0)?;
+        setup.check_memory(scene, rollout::Workload::Gradient, 0)?;
     }
-    Ok((context.factory)(scene, &settings)?)
+    Ok((context.factory)(scene, &setup)?)
 }
 
 /// Runs the command.
@@ -221,9 +222,10 @@ impl Run {
     }
 
     /// Evaluates the epochs that are left, then writes the plan.
-    fn complete(&mut self, simulator: &mut dyn Evaluate, context: &mut Context<'_>) -> Result<(), CliError> {
+    fn complete(&mut self, simulator: &mut dyn Simulate, context: &mut Context<'_>) -> Result<(), CliError> {
         let RunState { seed, precision, .. } = self.record.state;
-        let mut progress = Progress::new(context.err, context.live);
+        let progress = Progress::new(&context.err, context.live);
+        simulator.set_progress(progress.watch(&context.interrupt));
         progress.line(&format!(
             "{}: seed {seed}, {}, into {}",
             self.record.scene.name,
@@ -234,7 +236,7 @@ impl Run {
             progress.line(&format!("skills such as theta = {theta:?} are passed over: {collision}"));
         }
         let result = self
-            .search(simulator, &mut progress, &context.interrupt)
+            .search(simulator, &progress, &context.interrupt)
             .and_then(|performed| self.write_plan(&performed));
         progress.clear();
         result
@@ -243,8 +245,8 @@ impl Run {
     /// Epochs until one is found whose motion brings the wanted amount also in whole counts, or until the last.
     fn search(
         &mut self,
-        simulator: &mut dyn Evaluate,
-        progress: &mut Progress<'_>,
+        simulator: &mut dyn Simulate,
+        progress: &Progress,
         interrupt: &Interrupt,
     ) -> Result<Performed, CliError> {
         loop {
@@ -263,48 +265,50 @@ impl Run {
 
     fn evaluate_epochs(
         &mut self,
-        simulator: &mut dyn Evaluate,
-        progress: &mut Progress<'_>,
+        simulator: &mut dyn Simulate,
+        progress: &Progress,
         interrupt: &Interrupt,
     ) -> Result<(), CliError> {
         let epochs = self.record.state.search.epochs();
         while let Some(request) = self.record.state.search.next(&self.method) {
             let task = format!("epoch {}/{epochs}", request.epoch);
             progress.begin(&task, epochs - request.epoch, self.record.state.search.history());
-            let mut work = Work { simulator: &mut *simulator, progress, interrupt };
-            let (evaluation, rings) = self.evaluate_epoch(&request, &mut work)?;
-            self.save_epoch(&evaluation, &rings, progress)?;
+            let mut work = Work { simulator: &mut *simulator, interrupt };
+            let (answer, rings) = self.evaluate_epoch(&request, &mut work)?;
+            self.save_epoch(&answer, &rings, progress)?;
         }
         Ok(())
     }
 
-    /// The skill's evaluation, and the losses of the probes that it makes necessary, ring by ring.
+    /// The answer for the skill, and the losses of the probes that it makes necessary, ring by ring.
     fn evaluate_epoch(
         &self,
         request: &Request,
-        work: &mut Work<'_, '_>,
-    ) -> Result<(Evaluation, Vec<Vec<f64>>), CliError> {
+        work: &mut Work<'_>,
+    ) -> Result<(Answer, Vec<Vec<f64>>), CliError> {
         let cost = if request.want_gradient { GRADIENT_COST } else { 1.0 };
         let share = |done: f64, probes: usize| done / (cost + probes as f64);
         let search = &self.record.state.search;
         let thetas = |adjoint: Option<&Theta>| {
             search.probes(&self.method, adjoint).into_iter().map(|probe| probe.theta)
         };
-        let (evaluation, probes) = if request.want_gradient {
-            let evaluation = work.evaluate_with_gradient(&request.theta, share(cost, request.probes))?;
-            let probes: Vec<Theta> = thetas(evaluation.gradient.as_ref()).collect();
-            (evaluation, work.evaluate_all(&probes, share(cost, probes.len()))?)
+        let (answer, probes) = if request.want_gradient {
+            let (evaluation, adjoint) =
+                work.evaluate_with_gradient(&request.theta, share(cost, request.probes))?;
+            let probes: Vec<Theta> = thetas(Some(&adjoint)).collect();
+            let answer = Answer { evaluation, adjoint: Some(adjoint) };
+            (answer, work.evaluate_all(&probes, share(cost, probes.len()))?)
         } else {
             let all: Vec<Theta> = std::iter::once(request.theta).chain(thetas(None)).collect();
             let mut evaluations = work.evaluate_all(&all, 0.0)?;
-            (evaluations.remove(0), evaluations)
+            (Answer { evaluation: evaluations.remove(0), adjoint: None }, evaluations)
         };
         let losses = |probes: Vec<Evaluation>| probes.iter().map(|evaluation| evaluation.loss).collect();
         let mut rings: Vec<Vec<f64>> = vec![losses(probes)];
         loop {
-            let wider = search.wider(&self.method, &evaluation, &rings)?;
+            let wider = search.wider(&self.method, &answer, &rings)?;
             if wider.is_empty() {
-                return Ok((evaluation, rings));
+                return Ok((answer, rings));
             }
             let thetas: Vec<Theta> = wider.into_iter().map(|probe| probe.theta).collect();
             rings.push(losses(work.evaluate_all(&thetas, 0.0)?));
@@ -313,12 +317,12 @@ impl Run {
 
     fn save_epoch(
         &mut self,
-        evaluation: &Evaluation,
+        answer: &Answer,
         rings: &[Vec<f64>],
-        progress: &mut Progress<'_>,
+        progress: &Progress,
     ) -> Result<(), CliError> {
         let seconds = (progress.seconds() * 1e3).round() / 1e3;
-        let record = *self.record.state.search.record(&self.method, evaluation, rings, seconds)?;
+        let record = *self.record.state.search.record(&self.method, answer, rings, seconds)?;
         self.record.push(record);
         let finding = self.finding()?;
         if finding.is_settled() && !self.record.state.search.is_done() {
@@ -334,7 +338,7 @@ impl Run {
     }
 
     /// Says where the search had to look farther than usual.
-    fn say_step(&self, record: &EpochRecord, progress: &mut Progress<'_>) {
+    fn say_step(&self, record: &EpochRecord, progress: &Progress) {
         let usual = self.method.estimator.half_step;
         let widest = record.half_step.unwrap_or(usual);
         match record.step {
@@ -423,8 +427,8 @@ impl Run {
     /// misses it least.
     fn performed(
         &mut self,
-        simulator: &mut dyn Evaluate,
-        progress: &mut Progress<'_>,
+        simulator: &mut dyn Simulate,
+        progress: &Progress,
         interrupt: &Interrupt,
     ) -> Result<Performed, CliError> {
         let Finding { rule, amounts, passed_over, .. } = self.finding()?;
@@ -473,53 +477,39 @@ impl Run {
 /// What a motion in whole counts brings.
 fn rehearsed(
     quantised: &QuantisedControls,
-    simulator: &mut dyn Evaluate,
-    progress: &mut Progress<'_>,
+    simulator: &mut dyn Simulate,
+    progress: &Progress,
     interrupt: &Interrupt,
 ) -> Result<Evaluation, CliError> {
     stop_if_requested(interrupt)?;
     progress.begin("the plan, as shipped", 0, &[]);
-    let mut tick = |done, total| {
-        progress.tick(done, total);
-        !interrupt.is_requested()
-    };
-    Ok(simulator.simulate(&quantised.controls, &mut tick)?)
+    Ok(simulator.simulate(&quantised.controls)?)
 }
 
-/// What evaluates, and those who watch it.
-struct Work<'a, 'p> {
-    simulator: &'a mut dyn Evaluate,
-    progress: &'a mut Progress<'p>,
+/// What evaluates, until the person asks to stop.
+struct Work<'a> {
+    simulator: &'a mut dyn Simulate,
     interrupt: &'a Interrupt,
 }
 
-impl Work<'_, '_> {
+impl Work<'_> {
     /// One evaluation, which takes the bar to `end`.
-    fn evaluate_with_gradient(&mut self, theta: &Theta, end: f64) -> Result<Evaluation, CliError> {
-        self.go([0.0, end], |simulator, tick| simulator.evaluate(theta, true, tick))
+    fn evaluate_with_gradient(&mut self, theta: &Theta, end: f64) -> Result<(Evaluation, Theta), CliError> {
+        self.go([0.0, end], |simulator| simulator.evaluate_with_gradient(theta))
     }
 
     /// Evaluations without gradients, which take the bar from `start` to the end.
     fn evaluate_all(&mut self, thetas: &[Theta], start: f64) -> Result<Vec<Evaluation>, CliError> {
-        self.go([start, 1.0], |simulator, tick| simulator.evaluate_all(thetas, tick))
+        self.go([start, 1.0], |simulator| simulator.evaluate_all(thetas))
     }
 
     fn go<R>(
         &mut self,
         span: [f64; 2],
-        job: impl FnOnce(
-            &mut dyn Evaluate,
-            powderline_simulator::rollout::Progress<'_>,
-        ) -> Result<R, RolloutError>,
+        job: impl FnOnce(&mut dyn Simulate) -> Result<R, RolloutError>,
     ) -> Result<R, CliError> {
-        let Self { simulator, progress, interrupt } = self;
-        stop_if_requested(interrupt)?;
-        progress.span(span);
-        let mut tick = |done, total| {
-            progress.tick(done, total);
-            !interrupt.is_requested()
-        };
-        Ok(job(*simulator, &mut tick)?)
+        stop_if_requested(self.interrupt)?;
+        Ok(rollout::part(self.simulator, span, job)?)
     }
 }
 

@@ -13,7 +13,7 @@ use crate::report::{
 use clap::Args;
 use powderline_shared::plan::{PlanHeader, Prediction};
 use powderline_simulator::{
-    rollout::{Evaluation, Workload, check_memory},
+    rollout::{Evaluation, Workload},
     scene::{Obstacle, ToolPart, figures::mass},
     skill::{Collision, Theta},
 };
@@ -110,20 +110,16 @@ pub(super) fn execute(arguments: &SimulateArgs, context: &mut Context<'_>) -> Re
 
 impl Report {
     fn of(task: &Task, context: &mut Context<'_>) -> Result<Self, CliError> {
-        check_memory(&task.scene, &task.settings, Workload::Single, 0)?;
-        let mut simulator = (context.factory)(&task.scene, &task.settings)?;
-        let interrupt = context.interrupt.clone();
-        let mut progress = Progress::new(context.err, context.live);
+        task.setup.check_memory(&task.scene, Workload::Single, 0)?;
+        let mut simulator = (context.factory)(&task.scene, &task.setup)?;
+        let progress = Progress::new(&context.err, context.live);
+        simulator.set_progress(progress.watch(&context.interrupt));
         progress.begin("simulating", 0, &[]);
-        let mut tick = |done, total| {
-            progress.tick(done, total);
-            !interrupt.is_requested()
-        };
         let result = match &task.motion {
-            Motion::Skill(theta) => simulator.evaluate(theta, false, &mut tick),
-            Motion::Plan { controls, .. } => simulator.simulate(controls, &mut tick),
+            Motion::Skill(theta) => simulator.evaluate(theta),
+            Motion::Plan { controls, .. } => simulator.simulate(controls),
             Motion::Executed { executed, .. } => {
-                simulator.simulate_from(&executed.anchor, &executed.controls, &mut tick)
+                simulator.simulate_from(&executed.anchor, &executed.controls)
             }
         };
         progress.clear();
@@ -149,8 +145,8 @@ impl Report {
             scene: task.scene.name.clone(),
             scene_digest: hex(&task.scene.digest()),
             collision: task.collision().map(CollisionReport::from),
-            seed: task.settings.seed,
-            precision: precision_name(task.settings.precision),
+            seed: task.setup.settings.seed,
+            precision: precision_name(task.setup.precision),
             theta,
             indicator: found.indicator,
             outcome: Outcome::of_evaluation(&amounts, found),

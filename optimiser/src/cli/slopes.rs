@@ -1,7 +1,7 @@
 //! `optimise gradcheck --skills`: gradients of whole motions beside the slope that a search wants.
 
 use super::{
-    CliError, Context, Progress,
+    CliError, Context, Progress, Setup,
     gradcheck::GradcheckArgs,
     motion::{collision_words, parse_theta},
     options::DEFAULT_PRECISION,
@@ -14,8 +14,7 @@ use powderline_simulator::rollout::slopes::{
     Fit, HALF_STEP, LEAST_DELIVERED, Measured, Row, Summary, cosine, measure, skill,
 };
 use powderline_simulator::rollout::{
-    Displacement, ParticleSimulator, RolloutError, SimulatorSettings, Workload, boxed_simulator,
-    check_memory, restart::Restarts,
+    Displacement, ProgressFn, RolloutError, SimulatorSettings, Workload, restart::Restarts,
 };
 use powderline_simulator::scene::{Aim, Scene};
 use powderline_simulator::skill::{SkillMap, Theta, collision};
@@ -95,9 +94,9 @@ pub(super) fn execute(
 ) -> Result<(), CliError> {
     let precision = arguments.precision.map_or(DEFAULT_PRECISION, Precision::from);
     let seed = arguments.seed.unwrap_or(scene.powder.seed);
-    let settings = arguments.resources.settings(seed, precision);
+    let setup = arguments.resources.setup(seed, precision);
     let (count, asked) = asked(arguments)?;
-    check_memory(scene, &settings, Workload::Gradient, 0)?;
+    setup.check_memory(scene, Workload::Gradient, 0)?;
     let of = Subject {
         scene: scene.name.clone(),
         scene_digest: hex(&scene.digest()),
@@ -111,10 +110,10 @@ pub(super) fn execute(
     };
     let folder = arguments.out.as_deref().map(RunFolder::take).transpose()?;
     let mut table = Table { report: begun(of, folder.as_ref())?, folder, json: arguments.json };
-    let bench = Bench { scene, map: SkillMap::new(scene), settings };
+    let bench = Bench { scene, map: SkillMap::new(scene), setup };
     table.begin(context)?;
-    let finished = fill(&mut table, count, &asked, context, &mut |skill, seed, tick| {
-        bench.outcome(&skill.theta, seed, tick)
+    let finished = fill(&mut table, count, &asked, context, &mut |skill, seed, watch| {
+        bench.outcome(&skill.theta, seed, watch)
     });
     // What took so long is shown, even if it ended early.
     table.end(finished.is_ok(), context)?;
@@ -174,11 +173,7 @@ fn asked(arguments: &GradcheckArgs) -> Result<(usize, Vec<Asked>), CliError> {
 }
 
 /// A skill with the packing of a seed.
-type MeasureFn<'a> = &'a mut dyn FnMut(
-    &Asked,
-    u64,
-    powderline_simulator::rollout::Progress<'_>,
-) -> Result<Outcome<Measured>, CliError>;
+type MeasureFn<'a> = &'a mut dyn FnMut(&Asked, u64, ProgressFn) -> Result<Outcome<Measured>, CliError>;
 
 /// Measures skill after skill, each with all packings, until there are `count` in the table.
 fn fill(
@@ -215,17 +210,12 @@ fn packings(
     context: &mut Context<'_>,
     measure: MeasureFn<'_>,
 ) -> Result<Outcome<Vec<Measured>>, CliError> {
-    let interrupt = context.interrupt.clone();
-    let mut progress = Progress::new(context.err, context.live);
+    let progress = Progress::new(&context.err, context.live);
     let (seeds, row) = (&table.report.of.packing_seeds, table.report.skills.len() + 1);
     let mut all = Vec::new();
     for (seed, number) in seeds.iter().zip(1..) {
         progress.begin(&format!("skill {row}, packing {number} of {}", seeds.len()), 0, &[]);
-        let mut tick = |done, total| {
-            progress.tick(done, total);
-            !interrupt.is_requested()
-        };
-        match measure(skill, *seed, &mut tick) {
+        match measure(skill, *seed, progress.watch(&context.interrupt)) {
             Ok(Ok(measured)) => all.push(measured),
             other => {
                 progress.clear();
@@ -241,18 +231,13 @@ fn packings(
 struct Bench<'a> {
     scene: &'a Scene,
     map: SkillMap,
-    settings: SimulatorSettings,
+    setup: Setup,
 }
 
 impl Bench<'_> {
     /// Measures one skill, if an arm may perform it and it delivers something. With a simulator of its own, so that one at a time
     /// takes memory.
-    fn outcome(
-        &self,
-        theta: &Theta,
-        seed: u64,
-        tick: powderline_simulator::rollout::Progress<'_>,
-    ) -> Result<Outcome<Measured>, CliError> {
+    fn outcome(&self, theta: &Theta, seed: u64, watch: ProgressFn) -> Result<Outcome<Measured>, CliError> {
         let controls: Vec<Displacement> = match self.map.controls(theta) {
             Ok(controls) => controls,
             Err(error) => return Ok(Err(error.to_string())),
@@ -260,10 +245,11 @@ impl Bench<'_> {
         if let Some(collision) = collision(self.scene, self.map.start_pose(), &controls) {
             return Ok(Err(collision_words(&collision)));
         }
-        let mut simulator: Box<dyn ParticleSimulator> =
-            boxed_simulator(self.scene, &SimulatorSettings { seed, ..self.settings })?;
+        let settings = SimulatorSettings { seed, ..self.setup.settings };
+        let mut simulator = Setup { settings, ..self.setup }.simulator(self.scene)?;
+        simulator.set_progress(watch);
         let restarts = Restarts::of_skill(self.scene, &self.map, theta);
-        match measure(simulator.as_mut(), theta, &restarts, tick) {
+        match measure(simulator.as_mut(), theta, &restarts) {
             Ok(Some(measured)) => Ok(Ok(measured)),
             Ok(None) => Ok(Err(format!("delivers fewer than {LEAST_DELIVERED} particles"))),
             Err(
@@ -451,6 +437,7 @@ fn write_summary(out: &mut String, summary: &Summary, over: &str) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cli::Stream;
 
     fn measured() -> Measured {
         let one = [1.0; 5];
@@ -482,15 +469,15 @@ mod tests {
     /// Fills a table of three out of nine, in which odd draws deliver, 3 only with the first packing. `left` measurements succeed, and the
     /// next one is stopped.
     fn filled(folder: &std::path::Path, subject: Subject, left: u32) -> (Result<Table, CliError>, String) {
-        let (mut out, mut err, mut left) = (Vec::new(), Vec::new(), left);
+        let (mut out, mut left) = (Vec::new(), left);
         let mut context = Context {
             factory: &|_, _| unreachable!(),
             interrupt: super::super::Interrupt::default(),
             out: &mut out,
-            err: &mut err,
+            err: Stream::new(std::io::sink()),
             live: false,
         };
-        let mut measure = |asked: &Asked, seed: u64, _: powderline_simulator::rollout::Progress<'_>| {
+        let mut measure = |asked: &Asked, seed: u64, _: ProgressFn| {
             if left == 0 {
                 return Err(CliError::from(RolloutError::Stopped));
             }

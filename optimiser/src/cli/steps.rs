@@ -1,6 +1,6 @@
 //! The search over displacements, as `optimise compare` runs it.
 
-use super::{CliError, Context, Interrupt, Progress, run};
+use super::{CliError, Context, Progress, Setup, run};
 use crate::{
     compare::{
         Method, Track, Try,
@@ -12,9 +12,7 @@ use crate::{
     report::words::{count, duration},
 };
 use powderline_simulator::{
-    rollout::{
-        DisplacementGradient, Evaluate, Evaluation, RolloutError, SimulatorSettings, Workload, check_memory,
-    },
+    rollout::{DisplacementGradient, Evaluation, RolloutError, Simulate, Workload},
     scene::Scene,
 };
 use std::path::Path;
@@ -35,21 +33,21 @@ struct Stepping<'a> {
 /// One sentence; everything evaluated before is saved.
 pub(super) fn completed(
     scene: &Scene,
-    settings: &SimulatorSettings,
+    setup: &Setup,
     epochs: u32,
     path: &Path,
     context: &mut Context<'_>,
 ) -> Result<Track, CliError> {
     let folder = RunFolder::take(path)?;
-    let SimulatorSettings { seed, precision, .. } = *settings;
+    let (seed, precision) = (setup.settings.seed, setup.precision);
     let track = saved(&folder, scene, Origin { scene: scene.digest(), seed, precision })?;
     let mut stepping = Stepping { folder, scene, rule: scene.into(), track, epochs };
     // The state leads: what another session wrote beside it may have a line too many or too few.
     let lines: String = stepping.track.tries.iter().map(run::json_line).collect();
     stepping.folder.replace(TRIES, lines.as_bytes())?;
     if !stepping.is_done() {
-        check_memory(scene, settings, Workload::Gradient, 0)?;
-        let simulator = (context.factory)(scene, settings)?;
+        setup.check_memory(scene, Workload::Gradient, 0)?;
+        let simulator = (context.factory)(scene, setup)?;
         stepping.go_on(simulator, context)?;
     }
     Ok(Track { method: Method::GradientSteps, seed, tries: stepping.track.tries })
@@ -74,8 +72,9 @@ impl Stepping<'_> {
         self.track.tries.len() > self.epochs as usize
     }
 
-    fn go_on(&mut self, mut simulator: Box<dyn Evaluate>, context: &mut Context<'_>) -> Result<(), CliError> {
-        let mut progress = Progress::new(context.err, context.live);
+    fn go_on(&mut self, mut simulator: Box<dyn Simulate>, context: &mut Context<'_>) -> Result<(), CliError> {
+        let progress = Progress::new(&context.err, context.live);
+        simulator.set_progress(progress.watch(&context.interrupt));
         let name = Method::GradientSteps.name();
         let seed = self.track.origin.seed;
         progress.line(&format!(
@@ -85,7 +84,7 @@ impl Stepping<'_> {
             self.folder.path().display()
         ));
         while !self.is_done() {
-            let result = self.epoch(simulator.as_mut(), &mut progress, &context.interrupt);
+            let result = self.epoch(simulator.as_mut(), &progress);
             progress.clear();
             result?;
         }
@@ -100,20 +99,11 @@ impl Stepping<'_> {
         Ok(())
     }
 
-    fn epoch(
-        &mut self,
-        simulator: &mut dyn Evaluate,
-        progress: &mut Progress<'_>,
-        interrupt: &Interrupt,
-    ) -> Result<(), CliError> {
+    fn epoch(&mut self, simulator: &mut dyn Simulate, progress: &Progress) -> Result<(), CliError> {
         let (epoch, epochs) = (self.track.tries.len() as u32, self.epochs);
         let history = records(&self.track.tries);
         progress.begin(&format!("epoch {epoch}/{epochs}"), epochs - epoch, &history);
-        let mut tick = |done, total| {
-            progress.tick(done, total);
-            !interrupt.is_requested()
-        };
-        let found = simulator.simulate_with_gradient(self.track.search().controls(), &mut tick);
+        let found = simulator.simulate_with_gradient(self.track.search().controls());
         let seconds = (progress.seconds() * 1e3).round() / 1e3;
         if let Some(error) = self.take(found, seconds)? {
             progress.line(&format!("{error}; back to the best motion, with half the learning rate"));

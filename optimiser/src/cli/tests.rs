@@ -14,7 +14,9 @@ use powderline_shared::{
 };
 use powderline_simulator::{
     rollout::{
-        Census, DisplacementGradient, Evaluation, Observer, Progress, Recording, RolloutError, Snapshot,
+        Census, CostsFn, DisplacementGradient, Evaluation, LossFn, Observer, Recording, RolloutError,
+        Snapshot, Watch,
+        restart::{Restarted, Restarts},
     },
     scene::{Amount, ContainerShape, Quantity, SceneSpec},
     skill::{Control, SkillMap, Theta},
@@ -26,6 +28,7 @@ use std::{
     fs,
     path::{Path, PathBuf},
     rc::Rc,
+    sync::{Arc, Mutex},
 };
 
 mod commands;
@@ -50,20 +53,19 @@ struct Ends {
     patience: Rc<Cell<u64>>,
     /// How many motions in whole counts bring nothing yet.
     spoilt: Cell<u32>,
+    watch: Watch,
 }
 
 impl Ends {
     const WISH: Control = [0.09, 0.0, 0.01, 0.0, 1.3, 0.0];
 
-    fn tick(&self, progress: Progress<'_>) -> Result<(), RolloutError> {
+    fn tick(&mut self) -> Result<(), RolloutError> {
         for done in 1..=TICKS {
             self.patience.set(self.patience.get().saturating_sub(1));
             if self.patience.get() == 0 {
                 self.interrupt.request();
             }
-            if !progress(done, TICKS) {
-                return Err(RolloutError::Stopped);
-            }
+            self.watch.check(done, TICKS)?;
         }
         Ok(())
     }
@@ -74,41 +76,33 @@ impl Ends {
         let loss = 1.0 + error.iter().map(|x| x * x).sum::<f64>();
         let transported = (200.0 / loss) as u32;
         let indicator = 200 - i64::from(transported);
-        (
-            Evaluation {
-                loss,
-                indicator,
-                census: Census { target: transported, spilled: 7, ..Census::default() },
-                gradient: None,
-            },
-            error.map(|x| 2.0 * x),
-        )
+        let census = Census { target: transported, spilled: 7, ..Census::default() };
+        (Evaluation::new(loss, indicator, census), error.map(|x| 2.0 * x))
     }
 }
 
-impl Evaluate for Ends {
-    fn evaluate(
-        &mut self,
-        theta: &Theta,
-        gradient: bool,
-        progress: Progress<'_>,
-    ) -> Result<Evaluation, RolloutError> {
-        self.tick(progress)?;
+impl Simulate for Ends {
+    fn watch(&mut self) -> &mut Watch {
+        &mut self.watch
+    }
+
+    fn evaluate(&mut self, theta: &Theta) -> Result<Evaluation, RolloutError> {
+        Ok(self.evaluate_with_gradient(theta)?.0)
+    }
+
+    fn evaluate_with_gradient(&mut self, theta: &Theta) -> Result<(Evaluation, Theta), RolloutError> {
+        self.tick()?;
         let at = self.map.linearise(theta)?;
         let (evaluation, bar) = Self::judge(at.controls.iter().map(Displacement::components));
         let bars = vec![bar; at.controls.len()];
         let mut slope = at.pull_back(&bars);
         slope[0] += libm::sin(1e6 * theta[0]);
-        Ok(Evaluation { gradient: gradient.then_some(slope), ..evaluation })
+        Ok((evaluation, slope))
     }
 
-    fn simulate(
-        &mut self,
-        controls: &[Displacement],
-        progress: Progress<'_>,
-    ) -> Result<Evaluation, RolloutError> {
+    fn simulate(&mut self, controls: &[Displacement]) -> Result<Evaluation, RolloutError> {
         let anchor = *self.map.start_pose();
-        let mut evaluation = self.simulate_from(&anchor, controls, progress)?;
+        let mut evaluation = self.simulate_from(&anchor, controls)?;
         if let Some(left) = self.spoilt.get().checked_sub(1) {
             self.spoilt.set(left);
             evaluation.census.target = 0;
@@ -120,9 +114,8 @@ impl Evaluate for Ends {
     fn simulate_with_gradient(
         &mut self,
         controls: &[Displacement],
-        progress: Progress<'_>,
     ) -> Result<(Evaluation, Vec<DisplacementGradient>), RolloutError> {
-        self.tick(progress)?;
+        self.tick()?;
         let (evaluation, bar) = Self::judge(controls.iter().map(Displacement::components));
         if bar[4].abs() < 0.1 {
             return Err(RolloutError::Escaped { step: 1, substep: 2, particle: 3 });
@@ -134,9 +127,8 @@ impl Evaluate for Ends {
         &mut self,
         anchor: &Pose,
         controls: &[Displacement],
-        progress: Progress<'_>,
     ) -> Result<Evaluation, RolloutError> {
-        self.tick(progress)?;
+        self.tick()?;
         let controls = controls.iter().map(Displacement::components);
         let offset = self.map.start_pose().displacement_to(anchor);
         // Added last: an anchor at the start pose changes no bit.
@@ -148,23 +140,54 @@ impl Evaluate for Ends {
         &mut self,
         take: &Recording<'_>,
         look: Observer<'_>,
-        progress: Progress<'_>,
     ) -> Result<(Evaluation, Vec<Destination>), RolloutError> {
         let mut tool = *take.anchor;
         for step in 0..=take.controls.len() {
             if step.is_multiple_of(take.every) {
                 let carried = tool.position_m.map(|x| x as f32).into();
                 let positions_m = [[0.05, 0.06, 0.01], carried];
-                if !look(&Snapshot { step, tool, positions_m: &positions_m, velocities_m_s: &[[0.0; 3]; 2] })
-                {
+                let velocities_m_s = &[[0.0; 3]; 2];
+                if look(&Snapshot { step, tool, positions_m: &positions_m, velocities_m_s }).is_break() {
                     return Err(RolloutError::Stopped);
                 }
             }
             tool = take.controls.get(step).map_or(tool, |control| tool.displaced(control));
         }
-        let evaluation = self.simulate_from(take.anchor, take.controls, progress)?;
+        let evaluation = self.simulate_from(take.anchor, take.controls)?;
         Ok((evaluation, vec![Destination::Source, Destination::Tool]))
     }
+
+    fn evaluate_restarted(&mut self, _: &Theta, _: &Restarts) -> Result<Restarted, RolloutError> {
+        unreachable!("no command that is tested here asks for it")
+    }
+
+    fn gradient_of_custom_loss(
+        &mut self,
+        _: &[Displacement],
+        _: LossFn<'_>,
+    ) -> Result<(f64, Vec<DisplacementGradient>), RolloutError> {
+        unreachable!("no command asks for it")
+    }
+
+    fn restarted_gradient_of_custom_loss(
+        &mut self,
+        _: &[Displacement],
+        _: CostsFn<'_>,
+        _: &Restarts,
+    ) -> Result<(f64, Vec<DisplacementGradient>), RolloutError> {
+        unreachable!("no command asks for it")
+    }
+
+    fn final_positions_m(&mut self, _: &[Displacement]) -> Result<Vec<[f64; 3]>, RolloutError> {
+        unreachable!("no command asks for it")
+    }
+}
+
+/// Where standard error goes.
+type Buffer = Arc<Mutex<Vec<u8>>>;
+
+fn read(buffer: &Buffer) -> String {
+    String::from_utf8(buffer.lock().unwrap().clone()).unwrap()
 }
 
 /// Exit code, standard output, standard error.
@@ -190,21 +213,21 @@ fn optimise_for(patience: u64, arguments: &[&str]) -> Done {
 fn optimise_with(patience: u64, spoilt: u32, arguments: &[&str]) -> Done {
     let interrupt = Interrupt::default();
     let patience = Rc::new(Cell::new(patience));
-    let factory = |scene: &Scene, _: &SimulatorSettings| -> Result<Box<dyn Evaluate>, RolloutError> {
+    let factory = |scene: &Scene, _: &Setup| -> Result<Box<dyn Simulate>, RolloutError> {
         let (interrupt, patience) = (interrupt.clone(), patience.clone());
-        Ok(Box::new(Ends { map: SkillMap::new(scene), interrupt, patience, spoilt: Cell::new(spoilt) }))
+        let (map, spoilt) = (SkillMap::new(scene), Cell::new(spoilt));
+        Ok(Box::new(Ends { map, interrupt, patience, spoilt, watch: Watch::default() }))
     };
-    let (mut out, mut err) = (Vec::new(), Vec::new());
+    let (mut out, err) = (Vec::new(), Buffer::default());
     let mut context = Context {
         factory: &factory,
         interrupt: interrupt.clone(),
         out: &mut out,
-        err: &mut err,
+        err: err.clone().into(),
         live: false,
     };
     let result = execute(["optimise"].iter().chain(arguments), &mut context);
-    let text = |bytes| String::from_utf8(bytes).unwrap();
-    let (out, mut err) = (text(out), text(err));
+    let (out, mut err) = (String::from_utf8(out).unwrap(), read(&err));
     let code = result.as_ref().map_or_else(CliError::code, |()| 0);
     if let Err(error) = result {
         err += &error.to_string();
@@ -289,17 +312,17 @@ impl Write for Closed {
 
 /// That the command ends and says nothing where nobody reads standard output.
 fn assert_unread(arguments: &[&str]) {
-    let mut err = Vec::new();
+    let err = Buffer::default();
     let mut context = Context {
         factory: &|_, _| unreachable!(),
         interrupt: Interrupt::default(),
         out: &mut Closed,
-        err: &mut err,
+        err: err.clone().into(),
         live: false,
     };
     let ended = execute(["optimise"].iter().chain(arguments), &mut context).unwrap_err();
     assert_eq!((ended.code(), &ended), (141, &CliError::Unread), "{arguments:?}");
-    assert!(err.is_empty(), "{arguments:?}");
+    assert!(read(&err).is_empty(), "{arguments:?}");
 }
 
 #[test]
@@ -1267,10 +1290,10 @@ fn bench_refuses_in_one_sentence() {
 fn bench_stops_on_request() {
     let interrupt = Interrupt::default();
     interrupt.request();
-    let (mut out, mut err) = (Vec::new(), Vec::new());
-    let factory =
-        |_: &Scene, _: &SimulatorSettings| -> Result<Box<dyn Evaluate>, RolloutError> { unreachable!() };
-    let mut context = Context { factory: &factory, interrupt, out: &mut out, err: &mut err, live: false };
+    let mut out = Vec::new();
+    let factory = |_: &Scene, _: &Setup| -> Result<Box<dyn Simulate>, RolloutError> { unreachable!() };
+    let mut context =
+        Context { factory: &factory, interrupt, out: &mut out, err: Buffer::default().into(), live: false };
     let stopped = execute(["optimise", "bench", "--particles", "1000"], &mut context);
     assert_eq!(stopped.map_err(|error| error.code()), Err(130));
     assert!(out.is_empty());

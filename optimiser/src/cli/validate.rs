@@ -98,11 +98,11 @@ fn measure(
     let threads = arguments
         .threads
         .map_or_else(|| std::thread::available_parallelism().map_or(1, usize::from), usize::from);
-    let mut progress = Progress::new(context.err, context.live);
+    let progress = Progress::new(&context.err, context.live);
     progress.begin(&format!("{} table of {}", scope.name(), scene.name), 0, &[]);
     let table = run(scene, scope, threads, &mut |done, total| {
-        progress.tick(done, total);
-        !interrupt.is_requested()
+        progress.tick(done as f64 / total.max(1) as f64);
+        interrupt.flow()
     });
     progress.clear();
     Ok(table?)

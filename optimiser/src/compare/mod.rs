@@ -69,7 +69,7 @@ impl Try {
     /// What was found.
     pub fn evaluation(&self) -> Evaluation {
         let Self { loss, indicator, census, .. } = *self;
-        Evaluation { loss, indicator, census, gradient: None }
+        Evaluation::new(loss, indicator, census)
     }
 }
 
@@ -90,7 +90,7 @@ impl Track {
         let mut tries: Vec<Try> = Vec::with_capacity(history.len());
         for record in history {
             let EpochRecord { theta, loss, indicator, census, seconds, .. } = *record;
-            let found = Evaluation { loss, indicator, census, gradient: None };
+            let found = Evaluation::new(loss, indicator, census);
             tries.push(Try::after(tries.last(), Some(theta), &found, rollouts(record), seconds));
         }
         Self { method, seed, tries }
@@ -204,7 +204,7 @@ mod tests {
 
     pub(super) fn at(loss: f64) -> Evaluation {
         let census = Census { target: (100.0 - loss) as u32, ..Census::default() };
-        Evaluation { loss, indicator: 100 - i64::from(census.target), census, gradient: None }
+        Evaluation::new(loss, 100 - i64::from(census.target), census)
     }
 
     pub(super) fn track(method: Method, seed: u64, losses: &[f64]) -> Track {

@@ -128,15 +128,8 @@ mod tests {
 
     fn found(loss: f64, steps: usize) -> (Evaluation, Vec<DisplacementGradient>) {
         let slope = DisplacementGradient { per_metre: [1.0, 0.0, -2.0], per_radian: [0.0, 3.0, 0.0] };
-        (
-            Evaluation {
-                loss,
-                indicator: 5,
-                census: Census { target: 1, ..Census::default() },
-                gradient: None,
-            },
-            vec![slope; steps],
-        )
+        let census = Census { target: 1, ..Census::default() };
+        (Evaluation::new(loss, 5, census), vec![slope; steps])
     }
 
     fn with_two_epochs(scene: &Scene) -> StepTrack {

@@ -14,7 +14,9 @@ pub use estimate::{
 };
 pub use rmsprop::{GradientError, Pace, RmsProp, RmsPropState};
 pub(crate) use search::is_loss;
-pub use search::{EpochRecord, Method, Request, Restarts, Search, SearchError, Step, WIDEST_HALF_STEP};
+pub use search::{
+    Answer, EpochRecord, Method, Request, Restarts, Search, SearchError, Step, WIDEST_HALF_STEP,
+};
 
 use powderline_simulator::skill::Theta;
 use rand_chacha::{

@@ -121,6 +121,15 @@ pub struct Request {
     pub probes: usize,
 }
 
+/// What comes of a [`Request`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Answer {
+    /// The skill's evaluation.
+    pub evaluation: Evaluation,
+    /// The gradient by an adjoint, metres, if it was wanted.
+    pub adjoint: Option<Theta>,
+}
+
 /// An evaluation that the search cannot go on from.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum SearchError {
@@ -211,7 +220,7 @@ impl Search {
         })
     }
 
-    /// The points whose losses are needed besides, now that the evaluation of [`Search::next`] gave `adjoint`.
+    /// The points whose losses are needed besides, now that the answer to [`Search::next`] has `adjoint`.
     pub fn probes(&self, method: &Method, adjoint: Option<&Theta>) -> Vec<Probe> {
         if self.is_last() {
             return Vec::new();
@@ -227,14 +236,14 @@ impl Search {
     pub fn wider(
         &self,
         method: &Method,
-        evaluation: &Evaluation,
+        answer: &Answer,
         rings: &[Vec<f64>],
     ) -> Result<Vec<Probe>, SearchError> {
         let Some(estimator) = method.estimator.widened(rings.len()) else { return Ok(Vec::new()) };
         if self.is_last() {
             return Ok(Vec::new());
         }
-        let attempt = self.attempt(method, evaluation, rings)?;
+        let attempt = self.attempt(method, answer, rings)?;
         if attempt.moves(&self.state.theta) {
             return Ok(Vec::new());
         }
@@ -249,18 +258,19 @@ impl Search {
     pub fn record(
         &mut self,
         method: &Method,
-        evaluation: &Evaluation,
+        answer: &Answer,
         rings: &[Vec<f64>],
         seconds: f64,
     ) -> Result<&EpochRecord, SearchError> {
         let RmsPropState { theta, updates: epoch, .. } = self.state;
+        let evaluation = &answer.evaluation;
         if !is_loss(evaluation.loss) {
             return Err(SearchError::Loss { epoch, loss: evaluation.loss });
         }
         let (estimate, step) = if self.is_last() {
             (Estimate::default(), Step::None)
         } else {
-            self.update(method, evaluation, rings)?
+            self.update(method, answer, rings)?
         };
         let widest = rings.len().saturating_sub(1);
         let has_differences = estimate.differences.iter().any(Option::is_some);
@@ -290,13 +300,13 @@ impl Search {
     fn update(
         &mut self,
         method: &Method,
-        evaluation: &Evaluation,
+        answer: &Answer,
         rings: &[Vec<f64>],
     ) -> Result<(Estimate, Step), SearchError> {
-        if !self.wider(method, evaluation, rings)?.is_empty() {
+        if !self.wider(method, answer, rings)?.is_empty() {
             return Err(SearchError::Missing { epoch: self.state.updates, missing: "a wider probe" });
         }
-        let attempt = self.attempt(method, evaluation, rings)?;
+        let attempt = self.attempt(method, answer, rings)?;
         let step = if attempt.moves(&self.state.theta) { Step::Update } else { Step::Restart };
         (self.state, self.estimates) = match step {
             Step::Restart => {
@@ -310,17 +320,12 @@ impl Search {
     }
 
     /// What comes of the findings: of the first ring and the adjoint together, then of each wider ring alone.
-    fn attempt(
-        &self,
-        method: &Method,
-        evaluation: &Evaluation,
-        rings: &[Vec<f64>],
-    ) -> Result<Attempt, SearchError> {
+    fn attempt(&self, method: &Method, answer: &Answer, rings: &[Vec<f64>]) -> Result<Attempt, SearchError> {
         let place = self.place(&method.rule);
         let epoch = place.epoch;
         let missing = |missing| SearchError::Missing { epoch, missing };
         let wanted = method.estimator.wants_adjoint(&self.estimates, &place);
-        let adjoint = evaluation.gradient.filter(|_| wanted);
+        let adjoint = answer.adjoint.filter(|_| wanted);
         if wanted && adjoint.is_none() {
             return Err(missing("the gradient"));
         }
@@ -328,7 +333,7 @@ impl Search {
             if probes.len() != estimator.probes(known, &place, adjoint.as_ref()).len() {
                 return Err(missing("a probe"));
             }
-            let found = Findings { loss: evaluation.loss, adjoint, probes };
+            let found = Findings { loss: answer.evaluation.loss, adjoint, probes };
             let (estimate, estimates) = estimator.combine(known, &place, &found);
             let state = method
                 .rule
@@ -423,34 +428,30 @@ mod tests {
     };
 
     /// A bowl whose gradient is wrong in depth, so that the search has all kinds of epochs.
-    fn bowl(theta: &Theta, gradient: bool) -> Evaluation {
+    fn bowl(theta: &Theta, want_gradient: bool) -> Answer {
         let loss: f64 = theta.iter().map(|x| (x - 0.3) * (x - 0.3)).sum();
         let mut slope = theta.map(|x| 2.0 * (x - 0.3));
         slope[0] += 1e3 * libm::sin(1e6 * theta[0]);
-        Evaluation {
-            loss,
-            indicator: 5,
-            census: Census { target: 1, ..Census::default() },
-            gradient: gradient.then_some(slope),
-        }
+        let census = Census { target: 1, ..Census::default() };
+        Answer { evaluation: Evaluation::new(loss, 5, census), adjoint: want_gradient.then_some(slope) }
     }
 
-    fn probed(search: &Search, method: &Method, evaluation: &Evaluation) -> Vec<Vec<f64>> {
-        probed_in(search, method, evaluation, |theta| bowl(theta, false).loss)
+    fn probed(search: &Search, method: &Method, answer: &Answer) -> Vec<Vec<f64>> {
+        probed_in(search, method, answer, |theta| bowl(theta, false).evaluation.loss)
     }
 
     /// The losses of all rings that the search asks for.
     fn probed_in(
         search: &Search,
         method: &Method,
-        evaluation: &Evaluation,
+        answer: &Answer,
         loss: impl Fn(&Theta) -> f64,
     ) -> Vec<Vec<f64>> {
         let losses =
             |probes: Vec<Probe>| -> Vec<f64> { probes.iter().map(|probe| loss(&probe.theta)).collect() };
-        let mut rings = vec![losses(search.probes(method, evaluation.gradient.as_ref()))];
+        let mut rings = vec![losses(search.probes(method, answer.adjoint.as_ref()))];
         loop {
-            match search.wider(method, evaluation, &rings).unwrap() {
+            match search.wider(method, answer, &rings).unwrap() {
                 none if none.is_empty() => return rings,
                 probes => rings.push(losses(probes)),
             }
@@ -460,9 +461,9 @@ mod tests {
     fn advance_by(search: &mut Search, method: &Method, epochs: usize) {
         for _ in 0..epochs {
             let request = search.next(method).unwrap();
-            let evaluation = bowl(&request.theta, request.want_gradient);
-            let losses = probed(search, method, &evaluation);
-            search.record(method, &evaluation, &losses, 0.0).unwrap();
+            let answer = bowl(&request.theta, request.want_gradient);
+            let losses = probed(search, method, &answer);
+            search.record(method, &answer, &losses, 0.0).unwrap();
             assert!(search.is_sound());
         }
     }
@@ -515,12 +516,16 @@ mod tests {
         let before = search.clone();
         let sound = bowl(&[-0.5; 5], true);
         let losses = probed(&search, &METHOD, &sound);
+        let costing = |loss: f64| {
+            let Evaluation { indicator, census, .. } = sound.evaluation;
+            Answer { evaluation: Evaluation::new(loss, indicator, census), ..sound }
+        };
         for broken in [
-            Evaluation { loss: f64::NAN, ..sound },
-            Evaluation { loss: f64::MAX, ..sound },
-            Evaluation { loss: -1.0, ..sound },
-            Evaluation { gradient: Some([f64::INFINITY; 5]), ..sound },
-            Evaluation { gradient: None, ..sound },
+            costing(f64::NAN),
+            costing(f64::MAX),
+            costing(-1.0),
+            Answer { adjoint: Some([f64::INFINITY; 5]), ..sound },
+            Answer { adjoint: None, ..sound },
         ] {
             assert!(search.record(&METHOD, &broken, &losses, 0.0).is_err());
             assert_eq!(search, before);
@@ -576,10 +581,11 @@ mod tests {
 
     fn step_on(search: &mut Search, method: &Method, loss: impl Fn(&Theta) -> f64) -> EpochRecord {
         let request = search.next(method).unwrap();
-        let gradient = request.want_gradient.then_some([0.0; 5]);
-        let evaluation = Evaluation { loss: loss(&request.theta), gradient, ..bowl(&request.theta, false) };
-        let rings = probed_in(search, method, &evaluation, loss);
-        *search.record(method, &evaluation, &rings, 0.0).unwrap()
+        let mut answer =
+            Answer { adjoint: request.want_gradient.then_some([0.0; 5]), ..bowl(&request.theta, false) };
+        answer.evaluation.loss = loss(&request.theta);
+        let rings = probed_in(search, method, &answer, loss);
+        *search.record(method, &answer, &rings, 0.0).unwrap()
     }
 
     #[test]
@@ -607,13 +613,13 @@ mod tests {
         let estimator = Estimator { gradient: GradientEstimator::Adjoint, ..METHOD.estimator };
         let method = Method { estimator, ..METHOD };
         let mut search = Search::new([1.0; 5], 10);
-        let evaluation = Evaluation { gradient: Some([-1.0; 5]), ..bowl(&[1.0; 5], false) };
-        let record = *search.record(&method, &evaluation, &[vec![]], 0.0).unwrap();
+        let answer = Answer { adjoint: Some([-1.0; 5]), ..bowl(&[1.0; 5], false) };
+        let record = *search.record(&method, &answer, &[vec![]], 0.0).unwrap();
         assert_eq!((record.step, record.half_step, record.probes), (Step::Restart, None, 0));
         // The first step from there is as long as that from the first theta.
         let theta = search.next(&method).unwrap().theta;
-        let evaluation = Evaluation { gradient: Some([1.0; 5]), ..bowl(&theta, false) };
-        search.record(&method, &evaluation, &[vec![]], 0.0).unwrap();
+        let answer = Answer { adjoint: Some([1.0; 5]), ..bowl(&theta, false) };
+        search.record(&method, &answer, &[vec![]], 0.0).unwrap();
         let went = theta[0] - search.next(&method).unwrap().theta[0];
         assert!((went - method.rule.learning_rate).abs() < 1e-6, "{went}");
     }
@@ -645,7 +651,7 @@ mod tests {
         );
         advance_by(&mut search, &method, 11);
         for record in &search.history()[..10] {
-            let gradient = bowl(&record.theta, true).gradient;
+            let gradient = bowl(&record.theta, true).adjoint;
             assert_eq!(record.gradient, gradient);
             assert_eq!((record.adjoint, record.differences), (gradient.unwrap().map(Some), [None; 5]));
         }

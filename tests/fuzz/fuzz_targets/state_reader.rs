@@ -4,8 +4,8 @@
 
 use libfuzzer_sys::fuzz_target;
 use powderline_fuzz::{assert_sentence, plant};
-use powderline_optimiser::cli::Progress;
-use powderline_optimiser::optim::{Method, Probe, Search};
+use powderline_optimiser::cli::{Progress, Stream};
+use powderline_optimiser::optim::{Answer, Method, Probe, Search};
 use powderline_optimiser::report::{amounts::Amounts, curves::Curves, state::RunState};
 use powderline_shared::plan::Precision;
 use powderline_simulator::rollout::{Census, Evaluation};
@@ -44,8 +44,7 @@ fn check(bytes: &[u8]) {
 /// As a run does that is resumed: one more epoch, its line, the curves, the state.
 fn go_on(mut search: Search) {
     search.extend(search.epochs().saturating_add(1));
-    let mut out = Vec::new();
-    let mut progress = Progress::new(&mut out, true);
+    let progress = Progress::new(&Stream::new(std::io::sink()), true);
     if let Some(request) = search.next(&METHOD) {
         progress.begin("epoch", search.epochs() - request.epoch, search.history());
         record(&mut search);
@@ -73,23 +72,22 @@ fn go_on(mut search: Search) {
 fn record(search: &mut Search) {
     let Some(request) = search.next(&METHOD) else { return };
     let loss = |theta: &[f64; 5]| theta.iter().map(|value| value * value).sum::<f64>();
-    let evaluation = Evaluation {
-        loss: loss(&request.theta),
-        indicator: 1,
-        census: Census { target: 2, spilled: 3, tool: 4, ..Census::default() },
-        gradient: request.want_gradient.then_some(request.theta),
+    let census = Census { target: 2, spilled: 3, tool: 4, ..Census::default() };
+    let answer = Answer {
+        evaluation: Evaluation::new(loss(&request.theta), 1, census),
+        adjoint: request.want_gradient.then_some(request.theta),
     };
-    let probes = search.probes(&METHOD, evaluation.gradient.as_ref());
+    let probes = search.probes(&METHOD, answer.adjoint.as_ref());
     let losses = |probes: Vec<Probe>| probes.iter().map(|probe| loss(&probe.theta)).collect();
     let mut rings: Vec<Vec<f64>> = vec![losses(probes)];
-    while let Ok(wider) = search.wider(&METHOD, &evaluation, &rings) {
+    while let Ok(wider) = search.wider(&METHOD, &answer, &rings) {
         match wider.is_empty() {
             true => break,
             false => rings.push(losses(wider)),
         }
     }
     // Refused where numbers of the state are too large to go on with.
-    let _ = search.record(&METHOD, &evaluation, &rings, 1.5);
+    let _ = search.record(&METHOD, &answer, &rings, 1.5);
 }
 
 /// A run of two epochs, of which some are done.

@@ -1,6 +1,6 @@
 //! What is run, what is read off, and what comes of it.
 
-use std::ops::Range;
+use std::ops::{ControlFlow, Range};
 
 use powderline_shared::plan::Precision;
 use serde::Serialize;
@@ -12,7 +12,7 @@ use super::problem::{Problem, SUBSTEPS};
 use crate::memory::{PARTICLE_SCALARS, available_bytes, min_checkpoints};
 use crate::mpm::timings::{Gauge, Pass, PassTimings, Reading, Stage};
 use crate::real::Real;
-use crate::rollout::{Progress, RolloutError, RolloutState, Simulator, thread_pool};
+use crate::rollout::{RolloutError, RolloutState, Simulator, Tick, quiet, thread_pool};
 
 /// What is to be measured.
 #[derive(Clone, Copy, Debug)]
@@ -33,8 +33,9 @@ pub struct Settings {
     pub memory_bytes: Option<u64>,
 }
 
-/// Told what is being done, and how far it is; `false` ends it with [`RolloutError::Stopped`].
-pub type Watch<'a> = &'a mut (dyn FnMut(&str, u64, u64) -> bool + Send);
+/// Told what is being done, and how far it is; [`ControlFlow::Break`] ends it with
+/// [`RolloutError::Stopped`].
+pub type Watch<'a> = &'a mut (dyn FnMut(&str, u64, u64) -> ControlFlow<()> + Send);
 
 /// Control steps before anything is measured: the powder comes to lie on floor and bowl.
 const WARM_UP: usize = 2;
@@ -107,7 +108,7 @@ impl<T: Real> Bench<T> {
         let pool = thread_pool(threads)?;
         // Memory is looked after before; what is kept is bounded by number.
         let mut simulator = Simulator::with_packing(&problem.scene, problem.packing.clone(), pool, u64::MAX);
-        let moment = simulator.initial_state(&mut |_, _| true)?;
+        let moment = simulator.initial_state(&mut quiet)?;
         Ok(Self { problem, simulator, moment, step: 0, gauge })
     }
 
@@ -121,7 +122,7 @@ impl<T: Real> Bench<T> {
     }
 
     /// Goes on by so many control steps.
-    fn forward(&mut self, steps: usize, progress: Progress<'_>) -> Result<Taken, RolloutError> {
+    fn forward(&mut self, steps: usize, progress: Tick<'_>) -> Result<Taken, RolloutError> {
         let controls = self.problem.controls(self.next(steps));
         let (gauge, mut stamps) = (self.gauge, Vec::with_capacity(steps + 1));
         self.simulator.timings().follow(self.gauge);
@@ -136,7 +137,7 @@ impl<T: Real> Bench<T> {
     }
 
     /// The gradient of the loss after so many control steps, from here; stays here.
-    fn gradient(&mut self, steps: usize, progress: Progress<'_>) -> Result<Taken, RolloutError> {
+    fn gradient(&mut self, steps: usize, progress: Tick<'_>) -> Result<Taken, RolloutError> {
         let controls = self.problem.controls(self.next(steps));
         let kept = min_checkpoints(self.substeps(steps) as u64, PASSES) as usize;
         self.simulator.set_max_checkpoints(kept);
@@ -173,8 +174,8 @@ impl<T: Real> Bench<T> {
         let (mut total_ns, mut count) = (0, 0);
         while count < substeps {
             let timings = match pass {
-                Pass::Forward => self.forward(1, &mut |_, _| true)?.timings,
-                Pass::Adjoint => self.gradient(1, &mut |_, _| true)?.timings,
+                Pass::Forward => self.forward(1, &mut quiet)?.timings,
+                Pass::Adjoint => self.gradient(1, &mut quiet)?.timings,
                 Pass::Alone => self.alone()?,
             };
             for lap in timings.iter().filter(|lap| lap.pass == pass) {
@@ -641,7 +642,7 @@ mod tests {
 
     #[test]
     fn operations_of_the_scatter_are_those_counted_by_hand() {
-        let counts = counts::<f32>(&tiny(), &mut |_, _, _| true).expect("fits");
+        let counts = counts::<f32>(&tiny(), &mut |_, _, _| ControlFlow::Continue(())).expect("fits");
         let bench = Bench::<f32>::new(1_000, 16, 1).expect("fits");
         let (_, lanes) = bench.moment.blocks_and_lanes();
         let lanes_per_particle = lanes as f64 / 1_000.0;
@@ -658,8 +659,8 @@ mod tests {
 
     #[test]
     fn precisions_differ_by_their_elementary_functions() {
-        let narrow = counts::<f32>(&tiny(), &mut |_, _, _| true).expect("fits");
-        let wide = counts::<f64>(&tiny(), &mut |_, _, _| true).expect("fits");
+        let narrow = counts::<f32>(&tiny(), &mut |_, _, _| ControlFlow::Continue(())).expect("fits");
+        let wide = counts::<f64>(&tiny(), &mut |_, _, _| ControlFlow::Continue(())).expect("fits");
         let (_, lanes) = Bench::<f64>::new(1_000, 16, 1).expect("fits").moment.blocks_and_lanes();
         let at = entry(Pass::Alone, Stage::ReturnMap);
         // A logarithm and an exponential, and a series for either of matrices: four operations a term.

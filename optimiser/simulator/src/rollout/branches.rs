@@ -12,7 +12,7 @@ use crate::mpm::spare::BufferPool;
 use crate::mpm::substep::{State, Workspace};
 use crate::real::Real;
 use crate::rollout::path::Trajectory;
-use crate::rollout::{Evaluation, Progress, RolloutError, thread_pool};
+use crate::rollout::{Evaluation, RolloutError, Tick, thread_pool};
 
 /// A worker: threads of its own, and what their substeps need.
 pub(crate) struct Worker<T> {
@@ -54,7 +54,7 @@ struct Queue<'p, T> {
     /// Branches in the hands of workers.
     running: usize,
     ends: Vec<Option<Result<Evaluation, RolloutError>>>,
-    progress: Progress<'p>,
+    progress: Tick<'p>,
     done: u64,
     total: u64,
     stopped: bool,
@@ -88,7 +88,7 @@ pub(crate) fn run<T: Real>(
     start: State<T>,
     workers: Vec<(&rayon::ThreadPool, &mut Workspace<T>)>,
     spare: &mut BufferPool<T>,
-    progress: Progress<'_>,
+    progress: Tick<'_>,
 ) -> Result<Vec<Evaluation>, RolloutError> {
     let members: Vec<usize> = (0..batch.paths.len()).collect();
     let total = batch.steps(0, &members);
@@ -196,7 +196,7 @@ impl<T: Real> Batch<'_, T> {
             let mut guard = lock(work);
             guard.done += 1;
             let Queue { progress, done, total, stopped, .. } = &mut *guard;
-            if *stopped || !progress(*done, *total) {
+            if *stopped || progress(*done, *total).is_break() {
                 return Err(RolloutError::Stopped);
             }
         }

@@ -9,10 +9,12 @@
 //! parameters move the controls within it. The windows together hold the whole skill, so that every parameter is
 //! at work in one of them.
 
+use std::ops::Range;
+
 use serde::Serialize;
 
 use crate::real::Real;
-use crate::rollout::{Evaluate, Evaluation, Progress, RolloutError, Simulator};
+use crate::rollout::{Evaluation, RolloutError, Simulate, Simulator, Tick};
 use crate::skill::{SkillMap, Theta};
 
 /// The skill at which gradients are checked: a middling scoop that reaches the target.
@@ -77,9 +79,16 @@ pub fn check_window<T: Real>(
     map: &SkillMap,
     start: u32,
     end: u32,
-    progress: Progress<'_>,
 ) -> Result<Window, RolloutError> {
-    let stretch = start as usize..end as usize;
+    simulator.watched(|simulator, tick| checked(simulator, map, start as usize..end as usize, tick))
+}
+
+fn checked<T: Real>(
+    simulator: &mut Simulator<T>,
+    map: &SkillMap,
+    stretch: Range<usize>,
+    progress: Tick<'_>,
+) -> Result<Window, RolloutError> {
     let linear = map.linearise(&CHECKED_THETA)?;
     let beginning = simulator.initial_state(progress)?;
     let from = simulator.advanced(&beginning, &linear.controls[..stretch.start], progress)?;
@@ -108,6 +117,7 @@ pub fn check_window<T: Real>(
         components.push(Component { adjoint, differences, error: at_work.then_some(best) });
     }
     let error = components.iter().filter_map(|c| c.error).fold(0.0, f64::max);
+    let (start, end) = (stretch.start as u32, stretch.end as u32);
     Ok(Window { start, end, loss: at.loss, components, error })
 }
 
@@ -115,15 +125,15 @@ pub fn check_window<T: Real>(
 ///
 /// # Errors
 /// See [`RolloutError`].
-pub fn smoothed(simulator: &mut dyn Evaluate, progress: Progress<'_>) -> Result<Smoothed, RolloutError> {
-    let adjoint = simulator.evaluate(&CHECKED_THETA, true, progress)?.gradient.unwrap_or([f64::NAN; 5]);
+pub fn smoothed(simulator: &mut dyn Simulate) -> Result<Smoothed, RolloutError> {
+    let (_, adjoint) = simulator.evaluate_with_gradient(&CHECKED_THETA)?;
     let moved = |(k, step): (usize, f64)| {
         let mut theta = CHECKED_THETA;
         theta[k] += step;
         theta
     };
     let both_ways = (0..5).flat_map(|k| [(k, SMOOTH_HALF_STEP), (k, -SMOOTH_HALF_STEP)]);
-    let ends = simulator.evaluate_all(&both_ways.map(moved).collect::<Vec<_>>(), progress)?;
+    let ends = simulator.evaluate_all(&both_ways.map(moved).collect::<Vec<_>>())?;
     let differences: Theta =
         std::array::from_fn(|k| (ends[2 * k].loss - ends[2 * k + 1].loss) / (2.0 * SMOOTH_HALF_STEP));
     let dot = |a: &Theta, b: &Theta| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();

@@ -1,20 +1,20 @@
 //! Motions of the tool, what the powder makes of them, and the derivative of that.
 //!
-//! [`boxed_simulator`] gives the simulator of a scene in the precision that the settings ask for,
-//! [`Simulator::new`] one whose precision is known when compiling. Both are asked through
-//! [`Evaluate`] and [`ParticleSimulator`]:
+//! [`Simulator::new`] gives the simulator of a scene in a precision that is known when compiling,
+//! [`boxed_simulator`] in one that is chosen at run time. Both are asked through [`Simulate`]:
 //!
 //! | Wanted | Method |
 //! |---|---|
-//! | the loss of a skill, its gradient by the five parameters | [`Evaluate::evaluate`] |
-//! | of several skills, side by side | [`Evaluate::evaluate_all`] |
-//! | the loss of any motion of the tool | [`Evaluate::simulate`] |
-//! | its derivative by every displacement | [`Evaluate::simulate_with_gradient`] |
-//! | the same of a loss of one's own | [`ParticleSimulator::gradient_of_custom_loss`] |
-//! | a slope that holds over larger steps | [`ParticleSimulator::evaluate_restarted`] |
-//! | the same of a loss of one's own | [`ParticleSimulator::restarted_gradient_of_custom_loss`] |
-//! | every grain on the way, and where it ends | [`Evaluate::record`] |
-//! | the grains at the end alone | [`ParticleSimulator::final_positions_m`] |
+//! | the loss of a skill | [`Simulate::evaluate`] |
+//! | of several skills, side by side | [`Simulate::evaluate_all`] |
+//! | its gradient by the five parameters | [`Simulate::evaluate_with_gradient`] |
+//! | a slope that holds over larger steps | [`Simulate::evaluate_restarted`] |
+//! | the loss of any motion of the tool | [`Simulate::simulate`] |
+//! | its derivative by every displacement | [`Simulate::simulate_with_gradient`] |
+//! | the same of a loss of one's own | [`Simulate::gradient_of_custom_loss`] |
+//! | the same over larger steps | [`Simulate::restarted_gradient_of_custom_loss`] |
+//! | every grain on the way, and where it ends | [`Simulate::record`] |
+//! | the grains at the end alone | [`Simulate::final_positions_m`] |
 //!
 //! A motion is a list of displacements, one for each control step, of any length: an empty one
 //! leaves the powder as it has settled, a longer one than the scene's horizon is simulated to its
@@ -53,10 +53,13 @@ mod simulator;
 pub mod slopes;
 #[cfg(test)]
 mod tests;
+mod watch;
 
 pub use outcome::Destination;
 pub(crate) use simulator::RolloutState;
 pub use simulator::Simulator;
+pub use watch::{ProgressFn, Tick, Watch, part};
+pub(crate) use watch::{go_on, quiet};
 
 pub use crate::memory::Workload;
 use crate::memory::least_memory;
@@ -69,10 +72,12 @@ pub use powderline_shared::{
     pose::Pose,
 };
 use serde::{Deserialize, Serialize};
+use std::ops::ControlFlow;
 use thiserror::Error;
 
 /// What one simulated motion achieved.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Evaluation {
     /// Loss of the scene's objective (see [`crate::scene::Aim`]), metres.
     pub loss: f64,
@@ -80,8 +85,13 @@ pub struct Evaluation {
     pub indicator: i64,
     /// Particles by their [`Destination`] at the end; [`SceneSpec::particle_mass_kg`](crate::scene::SceneSpec::particle_mass_kg) each.
     pub census: Census,
-    /// Derivative of the loss with respect to theta, when asked for.
-    pub gradient: Option<Theta>,
+}
+
+impl Evaluation {
+    /// What was found, by a simulator of one's own.
+    pub fn new(loss: f64, indicator: i64, census: Census) -> Self {
+        Self { loss, indicator, census }
+    }
 }
 
 /// Derivative of the loss with respect to one displacement of a control sequence, the others held,
@@ -116,14 +126,10 @@ impl From<Control> for DisplacementGradient {
 /// returns the loss and its derivative with respect to each position.
 pub type LossFn<'a> = &'a (dyn Fn(&[[f64; 3]]) -> (f64, Vec<[f64; 3]>) + Sync);
 
-/// A custom loss for [`ParticleSimulator::restarted_gradient_of_custom_loss`]: takes the particle positions at the end of a motion (m, in
+/// A custom loss for [`Simulate::restarted_gradient_of_custom_loss`]: takes the particle positions at the end of a motion (m, in
 /// packing order), returns the loss and what each particle costs of it: how the loss changes if that one is elsewhere and all others stay.
 /// A constant more or less does not matter; where the loss is a sum over particles, it is the summand.
 pub type CostsFn<'a> = &'a (dyn Fn(&[[f64; 3]]) -> (f64, Vec<f64>) + Sync);
-
-/// Called on the way with work units done and in total; `false` stops the rollout with
-/// [`RolloutError::Stopped`].
-pub type Progress<'a> = &'a mut (dyn FnMut(u64, u64) -> bool + Send);
 
 /// Powder and tool at one moment of a motion. Where a gate is then, [`crate::scene::Gate::displacement_m`] tells.
 #[derive(Clone, Copy, Debug)]
@@ -138,8 +144,8 @@ pub struct Snapshot<'a> {
     pub velocities_m_s: &'a [[f32; 3]],
 }
 
-/// Looks at snapshots as they come; `false` stops the rollout with [`RolloutError::Stopped`].
-pub type Observer<'a> = &'a mut (dyn FnMut(&Snapshot<'_>) -> bool + Send);
+/// Looks at snapshots as they come; [`ControlFlow::Break`] ends the rollout with [`RolloutError::Stopped`].
+pub type Observer<'a> = &'a mut (dyn FnMut(&Snapshot<'_>) -> ControlFlow<()> + Send);
 
 /// A motion that is recorded.
 #[derive(Clone, Copy, Debug)]
@@ -158,7 +164,7 @@ pub struct Recording<'a> {
 #[derive(Clone, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum RolloutError {
-    /// The progress callback asked for it.
+    /// Whoever is told the progress, or looks at snapshots, asked for it.
     #[error("stopped on request")]
     Stopped,
     /// A number of the simulation is NaN or infinite.
@@ -246,98 +252,46 @@ impl RolloutError {
     }
 }
 
-/// A simulator of one scene.
-pub trait Evaluate {
-    /// Loss of a skill, and its gradient if wanted: by the exact adjoint, or by the one that [`restart`]s where the
-    /// scene's `optimiser.gradient` asks for that ([`crate::scene::GradientEstimator::Restarted`]).
+/// A simulator of one scene: [`Simulator`] in either precision, [`boxed_simulator`] where that is chosen at run time.
+pub trait Simulate {
+    /// Who is told how far it is.
+    fn watch(&mut self) -> &mut Watch;
+
+    /// From now on this is told how far every call is, and may end it. May be called from any of the threads.
+    fn set_progress(&mut self, progress: ProgressFn) {
+        self.watch().set(progress);
+    }
+
+    /// Loss of a skill.
     ///
     /// # Errors
     /// See [`RolloutError`].
-    fn evaluate(
-        &mut self,
-        theta: &Theta,
-        want_gradient: bool,
-        progress: Progress<'_>,
-    ) -> Result<Evaluation, RolloutError>;
+    fn evaluate(&mut self, theta: &Theta) -> Result<Evaluation, RolloutError>;
 
-    /// Evaluations of several skills, without gradients, in their order.
+    /// Losses of several skills side by side, in their order.
     ///
     /// # Errors
     /// See [`RolloutError`]; that of the first skill that has one.
-    fn evaluate_all(
-        &mut self,
-        thetas: &[Theta],
-        progress: Progress<'_>,
-    ) -> Result<Vec<Evaluation>, RolloutError> {
-        let count = thetas.len() as u64;
-        let one = |(index, theta): (u64, &Theta)| {
-            self.evaluate(theta, false, &mut |done, total| progress(index * total + done, count * total))
+    fn evaluate_all(&mut self, thetas: &[Theta]) -> Result<Vec<Evaluation>, RolloutError> {
+        let count = thetas.len() as f64;
+        let one = |(index, theta): (u32, &Theta)| {
+            let share = |done: u32| f64::from(done) / count;
+            let outer = self.watch().enter([share(index), share(index + 1)]);
+            let found = self.evaluate(theta);
+            self.watch().leave(outer);
+            found
         };
         (0..).zip(thetas).map(one).collect()
     }
 
-    /// Loss of a motion that begins at the scene's start pose: of a skill's controls, of a
-    /// quantised plan's, or any other.
+    /// Loss of a skill, and its derivative with respect to theta, metres: by the exact adjoint, or by the one that [`restart`]s where
+    /// the scene's `optimiser.gradient` asks for that ([`crate::scene::GradientEstimator::Restarted`]).
     ///
     /// # Errors
     /// See [`RolloutError`].
-    fn simulate(
-        &mut self,
-        controls: &[Displacement],
-        progress: Progress<'_>,
-    ) -> Result<Evaluation, RolloutError>;
+    fn evaluate_with_gradient(&mut self, theta: &Theta) -> Result<(Evaluation, Theta), RolloutError>;
 
-    /// The same, and the derivative of the loss with respect to each displacement, the others held.
-    /// See [what it is good for](self#what-a-gradient-is-good-for).
-    ///
-    /// # Errors
-    /// See [`RolloutError`].
-    fn simulate_with_gradient(
-        &mut self,
-        controls: &[Displacement],
-        progress: Progress<'_>,
-    ) -> Result<(Evaluation, Vec<DisplacementGradient>), RolloutError>;
-
-    /// The same as [`Self::simulate`] for a tool that begins at `anchor` and not at the scene's
-    /// start pose. Nothing is asked of the anchor: a tool that begins within the powder pushes it
-    /// out while it settles.
-    ///
-    /// # Errors
-    /// See [`RolloutError`].
-    fn simulate_from(
-        &mut self,
-        anchor: &Pose,
-        controls: &[Displacement],
-        progress: Progress<'_>,
-    ) -> Result<Evaluation, RolloutError>;
-
-    /// [`Self::simulate_from`] with snapshots on the way; and where each particle is in the end, in
-    /// the order of the packing.
-    ///
-    /// # Errors
-    /// See [`RolloutError`].
-    fn record(
-        &mut self,
-        recording: &Recording<'_>,
-        observer: Observer<'_>,
-        progress: Progress<'_>,
-    ) -> Result<(Evaluation, Vec<Destination>), RolloutError>;
-}
-
-/// A simulator whose particles can be asked for: what [`boxed_simulator`] gives.
-pub trait ParticleSimulator: Evaluate {
-    /// Positions (m) at the end of a motion that begins at the scene's start pose, in the order of
-    /// the packing.
-    ///
-    /// # Errors
-    /// See [`RolloutError`].
-    fn final_positions_m(
-        &mut self,
-        controls: &[Displacement],
-        progress: Progress<'_>,
-    ) -> Result<Vec<[f64; 3]>, RolloutError>;
-
-    /// Loss of a skill, and its gradient by the adjoint that [`restart`]s.
+    /// Loss of a skill, its gradient by the adjoint that [`restart`]s as asked, and how that came about.
     ///
     /// # Errors
     /// See [`RolloutError`].
@@ -345,21 +299,32 @@ pub trait ParticleSimulator: Evaluate {
         &mut self,
         theta: &Theta,
         restarts: &restart::Restarts,
-        progress: Progress<'_>,
     ) -> Result<restart::Restarted, RolloutError>;
 
-    /// A custom loss at the end of such a motion, and its derivative with respect to each displacement by the adjoint that
-    /// [`restart`]s: per metre and per radian.
+    /// Loss of a motion that begins at the scene's start pose: of a skill's controls, of a
+    /// quantised plan's, or any other.
     ///
     /// # Errors
     /// See [`RolloutError`].
-    fn restarted_gradient_of_custom_loss(
+    fn simulate(&mut self, controls: &[Displacement]) -> Result<Evaluation, RolloutError>;
+
+    /// The same for a tool that begins at `anchor` and not at the scene's start pose. Nothing is asked of the anchor: a tool that
+    /// begins within the powder pushes it out while it settles.
+    ///
+    /// # Errors
+    /// See [`RolloutError`].
+    fn simulate_from(&mut self, anchor: &Pose, controls: &[Displacement])
+    -> Result<Evaluation, RolloutError>;
+
+    /// [`Self::simulate`], and the derivative of the loss with respect to each displacement, the others held.
+    /// See [what it is good for](self#what-a-gradient-is-good-for).
+    ///
+    /// # Errors
+    /// See [`RolloutError`].
+    fn simulate_with_gradient(
         &mut self,
         controls: &[Displacement],
-        costs: CostsFn<'_>,
-        restarts: &restart::Restarts,
-        progress: Progress<'_>,
-    ) -> Result<(f64, Vec<DisplacementGradient>), RolloutError>;
+    ) -> Result<(Evaluation, Vec<DisplacementGradient>), RolloutError>;
 
     /// A custom loss at the end of such a motion, and its derivative with respect to each
     /// displacement, the others held: per metre and per radian, whatever the loss's own unit is.
@@ -370,17 +335,42 @@ pub trait ParticleSimulator: Evaluate {
         &mut self,
         controls: &[Displacement],
         loss: LossFn<'_>,
-        progress: Progress<'_>,
     ) -> Result<(f64, Vec<DisplacementGradient>), RolloutError>;
+
+    /// The same by the adjoint that [`restart`]s.
+    ///
+    /// # Errors
+    /// See [`RolloutError`].
+    fn restarted_gradient_of_custom_loss(
+        &mut self,
+        controls: &[Displacement],
+        costs: CostsFn<'_>,
+        restarts: &restart::Restarts,
+    ) -> Result<(f64, Vec<DisplacementGradient>), RolloutError>;
+
+    /// Positions (m) at the end of such a motion, in the order of the packing.
+    ///
+    /// # Errors
+    /// See [`RolloutError`].
+    fn final_positions_m(&mut self, controls: &[Displacement]) -> Result<Vec<[f64; 3]>, RolloutError>;
+
+    /// [`Self::simulate_from`] with snapshots on the way; and where each particle is in the end, in
+    /// the order of the packing.
+    ///
+    /// # Errors
+    /// See [`RolloutError`].
+    fn record(
+        &mut self,
+        recording: &Recording<'_>,
+        observer: Observer<'_>,
+    ) -> Result<(Evaluation, Vec<Destination>), RolloutError>;
 }
 
-/// How a scene is simulated. Nothing here but seed and precision changes a bit of the result.
+/// How a scene is simulated. Nothing here but the seed changes a bit of the result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SimulatorSettings {
     /// Seed of the packing; 1 by default. The scene's own `powder.seed` is not looked at.
     pub seed: u64,
-    /// Number format of the powder's state; `f32` by default.
-    pub precision: Precision,
     /// Threads; by default as many as the machine has processors.
     pub threads: Option<usize>,
     /// Most memory that the process may take, bytes; checkpoints are chosen to fit. 1 GiB by default.
@@ -388,9 +378,9 @@ pub struct SimulatorSettings {
 }
 
 impl Default for SimulatorSettings {
-    /// The first packing in `f32`, a thread for each processor, 1 GiB.
+    /// The first packing, a thread for each processor, 1 GiB.
     fn default() -> Self {
-        Self { seed: 1, precision: Precision::F32, threads: None, memory_bytes: 1 << 30 }
+        Self { seed: 1, threads: None, memory_bytes: 1 << 30 }
     }
 }
 
@@ -401,35 +391,36 @@ impl SimulatorSettings {
     }
 }
 
-/// Checks that the memory budget suffices for `work` (gradients in reasonable time), with
+/// Checks that the memory budget suffices for `work` in this precision (gradients in reasonable time), with
 /// `besides_bytes` left for its output.
 ///
 /// # Errors
 /// [`RolloutError::Memory`] if not.
 pub fn check_memory(
     scene: &Scene,
+    precision: Precision,
     settings: &SimulatorSettings,
     work: Workload,
     besides_bytes: u64,
 ) -> Result<(), RolloutError> {
     let (given, threads) = (settings.memory_bytes, settings.thread_count());
-    let least = least_memory(scene, settings.precision, threads, work) + besides_bytes;
+    let least = least_memory(scene, precision, threads, work) + besides_bytes;
     if given >= least {
         return Ok(());
     }
     Err(RolloutError::Memory { given, least, work, besides: besides_bytes > 0, threads })
 }
 
-/// The simulator of a validated scene, in the precision of the settings. What a scene that was not
-/// validated does is not defined, a panic included.
+/// The simulator of a scene with the powder's state in numbers of this precision.
 ///
 /// # Errors
 /// See [`Simulator::new`].
 pub fn boxed_simulator(
     scene: &Scene,
+    precision: Precision,
     settings: &SimulatorSettings,
-) -> Result<Box<dyn ParticleSimulator>, RolloutError> {
-    Ok(match settings.precision {
+) -> Result<Box<dyn Simulate>, RolloutError> {
+    Ok(match precision {
         Precision::F32 => Box::new(Simulator::<f32>::new(scene, settings)?),
         Precision::F64 => Box::new(Simulator::<f64>::new(scene, settings)?),
     })

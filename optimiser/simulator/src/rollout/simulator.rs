@@ -1,5 +1,7 @@
 //! A whole rollout: settling, the motion, the loss, and the way back.
 
+use std::ops::ControlFlow;
+
 use powderline_shared::displacement::Displacement;
 use powderline_shared::pose::Pose;
 
@@ -18,10 +20,10 @@ use crate::rollout::path::{PoseBar, Trajectory, resting};
 use crate::rollout::restart::{Cut, CutReport, Restarted, Restarts, held_by_tool, shares};
 use crate::rollout::schedule::{Action, advances, schedule};
 use crate::rollout::{
-    CostsFn, Destination, DisplacementGradient, Evaluate, Evaluation, LossFn, Observer, ParticleSimulator,
-    Progress, Recording, RolloutError, SimulatorSettings, Snapshot, loss,
+    CostsFn, Destination, DisplacementGradient, Evaluation, LossFn, Observer, Recording, RolloutError,
+    Simulate, SimulatorSettings, Snapshot, Tick, Watch, go_on, loss,
     outcome::{self, Grains},
-    thread_pool,
+    quiet, thread_pool,
 };
 use crate::scene::{GradientEstimator, Scene};
 use crate::skill::{Control, SkillMap, Theta};
@@ -60,6 +62,7 @@ pub struct Simulator<T: Real> {
     budget: Budget,
     /// States to keep at most, whatever memory would allow.
     max_checkpoints: usize,
+    watch: Watch,
 }
 
 /// A state on the way of a gradient.
@@ -73,7 +76,7 @@ struct Checkpoint<T> {
 
 impl<T: Real> RolloutState<T> {
     /// Shows it to an observer.
-    fn show(&self, step: usize, observer: Observer<'_>) -> bool {
+    fn show(&self, step: usize, observer: Observer<'_>) -> ControlFlow<()> {
         let particles = &self.state.particles;
         let narrow = |rows: Vec<[f64; 3]>| -> Vec<[f32; 3]> {
             rows.into_iter().map(|row| row.map(|x| x as f32)).collect()
@@ -101,7 +104,7 @@ impl<T: Real> RolloutState<T> {
 }
 
 impl<T: Real> Simulator<T> {
-    /// The simulator of a validated scene in this precision; `settings.precision` is not looked at.
+    /// The simulator of a scene with the powder's state in numbers of this precision.
     ///
     /// # Errors
     /// [`RolloutError::Threads`] if the threads cannot be started.
@@ -131,6 +134,7 @@ impl<T: Real> Simulator<T> {
             workers: Vec::new(),
             budget,
             max_checkpoints: usize::MAX,
+            watch: Watch::default(),
         }
     }
 
@@ -148,7 +152,7 @@ impl<T: Real> Simulator<T> {
     pub(crate) fn alone(&mut self, state: &RolloutState<T>) -> Result<(), RolloutError> {
         let lost = |r: &Rollout<'_, T>, lost| lost_error(r.scene, 0, lost, Some(&state.state));
         let job = |r: &mut Rollout<'_, T>| r.workspace.alone(r.model, &state.state).map_err(|l| lost(r, l));
-        self.in_pool(job, &mut |_, _| true)
+        self.in_pool(job, &mut quiet)
     }
 
     fn path(&self, from: &RolloutState<T>, controls: Vec<Displacement>) -> Trajectory {
@@ -157,7 +161,7 @@ impl<T: Real> Simulator<T> {
     }
 
     /// The settled powder under the tool's start pose.
-    pub(crate) fn initial_state(&mut self, progress: Progress<'_>) -> Result<RolloutState<T>, RolloutError> {
+    pub(crate) fn initial_state(&mut self, progress: Tick<'_>) -> Result<RolloutState<T>, RolloutError> {
         let tool = self.anchor;
         Ok(RolloutState { state: self.in_pool(|r| r.settled(), progress)?, tool, done: 0 })
     }
@@ -166,7 +170,7 @@ impl<T: Real> Simulator<T> {
     fn initial_state_under(
         &mut self,
         tool: &Pose,
-        progress: Progress<'_>,
+        progress: Tick<'_>,
     ) -> Result<RolloutState<T>, RolloutError> {
         if *tool == self.anchor {
             return self.initial_state(progress);
@@ -180,7 +184,7 @@ impl<T: Real> Simulator<T> {
         &mut self,
         from: &RolloutState<T>,
         controls: &[Displacement],
-        progress: Progress<'_>,
+        progress: Tick<'_>,
     ) -> Result<RolloutState<T>, RolloutError> {
         let path = self.path(from, controls.to_vec());
         let state = self.in_pool(|r| r.forward(&from.state, &path), progress)?;
@@ -202,7 +206,7 @@ impl<T: Real> Simulator<T> {
         &mut self,
         from: &RolloutState<T>,
         controls: &[Displacement],
-        progress: Progress<'_>,
+        progress: Tick<'_>,
     ) -> Result<(Evaluation, Vec<Control>), RolloutError> {
         let (evaluation, bars, _) = self.control_gradient_of(Asked::default(), from, controls, progress)?;
         Ok((evaluation, bars))
@@ -214,7 +218,7 @@ impl<T: Real> Simulator<T> {
         asked: Asked<'_>,
         from: &RolloutState<T>,
         controls: &[Displacement],
-        progress: Progress<'_>,
+        progress: Tick<'_>,
     ) -> Result<(Evaluation, Vec<Control>, Vec<CutReport>), RolloutError> {
         let path = self.path(from, controls.to_vec());
         let reserved_bytes = self.bytes_of_workers_to_come();
@@ -228,7 +232,7 @@ impl<T: Real> Simulator<T> {
         start: &RolloutState<T>,
         controls: &[Displacement],
         (restarts, costs): (&Restarts, Option<CostsFn<'_>>),
-        progress: Progress<'_>,
+        progress: Tick<'_>,
     ) -> Result<(Evaluation, Vec<Control>, Vec<CutReport>), RolloutError> {
         let asked = Asked { restarts: Some(restarts), costs, ..Asked::default() };
         let Some(carrying) = restarts.carrying.as_ref().filter(|carrying| carrying.fits(controls.len()))
@@ -287,7 +291,7 @@ impl<T: Real> Simulator<T> {
         &mut self,
         from: &RolloutState<T>,
         motions: Vec<Vec<Displacement>>,
-        progress: Progress<'_>,
+        progress: Tick<'_>,
     ) -> Result<Vec<Evaluation>, RolloutError> {
         self.evaluate_motions_by((None, None), from, motions, progress)
     }
@@ -298,7 +302,7 @@ impl<T: Real> Simulator<T> {
         (other, costs): (Option<&Model<T>>, Option<CostsFn<'_>>),
         from: &RolloutState<T>,
         motions: Vec<Vec<Displacement>>,
-        progress: Progress<'_>,
+        progress: Tick<'_>,
     ) -> Result<Vec<Evaluation>, RolloutError> {
         if motions.is_empty() {
             return Ok(Vec::new());
@@ -360,7 +364,7 @@ impl<T: Real> Simulator<T> {
     fn in_pool<R: Send>(
         &mut self,
         job: impl FnOnce(&mut Rollout<'_, T>) -> R + Send,
-        progress: Progress<'_>,
+        progress: Tick<'_>,
     ) -> R {
         self.in_pool_for(Asked::default(), job, progress)
     }
@@ -370,7 +374,7 @@ impl<T: Real> Simulator<T> {
         &mut self,
         asked: Asked<'_>,
         job: impl FnOnce(&mut Rollout<'_, T>) -> R + Send,
-        progress: Progress<'_>,
+        progress: Tick<'_>,
     ) -> R {
         let mut rollout = Rollout {
             scene: &self.scene,
@@ -388,28 +392,109 @@ impl<T: Real> Simulator<T> {
     }
 }
 
-impl<T: Real> ParticleSimulator for Simulator<T> {
-    fn final_positions_m(
-        &mut self,
-        controls: &[Displacement],
-        progress: Progress<'_>,
-    ) -> Result<Vec<[f64; 3]>, RolloutError> {
-        let start = self.initial_state(progress)?;
-        Ok(self.advanced(&start, controls, progress)?.state.particles.positions_by_id())
+impl<T: Real> Simulator<T> {
+    /// Does something whose progress is told.
+    pub(crate) fn watched<R>(&mut self, job: impl FnOnce(&mut Self, Tick<'_>) -> R) -> R {
+        let mut watch = std::mem::take(&mut self.watch);
+        let found = job(self, &mut |done, total| watch.tell(done, total));
+        self.watch = watch;
+        found
     }
 
-    fn evaluate_restarted(
+    fn gradient(
         &mut self,
-        theta: &Theta,
+        controls: &[Displacement],
+        asked: Asked<'_>,
+    ) -> Result<(Evaluation, Vec<Control>), RolloutError> {
+        self.watched(|s, tick| {
+            let start = s.initial_state(tick)?;
+            let found = s.control_gradient_of(asked, &start, controls, tick);
+            s.recycle(start);
+            found.map(|(evaluation, bars, _)| (evaluation, bars))
+        })
+    }
+
+    fn restarted_gradient(
+        &mut self,
+        controls: &[Displacement],
         restarts: &Restarts,
-        progress: Progress<'_>,
-    ) -> Result<Restarted, RolloutError> {
+        costs: Option<CostsFn<'_>>,
+    ) -> Result<(Evaluation, Vec<Control>, Vec<CutReport>), RolloutError> {
+        self.watched(|s, tick| {
+            let start = s.initial_state(tick)?;
+            let found = s.restarted(&start, controls, (restarts, costs), tick);
+            s.recycle(start);
+            found
+        })
+    }
+
+    fn recorded(
+        &mut self,
+        recording: &Recording<'_>,
+        observer: Observer<'_>,
+        progress: Tick<'_>,
+    ) -> Result<(Evaluation, Vec<Destination>), RolloutError> {
+        let mut state = self.initial_state_under(recording.anchor, progress)?;
+        let (total, mut step) = (recording.controls.len(), 0);
+        let mut shown = recording.controls.chunks(recording.every.max(1)).peekable();
+        loop {
+            go_on(state.show(step, observer))?;
+            // What is left after the last snapshot belongs to the motion all the same.
+            let whole = shown.next_if(|controls| controls.len() == recording.every.max(1));
+            let Some(controls) = whole else { break };
+            let next = self.advanced(&state, controls, &mut quiet);
+            self.recycle(std::mem::replace(&mut state, next.map_err(|error| error.later_by(step))?));
+            step += controls.len();
+            go_on(progress(step as u64, total as u64))?;
+        }
+        let end = self.advanced(&state, &recording.controls[step..], &mut quiet);
+        let end = end.map_err(|error| error.later_by(step))?;
+        let (positions, velocities) = where_and_how_fast(&end.state.particles);
+        let grains = Grains { positions: &positions, velocities: &velocities };
+        Ok((self.judge(&end), outcome::destinations(&self.scene, grains, &end.tool)))
+    }
+}
+
+fn by_displacement(bars: Vec<Control>) -> Vec<DisplacementGradient> {
+    bars.into_iter().map(DisplacementGradient::from).collect()
+}
+
+impl<T: Real> Simulate for Simulator<T> {
+    fn watch(&mut self) -> &mut Watch {
+        &mut self.watch
+    }
+
+    fn evaluate(&mut self, theta: &Theta) -> Result<Evaluation, RolloutError> {
+        let controls: Vec<_> = self.skill.controls(theta)?;
+        self.simulate(&controls)
+    }
+
+    fn evaluate_all(&mut self, thetas: &[Theta]) -> Result<Vec<Evaluation>, RolloutError> {
+        let controls = |theta: &Theta| -> Result<Vec<_>, RolloutError> { Ok(self.skill.controls(theta)?) };
+        let motions = thetas.iter().map(controls).collect::<Result<_, _>>()?;
+        self.watched(|s, tick| {
+            let start = s.initial_state(tick)?;
+            let evaluations = s.evaluate_motions(&start, motions, tick);
+            s.recycle(start);
+            evaluations
+        })
+    }
+
+    fn evaluate_with_gradient(&mut self, theta: &Theta) -> Result<(Evaluation, Theta), RolloutError> {
+        if self.scene.optimiser.gradient == GradientEstimator::Restarted {
+            let restarts = Restarts::of_skill(&self.scene, &self.skill, theta);
+            let found = self.evaluate_restarted(theta, &restarts)?;
+            return Ok((found.evaluation, found.gradient));
+        }
         let linear = self.skill.linearise(theta)?;
-        let start = self.initial_state(progress)?;
-        let found = self.restarted(&start, &linear.controls, (restarts, None), progress);
-        self.recycle(start);
-        let (mut evaluation, bars, mut cuts) = found?;
-        evaluation.gradient = Some(linear.pull_back(&bars));
+        let (evaluation, bars) = self.gradient(&linear.controls, Asked::default())?;
+        Ok((evaluation, linear.pull_back(&bars)))
+    }
+
+    fn evaluate_restarted(&mut self, theta: &Theta, restarts: &Restarts) -> Result<Restarted, RolloutError> {
+        let linear = self.skill.linearise(theta)?;
+        let (evaluation, bars, mut cuts) = self.restarted_gradient(&linear.controls, restarts, None)?;
+        let gradient = linear.pull_back(&bars);
         cuts.reverse();
         let steps = cuts.iter().map(|cut| cut.step);
         let ends: Vec<usize> = std::iter::once(0).chain(steps).chain([bars.len()]).collect();
@@ -419,8 +504,45 @@ impl<T: Real> ParticleSimulator for Simulator<T> {
             linear.pull_back(&share)
         };
         let shares = ends.windows(2).map(share).collect();
-        let by_displacement = bars.into_iter().map(DisplacementGradient::from).collect();
-        Ok(Restarted { evaluation, cuts, shares, by_displacement })
+        Ok(Restarted { evaluation, gradient, cuts, shares, by_displacement: by_displacement(bars) })
+    }
+
+    fn simulate(&mut self, controls: &[Displacement]) -> Result<Evaluation, RolloutError> {
+        let anchor = self.anchor;
+        self.simulate_from(&anchor, controls)
+    }
+
+    fn simulate_from(
+        &mut self,
+        anchor: &Pose,
+        controls: &[Displacement],
+    ) -> Result<Evaluation, RolloutError> {
+        let end = self.watched(|s, tick| {
+            let start = s.initial_state_under(anchor, tick)?;
+            let end = s.advanced(&start, controls, tick);
+            s.recycle(start);
+            end
+        })?;
+        let evaluation = self.judge(&end);
+        self.recycle(end);
+        Ok(evaluation)
+    }
+
+    fn simulate_with_gradient(
+        &mut self,
+        controls: &[Displacement],
+    ) -> Result<(Evaluation, Vec<DisplacementGradient>), RolloutError> {
+        let (evaluation, bars) = self.gradient(controls, Asked::default())?;
+        Ok((evaluation, by_displacement(bars)))
+    }
+
+    fn gradient_of_custom_loss(
+        &mut self,
+        controls: &[Displacement],
+        loss: LossFn<'_>,
+    ) -> Result<(f64, Vec<DisplacementGradient>), RolloutError> {
+        let (evaluation, bars) = self.gradient(controls, Asked { loss: Some(loss), ..Asked::default() })?;
+        Ok((evaluation.loss, by_displacement(bars)))
     }
 
     fn restarted_gradient_of_custom_loss(
@@ -428,130 +550,24 @@ impl<T: Real> ParticleSimulator for Simulator<T> {
         controls: &[Displacement],
         costs: CostsFn<'_>,
         restarts: &Restarts,
-        progress: Progress<'_>,
     ) -> Result<(f64, Vec<DisplacementGradient>), RolloutError> {
-        let start = self.initial_state(progress)?;
-        let found = self.restarted(&start, controls, (restarts, Some(costs)), progress);
-        self.recycle(start);
-        let (evaluation, bars, _) = found?;
-        Ok((evaluation.loss, bars.into_iter().map(DisplacementGradient::from).collect()))
+        let (evaluation, bars, _) = self.restarted_gradient(controls, restarts, Some(costs))?;
+        Ok((evaluation.loss, by_displacement(bars)))
     }
 
-    fn gradient_of_custom_loss(
-        &mut self,
-        controls: &[Displacement],
-        loss: LossFn<'_>,
-        progress: Progress<'_>,
-    ) -> Result<(f64, Vec<DisplacementGradient>), RolloutError> {
-        let start = self.initial_state(progress)?;
-        let asked = Asked { loss: Some(loss), ..Asked::default() };
-        let (evaluation, bars, _) = self.control_gradient_of(asked, &start, controls, progress)?;
-        Ok((evaluation.loss, bars.into_iter().map(DisplacementGradient::from).collect()))
-    }
-}
-
-impl<T: Real> Evaluate for Simulator<T> {
-    fn evaluate(
-        &mut self,
-        theta: &Theta,
-        want_gradient: bool,
-        progress: Progress<'_>,
-    ) -> Result<Evaluation, RolloutError> {
-        if !want_gradient {
-            let controls: Vec<_> = self.skill.controls(theta)?;
-            return self.simulate(&controls, progress);
-        }
-        if self.scene.optimiser.gradient == GradientEstimator::Restarted {
-            let restarts = Restarts::of_skill(&self.scene, &self.skill, theta);
-            return Ok(self.evaluate_restarted(theta, &restarts, progress)?.evaluation);
-        }
-        let linear = self.skill.linearise(theta)?;
-        let controls: Vec<_> = linear.controls.clone();
-        let start = self.initial_state(progress)?;
-        let (mut evaluation, bars) = self.control_gradient(&start, &controls, progress)?;
-        self.recycle(start);
-        evaluation.gradient = Some(linear.pull_back(&bars));
-        Ok(evaluation)
-    }
-
-    fn evaluate_all(
-        &mut self,
-        thetas: &[Theta],
-        progress: Progress<'_>,
-    ) -> Result<Vec<Evaluation>, RolloutError> {
-        let controls = |theta: &Theta| -> Result<Vec<_>, RolloutError> { Ok(self.skill.controls(theta)?) };
-        let motions = thetas.iter().map(controls).collect::<Result<_, _>>()?;
-        let start = self.initial_state(progress)?;
-        let evaluations = self.evaluate_motions(&start, motions, progress);
-        self.recycle(start);
-        evaluations
-    }
-
-    fn simulate(
-        &mut self,
-        controls: &[Displacement],
-        progress: Progress<'_>,
-    ) -> Result<Evaluation, RolloutError> {
-        let anchor = self.anchor;
-        self.simulate_from(&anchor, controls, progress)
-    }
-
-    fn simulate_with_gradient(
-        &mut self,
-        controls: &[Displacement],
-        progress: Progress<'_>,
-    ) -> Result<(Evaluation, Vec<DisplacementGradient>), RolloutError> {
-        let start = self.initial_state(progress)?;
-        let gradient = self.control_gradient(&start, controls, progress);
-        self.recycle(start);
-        gradient.map(|(evaluation, bars)| {
-            (evaluation, bars.into_iter().map(DisplacementGradient::from).collect())
+    fn final_positions_m(&mut self, controls: &[Displacement]) -> Result<Vec<[f64; 3]>, RolloutError> {
+        self.watched(|s, tick| {
+            let start = s.initial_state(tick)?;
+            Ok(s.advanced(&start, controls, tick)?.state.particles.positions_by_id())
         })
-    }
-
-    fn simulate_from(
-        &mut self,
-        anchor: &Pose,
-        controls: &[Displacement],
-        progress: Progress<'_>,
-    ) -> Result<Evaluation, RolloutError> {
-        let start = self.initial_state_under(anchor, progress)?;
-        let end = self.advanced(&start, controls, progress);
-        self.recycle(start);
-        let end = end?;
-        let evaluation = self.judge(&end);
-        self.recycle(end);
-        Ok(evaluation)
     }
 
     fn record(
         &mut self,
         recording: &Recording<'_>,
         observer: Observer<'_>,
-        progress: Progress<'_>,
     ) -> Result<(Evaluation, Vec<Destination>), RolloutError> {
-        let mut state = self.initial_state_under(recording.anchor, progress)?;
-        let (total, mut step) = (recording.controls.len(), 0);
-        let mut shown = recording.controls.chunks(recording.every.max(1)).peekable();
-        loop {
-            if !state.show(step, observer) {
-                return Err(RolloutError::Stopped);
-            }
-            // What is left after the last snapshot belongs to the motion all the same.
-            let whole = shown.next_if(|controls| controls.len() == recording.every.max(1));
-            let Some(controls) = whole else { break };
-            let next = self.advanced(&state, controls, &mut |_, _| true);
-            self.recycle(std::mem::replace(&mut state, next.map_err(|error| error.later_by(step))?));
-            step += controls.len();
-            if !progress(step as u64, total as u64) {
-                return Err(RolloutError::Stopped);
-            }
-        }
-        let end = self.advanced(&state, &recording.controls[step..], &mut |_, _| true);
-        let end = end.map_err(|error| error.later_by(step))?;
-        let (positions, velocities) = where_and_how_fast(&end.state.particles);
-        let grains = Grains { positions: &positions, velocities: &velocities };
-        Ok((self.judge(&end), outcome::destinations(&self.scene, grains, &end.tool)))
+        self.watched(|s, tick| s.recorded(recording, observer, tick))
     }
 }
 
@@ -561,7 +577,7 @@ fn evaluation<T: Real>(scene: &Scene, particles: &Particles<T>, tool: &Pose) -> 
     let (loss, gradient) = loss::loss(scene, &positions);
     let census = outcome::census(scene, Grains { positions: &positions, velocities: &velocities }, tool);
     let indicator = scene.target_count() as i64 - i64::from(census.target);
-    (Evaluation { loss, indicator, census, gradient: None }, gradient)
+    (Evaluation { loss, indicator, census }, gradient)
 }
 
 /// Positions (m) and velocities (m/s), by identity.
@@ -621,7 +637,7 @@ struct Rollout<'a, T: Real> {
     packing: &'a [[f64; 3]],
     max_checkpoints: usize,
     asked: Asked<'a>,
-    progress: Progress<'a>,
+    progress: Tick<'a>,
 }
 
 /// What a gradient is asked for, if it is not the scene's loss and the exact adjoint.
@@ -657,7 +673,7 @@ struct Retreat<T> {
 
 impl<T: Real> Rollout<'_, T> {
     fn report(&mut self, done: u64, total: u64) -> Result<(), RolloutError> {
-        if (self.progress)(done, total) { Ok(()) } else { Err(RolloutError::Stopped) }
+        go_on((self.progress)(done, total))
     }
 
     /// The powder at rest under the tool's start pose.

@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::bench::cpu_seconds;
 use crate::rollout::restart::Restarts;
-use crate::rollout::{Evaluation, ParticleSimulator, Progress, RolloutError};
+use crate::rollout::{Evaluation, RolloutError, Simulate, part};
 use crate::skill::Theta;
 
 /// Half-step of the differences, in units of theta.
@@ -25,7 +25,7 @@ pub const HALF_STEP: f64 = 0.1;
 pub const LEAST_DELIVERED: u32 = 20;
 
 /// Progress of a gradient in units of that of a rollout.
-const GRADIENT_WORK: u64 = 8;
+const GRADIENT_WORK: f64 = 8.0;
 
 /// One skill with one packing.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -75,20 +75,15 @@ pub fn skill(draw: u64) -> Theta {
 /// # Errors
 /// See [`RolloutError`].
 pub fn measure(
-    simulator: &mut dyn ParticleSimulator,
+    simulator: &mut dyn Simulate,
     theta: &Theta,
     restarts: &Restarts,
-    progress: Progress<'_>,
 ) -> Result<Option<Measured>, RolloutError> {
-    const ROLLOUTS: u64 = 11;
-    let whole = ROLLOUTS + 2 * GRADIENT_WORK;
-    // In thousandths of a rollout.
-    let mut part = |from: u64, work: u64, done: u64, total: u64| {
-        progress(1000 * from + 1000 * work * done / total.max(1), 1000 * whole)
-    };
+    const ROLLOUTS: f64 = 11.0;
+    let whole = ROLLOUTS + 2.0 * GRADIENT_WORK;
     // Settles the powder, so that it counts nowhere.
-    simulator.evaluate_all(&[], &mut |_, _| part(0, 1, 0, 1))?;
-    let at = simulator.evaluate(theta, false, &mut |d, t| part(0, 1, d, t))?;
+    simulator.evaluate_all(&[])?;
+    let at = part(simulator, [0.0, 1.0 / whole], |simulator| simulator.evaluate(theta))?;
     let delivered = at.census.target;
     if delivered < LEAST_DELIVERED {
         return Ok(None);
@@ -100,16 +95,17 @@ pub fn measure(
     };
     let both_ways = (0..5).flat_map(|k| [(k, HALF_STEP), (k, -HALF_STEP)]).map(moved).collect::<Vec<_>>();
     let from_s = cpu_seconds();
-    let ends = simulator.evaluate_all(&both_ways, &mut |d, t| part(1, ROLLOUTS - 1, d, t))?;
+    let ends =
+        part(simulator, [1.0 / whole, ROLLOUTS / whole], |simulator| simulator.evaluate_all(&both_ways))?;
     let rollout = (cpu_seconds() - from_s) / both_ways.len() as f64;
     let slope = std::array::from_fn(|k| (ends[2 * k].loss - ends[2 * k + 1].loss) / (2.0 * HALF_STEP));
     let is_short = |end: &Evaluation| end.indicator > 0;
     let across_edge = ends.iter().any(|end| is_short(end) != is_short(&at));
     let from_s = cpu_seconds();
-    let mut gradient = |restarts: &Restarts, from: u64| -> Result<_, RolloutError> {
-        let found =
-            simulator.evaluate_restarted(theta, restarts, &mut |d, t| part(from, GRADIENT_WORK, d, t))?;
-        Ok(found.evaluation.gradient.unwrap_or_default())
+    let mut gradient = |restarts: &Restarts, from: f64| {
+        let span = [from / whole, (from + GRADIENT_WORK) / whole];
+        let found = part(simulator, span, |simulator| simulator.evaluate_restarted(theta, restarts));
+        found.map(|found| found.gradient)
     };
     let exact = gradient(&restarts.without_cuts(), ROLLOUTS)?;
     let between_s = cpu_seconds();

@@ -2,14 +2,18 @@
 
 mod gates;
 
-use powderline_shared::{displacement::Displacement, plan::Precision};
+use std::ops::ControlFlow;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use powderline_shared::displacement::Displacement;
 
 use crate::mpm::Model;
 use crate::rollout::path::Trajectory;
 use crate::rollout::restart::{Carrying, Cut, Restarts};
 use crate::rollout::{
-    Destination, DisplacementGradient, Evaluate, ParticleSimulator, Recording, RolloutError, Simulator,
-    SimulatorSettings, Snapshot, gradcheck, loss, outcome,
+    Destination, DisplacementGradient, Recording, RolloutError, Simulate, Simulator, SimulatorSettings,
+    Snapshot, gradcheck, loss, outcome, quiet,
 };
 use crate::scene::{
     Aim, Cuboid, Flow, GradientEstimator, Infeasible, Scene, Tool, ToolShape, Transfer, VolumeCorrection,
@@ -45,11 +49,10 @@ fn no_bit_changes(mut scene: Scene) {
     let map = SkillMap::new(&scene);
     let controls: Vec<_> = map.controls(&gradcheck::CHECKED_THETA).expect("fits")[..24].to_vec();
     let gradient = |threads: usize, memory_bytes: u64| {
-        let settings =
-            SimulatorSettings { seed: 1, precision: Precision::F32, threads: Some(threads), memory_bytes };
+        let settings = SimulatorSettings { seed: 1, threads: Some(threads), memory_bytes };
         let mut s = Simulator::<f32>::new(&scene, &settings).expect("threads");
-        let start = s.initial_state(&mut |_, _| true).expect("settles");
-        let (evaluation, bars) = s.control_gradient(&start, &controls, &mut |_, _| true).expect("runs");
+        let start = s.initial_state(&mut quiet).expect("settles");
+        let (evaluation, bars) = s.control_gradient(&start, &controls, &mut quiet).expect("runs");
         assert!(start.sleepers() > 0);
         let bits: Vec<[u64; 6]> = bars.iter().map(|b| b.map(f64::to_bits)).collect();
         (evaluation.loss.to_bits(), bits)
@@ -70,22 +73,22 @@ fn restarts_change_no_bit_by_threads_or_memory_and_are_what_makes_the_difference
     let theta = gradcheck::CHECKED_THETA;
     let usual = Restarts::of_skill(&scene, &SkillMap::new(&scene), &theta);
     let simulator = |threads: usize, memory_bytes: u64| {
-        let settings =
-            SimulatorSettings { seed: 1, precision: Precision::F32, threads: Some(threads), memory_bytes };
+        let settings = SimulatorSettings { seed: 1, threads: Some(threads), memory_bytes };
         Simulator::<f32>::new(&scene, &settings).expect("threads")
     };
     let restarted = |threads: usize, memory_bytes: u64, restarts: &Restarts| {
         let mut s = simulator(threads, memory_bytes);
-        s.evaluate_restarted(&theta, restarts, &mut |_, _| true).expect("runs")
+        s.evaluate_restarted(&theta, restarts).expect("runs")
     };
     let one = restarted(1, 1 << 30, &usual);
     assert_eq!(one, restarted(2, 1 << 30, &usual), "two threads");
     assert_eq!(one, restarted(16, 48 << 20, &usual), "sixteen threads and few checkpoints");
-    let exact = simulator(2, 1 << 30).evaluate(&theta, true, &mut |_, _| true).expect("runs");
-    assert!(
-        one.evaluation.loss.to_bits() == exact.loss.to_bits() && one.evaluation.gradient != exact.gradient
-    );
-    assert_eq!(exact, restarted(2, 1 << 30, &usual.without_cuts()).evaluation);
+    let (exact, gradient) = simulator(2, 1 << 30).evaluate_with_gradient(&theta).expect("runs");
+    let bits = |gradient: &Theta| gradient.map(f64::to_bits);
+    assert_eq!(one.evaluation.loss.to_bits(), exact.loss.to_bits());
+    assert_ne!(bits(&one.gradient), bits(&gradient));
+    let without = restarted(2, 1 << 30, &usual.without_cuts());
+    assert_eq!((exact, gradient), (without.evaluation, without.gradient));
 }
 
 /// Branches have a speed of their own below which powder sleeps: where all that has left the tool does, another slope is measured.
@@ -100,11 +103,11 @@ fn powder_sleeps_in_branches_as_the_restarts_say() {
         let tilt = carrying.ways[2..].to_vec();
         let carrying = Some(Carrying { ways: tilt, sleep_speed_m_s, ..carrying.clone() });
         let restarts = Restarts { steps: Vec::new(), carrying, ..usual.clone() };
-        s.evaluate_restarted(&theta, &restarts, &mut |_, _| true).expect("runs").evaluation
+        s.evaluate_restarted(&theta, &restarts).expect("runs")
     };
     let [one, asleep] = [carrying.sleep_speed_m_s, 100.0].map(&mut restarted);
-    assert_eq!(asleep.loss.to_bits(), one.loss.to_bits());
-    assert_ne!(asleep.gradient, one.gradient);
+    assert_eq!(asleep.evaluation.loss.to_bits(), one.evaluation.loss.to_bits());
+    assert_ne!(asleep.gradient.map(f64::to_bits), one.gradient.map(f64::to_bits));
 }
 
 /// A scene that asks for it gets the restarted gradient of a skill, and everything else as before.
@@ -117,16 +120,15 @@ fn a_scene_may_ask_for_the_restarted_gradient() {
     let restarts = Restarts::of_skill(&scene, &SkillMap::new(&scene), &theta);
     let simulator =
         |scene: &Scene| Simulator::<f32>::new(scene, &SimulatorSettings::default()).expect("threads");
-    let wanted = simulator(&scene).evaluate_restarted(&theta, &restarts, &mut |_, _| true).expect("runs");
+    let wanted = simulator(&scene).evaluate_restarted(&theta, &restarts).expect("runs");
     scene.optimiser.gradient = GradientEstimator::Restarted;
-    let found = simulator(&scene).evaluate(&theta, true, &mut |_, _| true).expect("runs");
-    assert_eq!(found, wanted.evaluation);
+    let found = simulator(&scene).evaluate_with_gradient(&theta).expect("runs");
+    assert_eq!(found, (wanted.evaluation, wanted.gradient));
     // Tilting tool and powder over the pour costs what whole motions say that are tilted there.
     let carrying = restarts.carrying.as_ref().expect("it carries");
     let (tilt, controls) = (carrying.ways[2], SkillMap::new(&scene).controls(&theta).expect("fits"));
     let mut s = simulator(&scene);
-    let mut end =
-        |sign: f64| s.simulate(&carrying.moved(&controls, &tilt, sign), &mut |_, _| true).expect("runs").loss;
+    let mut end = |sign: f64| s.simulate(&carrying.moved(&controls, &tilt, sign)).expect("runs").loss;
     let rise = 0.5 * (end(1.0) - end(-1.0));
     let moment = wanted.by_displacement[carrying.over.start].per_radian;
     let along: f64 = (0..3).map(|k| moment[k] * tilt.rotation()[k]).sum();
@@ -136,17 +138,15 @@ fn a_scene_may_ask_for_the_restarted_gradient() {
         let costs = loss::values(&scene, positions).into_iter().map(Option::unwrap);
         (loss::loss(&scene, positions).0, costs.collect())
     };
-    let (of_own, slopes) =
-        s.restarted_gradient_of_custom_loss(&controls, &own, &restarts, &mut |_, _| true).expect("runs");
+    let (of_own, slopes) = s.restarted_gradient_of_custom_loss(&controls, &own, &restarts).expect("runs");
     assert_eq!((of_own.to_bits(), &slopes), (wanted.evaluation.loss.to_bits(), &wanted.by_displacement));
     let through_all = Restarts { carrying: None, ..restarts.clone() };
-    let wanted = s.evaluate_restarted(&theta, &through_all, &mut |_, _| true).expect("runs");
-    let (_, other) =
-        s.restarted_gradient_of_custom_loss(&controls, &own, &through_all, &mut |_, _| true).expect("runs");
+    let wanted = s.evaluate_restarted(&theta, &through_all).expect("runs");
+    let (_, other) = s.restarted_gradient_of_custom_loss(&controls, &own, &through_all).expect("runs");
     assert!(other == wanted.by_displacement && other != slopes);
     for restarts in [restarts, through_all] {
         let too_few = |_: &[[f64; 3]]| (0.0, vec![1.0]);
-        let refused = s.restarted_gradient_of_custom_loss(&controls, &too_few, &restarts, &mut |_, _| true);
+        let refused = s.restarted_gradient_of_custom_loss(&controls, &too_few, &restarts);
         let particles = scene.particle_count();
         assert_eq!(refused.err(), Some(RolloutError::LossGradientLength { given: 1, particles }));
     }
@@ -167,8 +167,7 @@ fn the_derivative_of_the_digging_is_the_exact_one() {
     let turn = carrying.from;
     let restarts = Restarts { steps: Vec::new(), carrying: Some(carrying), room_m: -1.0, ..usual };
     let mut s = Simulator::<f64>::new(&scene, &SimulatorSettings::default()).expect("threads");
-    let mut positions =
-        |steps: usize| s.final_positions_m(&linear.controls[..steps], &mut |_, _| true).expect("runs");
+    let mut positions = |steps: usize| s.final_positions_m(&linear.controls[..steps]).expect("runs");
     let (there, end) = (positions(turn), positions(linear.controls.len()));
     let values = loss::values(&scene, &end);
     let before = linear.controls[..turn].to_vec();
@@ -188,9 +187,9 @@ fn the_derivative_of_the_digging_is_the_exact_one() {
         let cost = x.iter().zip(&slopes).map(|(x, s)| x[0] * s[0] + x[1] * s[1] + x[2] * s[2]).sum();
         (cost, slopes.clone())
     };
-    let (_, bars) = s.gradient_of_custom_loss(&before, &loss, &mut |_, _| true).expect("runs");
+    let (_, bars) = s.gradient_of_custom_loss(&before, &loss).expect("runs");
     let bars: Vec<[f64; 6]> = bars.iter().map(DisplacementGradient::components).collect();
-    let restarted = s.evaluate_restarted(&theta, &restarts, &mut |_, _| true).expect("runs");
+    let restarted = s.evaluate_restarted(&theta, &restarts).expect("runs");
     assert_eq!(restarted.by_displacement.len(), linear.controls.len());
     let found = restarted.by_displacement.iter().map(|one| one.components().map(f64::to_bits));
     let expected = bars.iter().map(|bar| bar.map(f64::to_bits));
@@ -199,10 +198,7 @@ fn the_derivative_of_the_digging_is_the_exact_one() {
         found.eq(expected.chain(std::iter::repeat_n([0.0f64.to_bits(); 6], linear.controls.len() - turn)))
     );
     assert_eq!((restarted.cuts.len(), restarted.shares.len()), (1, 2));
-    assert_eq!(
-        restarted.evaluation.loss.to_bits(),
-        s.evaluate(&theta, false, &mut |_, _| true).expect("runs").loss.to_bits()
-    );
+    assert_eq!(restarted.evaluation.loss.to_bits(), s.evaluate(&theta).expect("runs").loss.to_bits());
 }
 
 #[test]
@@ -212,13 +208,12 @@ fn a_gradient_ends_with_the_powder_of_a_simulation_sleepers_and_all() {
     scene.time.settle_s = 0.4;
     let map = SkillMap::new(&scene);
     let controls: Vec<_> = map.controls(&gradcheck::CHECKED_THETA).expect("fits")[..4].to_vec();
-    let settings =
-        SimulatorSettings { seed: 1, precision: Precision::F32, threads: Some(2), memory_bytes: 1 << 30 };
+    let settings = SimulatorSettings { seed: 1, threads: Some(2), memory_bytes: 1 << 30 };
     let mut s = Simulator::<f32>::new(&scene, &settings).expect("threads");
-    let start = s.initial_state(&mut |_, _| true).expect("settles");
-    let end = s.advanced(&start, &controls, &mut |_, _| true).expect("runs");
+    let start = s.initial_state(&mut quiet).expect("settles");
+    let end = s.advanced(&start, &controls, &mut quiet).expect("runs");
     assert!(end.sleepers() > 0);
-    let (evaluation, _) = s.control_gradient(&start, &controls, &mut |_, _| true).expect("runs");
+    let (evaluation, _) = s.control_gradient(&start, &controls, &mut quiet).expect("runs");
     assert_eq!(s.judge(&end).loss.to_bits(), evaluation.loss.to_bits());
 }
 
@@ -238,48 +233,49 @@ fn skills_evaluated_side_by_side_have_the_bits_of_skills_evaluated_alone() {
         })
         .collect();
     let evaluate = |threads: usize, memory_bytes: u64| {
-        let settings =
-            SimulatorSettings { seed: 1, precision: Precision::F32, threads: Some(threads), memory_bytes };
+        let settings = SimulatorSettings { seed: 1, threads: Some(threads), memory_bytes };
         let mut s = Simulator::<f32>::new(&scene, &settings).expect("threads");
-        let (mut last, mut calls) = (0, 0);
-        let all = s.evaluate_all(&skills, &mut |done, total| {
-            assert!((last..=total).contains(&done));
-            (last, calls) = (done, calls + 1);
-            true
-        });
+        let calls = Arc::new(AtomicUsize::new(0));
+        let (counted, mut last) = (calls.clone(), 0.0);
+        s.set_progress(Box::new(move |share| {
+            assert!((last..=1.0).contains(&share));
+            last = share;
+            counted.fetch_add(1, Ordering::Relaxed);
+            ControlFlow::Continue(())
+        }));
+        let all = s.evaluate_all(&skills);
+        s.set_progress(Box::new(|_| ControlFlow::Continue(())));
+        let calls = calls.load(Ordering::Relaxed);
         assert!(calls > 0 && calls < 300 * skills.len(), "beginnings are shared: {calls} steps");
         (all.expect("runs"), s)
     };
     let (side_by_side, mut s) = evaluate(3, 1 << 30);
     assert!(evaluate(1, 1 << 30).0 == side_by_side, "one thread");
     assert!(evaluate(3, 48 << 20).0 == side_by_side, "little memory");
-    let alone: Vec<_> =
-        skills.iter().map(|theta| s.evaluate(theta, false, &mut |_, _| true).expect("runs")).collect();
+    let alone: Vec<_> = skills.iter().map(|theta| s.evaluate(theta).expect("runs")).collect();
     assert!(side_by_side == alone);
     assert!(alone[0].loss.to_bits() != alone[1].loss.to_bits());
     let mut patience = 40;
-    let stopped = s.evaluate_all(&skills, &mut |_, _| {
+    s.set_progress(Box::new(move |_| {
         patience -= 1;
-        patience > 0
-    });
-    assert_eq!(stopped, Err(RolloutError::Stopped));
+        if patience > 0 { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+    }));
+    assert_eq!(s.evaluate_all(&skills), Err(RolloutError::Stopped));
 }
 
 #[test]
 fn a_worker_that_panics_ends_the_others() {
     let scene = Scene::load("bench-small").expect("shipped");
-    let settings =
-        SimulatorSettings { seed: 1, precision: Precision::F32, threads: Some(2), memory_bytes: 1 << 30 };
+    let settings = SimulatorSettings { seed: 1, threads: Some(2), memory_bytes: 1 << 30 };
     let mut s = Simulator::<f32>::new(&scene, &settings).expect("threads");
     let skills = [0.1, -0.1, 0.2].map(|depth| [depth, 0.0, 0.0, 0.0, 0.0]);
     let mut calls = 0;
-    let panicked = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
-        s.evaluate_all(&skills, &mut |_, _| {
-            calls += 1;
-            assert!(calls < 30, "on purpose");
-            true
-        })
+    s.set_progress(Box::new(move |_| {
+        calls += 1;
+        assert!(calls < 30, "on purpose");
+        ControlFlow::Continue(())
     }));
+    let panicked = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| s.evaluate_all(&skills)));
     assert!(panicked.is_err());
 }
 
@@ -289,11 +285,10 @@ fn the_gradient_of_a_scoop_agrees_with_central_differences() {
 }
 
 fn scoop_agrees_with_differences(scene: Scene) {
-    let settings =
-        SimulatorSettings { seed: 1, precision: Precision::F64, threads: None, memory_bytes: 1 << 30 };
+    let settings = SimulatorSettings { seed: 1, threads: None, memory_bytes: 1 << 30 };
     let mut s = Simulator::<f64>::new(&scene, &settings).expect("threads");
     let map = SkillMap::new(&scene);
-    let window = gradcheck::check_window(&mut s, &map, 12, 32, &mut |_, _| true).expect("runs");
+    let window = gradcheck::check_window(&mut s, &map, 12, 32).expect("runs");
     for c in &window.components {
         println!("adjoint {:e}, error {:?}", c.adjoint, c.error);
     }
@@ -308,11 +303,10 @@ fn a_motion_that_is_looked_at_ends_as_one_that_is_not() {
     scene.time.settle_s = 0.1;
     let map = SkillMap::new(&scene);
     let controls: Vec<_> = map.controls(&gradcheck::CHECKED_THETA).expect("fits")[..25].to_vec();
-    let settings =
-        SimulatorSettings { seed: 1, precision: Precision::F32, threads: Some(2), memory_bytes: 1 << 30 };
+    let settings = SimulatorSettings { seed: 1, threads: Some(2), memory_bytes: 1 << 30 };
     let mut s = Simulator::<f32>::new(&scene, &settings).expect("threads");
-    let alone = s.simulate(&controls, &mut |_, _| true).expect("runs");
-    let positions = s.final_positions_m(&controls, &mut |_, _| true).expect("runs");
+    let alone = s.simulate(&controls).expect("runs");
+    let positions = s.final_positions_m(&controls).expect("runs");
     for every in [1, 10, 25, 40] {
         let recording = Recording { anchor: map.start_pose(), controls: &controls, every };
         let (mut steps, mut last) = (Vec::new(), Vec::new());
@@ -320,9 +314,9 @@ fn a_motion_that_is_looked_at_ends_as_one_that_is_not() {
             steps.push(snapshot.step);
             last = snapshot.positions_m.to_vec();
             assert_eq!(snapshot.positions_m.len(), snapshot.velocities_m_s.len());
-            true
+            ControlFlow::Continue(())
         };
-        let (evaluation, destinations) = s.record(&recording, &mut observer, &mut |_, _| true).expect("runs");
+        let (evaluation, destinations) = s.record(&recording, &mut observer).expect("runs");
         assert_eq!(evaluation.loss.to_bits(), alone.loss.to_bits(), "{every}");
         assert_eq!(steps, (0..=25).step_by(every).collect::<Vec<_>>());
         assert_eq!(destinations.len(), positions.len());
@@ -333,7 +327,7 @@ fn a_motion_that_is_looked_at_ends_as_one_that_is_not() {
                     .all(|(shown, end)| shown.map(f32::to_bits) == end.map(|x| (x as f32).to_bits()))
             );
         }
-        let refused = s.record(&recording, &mut |_| false, &mut |_, _| true);
+        let refused = s.record(&recording, &mut |_| ControlFlow::Break(()));
         assert_eq!(refused.err(), Some(RolloutError::Stopped));
     }
 }
@@ -349,12 +343,11 @@ fn controls_agree_with_differences(mut scene: Scene) {
     scene.time.settle_s = 0.0;
     let map = SkillMap::new(&scene);
     let controls = &map.controls(&gradcheck::CHECKED_THETA).expect("fits")[..24];
-    let settings =
-        SimulatorSettings { seed: 1, precision: Precision::F64, threads: None, memory_bytes: 1 << 30 };
+    let settings = SimulatorSettings { seed: 1, threads: None, memory_bytes: 1 << 30 };
     let mut s = Simulator::<f64>::new(&scene, &settings).expect("threads");
     let whole = controls.to_vec();
-    let (evaluation, slopes) = s.simulate_with_gradient(&whole, &mut |_, _| true).expect("runs");
-    let simulated = s.simulate(&whole, &mut |_, _| true).expect("runs");
+    let (evaluation, slopes) = s.simulate_with_gradient(&whole).expect("runs");
+    let simulated = s.simulate(&whole).expect("runs");
     assert_eq!(evaluation.loss.to_bits(), simulated.loss.to_bits());
     assert_eq!(slopes.len(), controls.len());
     // A direction of translations alone, in metres, and one of rotations alone, in radians.
@@ -368,7 +361,7 @@ fn controls_agree_with_differences(mut scene: Scene) {
                 Displacement::from(std::array::from_fn(|k| control[k] + h * direction(step, k)))
             };
             let moved: Vec<_> = controls.iter().enumerate().map(moved).collect();
-            s.simulate(&moved, &mut |_, _| true).expect("runs").loss
+            s.simulate(&moved).expect("runs").loss
         };
         let along = |(step, slope): (usize, &DisplacementGradient)| -> [f64; 6] {
             let slope = slope.components();
@@ -391,11 +384,11 @@ fn a_loss_of_ones_own_is_differentiated_like_the_scenes() {
     scene.time.settle_s = 0.0;
     let map = SkillMap::new(&scene);
     let controls: Vec<_> = map.controls(&gradcheck::CHECKED_THETA).expect("fits")[..20].to_vec();
-    let settings = SimulatorSettings { precision: Precision::F64, ..SimulatorSettings::default() };
+    let settings = SimulatorSettings::default();
     let mut s = Simulator::<f64>::new(&scene, &settings).expect("threads");
-    let (usual, slopes) = s.simulate_with_gradient(&controls, &mut |_, _| true).expect("runs");
+    let (usual, slopes) = s.simulate_with_gradient(&controls).expect("runs");
     let own = |positions: &[[f64; 3]]| super::loss::loss(&scene, positions);
-    let (loss, again) = s.gradient_of_custom_loss(&controls, &own, &mut |_, _| true).expect("runs");
+    let (loss, again) = s.gradient_of_custom_loss(&controls, &own).expect("runs");
     assert_eq!(loss.to_bits(), usual.loss.to_bits());
     assert!(slopes == again && slopes.iter().any(|slope| slope.per_metre[2] != 0.0));
     // A multiple of it has as much of a slope.
@@ -403,12 +396,12 @@ fn a_loss_of_ones_own_is_differentiated_like_the_scenes() {
         let (loss, gradient) = own(positions);
         (2.0 * loss, gradient.iter().map(|row| row.map(|g| 2.0 * g)).collect())
     };
-    let (loss, doubled) = s.gradient_of_custom_loss(&controls, &twice, &mut |_, _| true).expect("runs");
+    let (loss, doubled) = s.gradient_of_custom_loss(&controls, &twice).expect("runs");
     assert_eq!(loss.to_bits(), (2.0 * usual.loss).to_bits());
     for (one, two) in slopes.iter().zip(&doubled) {
         assert_eq!(one.components().map(|g| (2.0 * g).to_bits()), two.components().map(f64::to_bits));
     }
-    let refused = s.gradient_of_custom_loss(&controls, &|_| (0.0, Vec::new()), &mut |_, _| true);
+    let refused = s.gradient_of_custom_loss(&controls, &|_| (0.0, Vec::new()));
     let particles = scene.particle_count();
     assert_eq!(refused.err(), Some(RolloutError::LossGradientLength { given: 0, particles }));
 }
@@ -449,7 +442,7 @@ fn a_scoop_of_cuboids_moves_powder_as_the_scoop_does() {
         let mut scene = scene.clone();
         scene.time.settle_s = 0.0;
         let mut s = Simulator::<f32>::new(&scene, &SimulatorSettings::default()).expect("threads");
-        let (evaluation, slopes) = s.simulate_with_gradient(&controls, &mut |_, _| true).expect("runs");
+        let (evaluation, slopes) = s.simulate_with_gradient(&controls).expect("runs");
         (evaluation.loss.to_bits(), slopes)
     };
     let found = gradient(&scoop);

@@ -3,7 +3,7 @@
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 
-use crate::rollout::{Progress, RolloutError, thread_pool};
+use crate::rollout::{RolloutError, Tick, thread_pool};
 
 /// Why a measurement came to no end.
 #[derive(Clone, Debug, PartialEq)]
@@ -76,7 +76,7 @@ pub(super) type Found = Result<Vec<f64>, Halt>;
 
 /// Everybody's progress.
 struct Watched<'a> {
-    progress: Mutex<Progress<'a>>,
+    progress: Mutex<Tick<'a>>,
     done: AtomicU64,
     total: u64,
     stopped: AtomicBool,
@@ -112,7 +112,7 @@ impl Meter<'_> {
         let done = watched.done.fetch_add(units, Ordering::Relaxed) + units;
         // Whoever finds somebody else telling need not wait: it is told again soon.
         if let Ok(mut progress) = watched.progress.try_lock()
-            && !progress(done.min(watched.total), watched.total)
+            && progress(done.min(watched.total), watched.total).is_break()
         {
             watched.stopped.store(true, Ordering::Relaxed);
         }
@@ -121,12 +121,12 @@ impl Meter<'_> {
 }
 
 /// Runs all cases, side by side on so many threads, each by one of them: what is found does not depend on
-/// their number. Of each case, what was found with its seeds; where `progress` said `false`,
+/// their number. Of each case, what was found with its seeds; where `progress` broke off,
 /// [`Halt::Stopped`].
 pub(super) fn run(
     cases: &[Case<'_>],
     threads: usize,
-    progress: Progress<'_>,
+    progress: Tick<'_>,
 ) -> Result<Vec<Vec<Found>>, RolloutError> {
     let units = |case: &Case<'_>| (case.work as u64).max(1);
     let watched = Watched {
@@ -176,6 +176,7 @@ pub(super) fn run(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::ops::ControlFlow;
 
     /// A case that takes its work in ten steps and finds seed and name.
     fn case(number: u64, seeds: u64) -> Case<'static> {
@@ -196,7 +197,7 @@ mod tests {
             let (mut last, mut total) = (0, 0);
             let found = run(&cases, threads, &mut |done, all| {
                 (last, total) = (last.max(done), all);
-                true
+                ControlFlow::Continue(())
             });
             let found = found.unwrap();
             assert_eq!(found[0], [Ok(vec![11.0]), Ok(vec![12.0])], "{threads}");
@@ -208,7 +209,10 @@ mod tests {
 
     #[test]
     fn what_is_done_when_it_is_stopped_stays() {
-        let found = run(&[case(1, 1), case(2, 1)], 1, &mut |done, _| done < 150).unwrap();
+        let found = run(&[case(1, 1), case(2, 1)], 1, &mut |done, _| {
+            if done < 150 { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
+        })
+        .unwrap();
         assert_eq!(found, [[Ok(vec![11.0])], [Err(Halt::Stopped)]]);
     }
 
@@ -222,7 +226,7 @@ mod tests {
         let mut told = Vec::new();
         run(&[greedy], 1, &mut |done, total| {
             told.push((done, total));
-            true
+            ControlFlow::Continue(())
         })
         .unwrap();
         assert_eq!((told[0], told[1], told[told.len() - 1]), ((10, 15), (15, 15), (15, 15)));

@@ -60,7 +60,7 @@ mod table;
 
 use serde::{Deserialize, Serialize};
 
-use crate::rollout::{Progress, RolloutError};
+use crate::rollout::{RolloutError, Tick};
 use crate::scene::Scene;
 
 pub use record::Record;
@@ -91,16 +91,11 @@ impl Scope {
 }
 
 /// Measures the powder of a scene. `progress` is told work done and in total, from any of the threads; where
-/// it says `false`, lines that are not done are missing in the table.
+/// it breaks off, lines that are not done are missing in the table.
 ///
 /// # Errors
 /// [`RolloutError::Threads`]
-pub fn run(
-    scene: &Scene,
-    scope: Scope,
-    threads: usize,
-    progress: Progress<'_>,
-) -> Result<Table, RolloutError> {
+pub fn run(scene: &Scene, scope: Scope, threads: usize, progress: Tick<'_>) -> Result<Table, RolloutError> {
     let cases = cases(scene, scope);
     let found = case::run(&cases, threads, progress)?;
     let measured: Vec<_> = cases.into_iter().map(|case| case.claims).zip(found).collect();

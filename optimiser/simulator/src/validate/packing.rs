@@ -1,7 +1,9 @@
 //! How densely powder lies that has been poured.
 
+use std::ops::ControlFlow;
+
 use crate::rollout::{
-    Destination, Evaluate, Recording, RolloutError, Simulator, SimulatorSettings, Snapshot,
+    Destination, Recording, RolloutError, Simulate, Simulator, SimulatorSettings, Snapshot,
 };
 use crate::scene::{Container, ContainerShape, DEFAULT_SCENE, Scene, SceneSpec};
 use crate::skill::{SkillMap, Theta};
@@ -111,22 +113,19 @@ fn in_target(scene: &Scene, seed: u64, meter: &Meter<'_>) -> Result<([f64; 3], f
     let map = SkillMap::new(scene);
     let controls = map.controls(&SKILL).map_err(RolloutError::from)?;
     let mut end = Vec::new();
+    let (units, mut before) = (work_of_skill(scene) / controls.len() as f64, 0);
     let mut look = |snapshot: &Snapshot<'_>| {
         if snapshot.step == controls.len() {
             end = snapshot.positions_m.iter().map(|p| p.map(f64::from)).collect();
         }
-        true
+        let steps = snapshot.step - std::mem::replace(&mut before, snapshot.step);
+        match meter.spend((units * steps as f64) as u64) {
+            Ok(()) => ControlFlow::Continue(()),
+            Err(_) => ControlFlow::Break(()),
+        }
     };
-    let (work, mut told) = (work_of_skill(scene), 0.0f64);
-    let mut progress = |done: u64, total: u64| {
-        let share = (done as f64 / total.max(1) as f64).max(told);
-        let units = (share - told) * work;
-        told = share;
-        meter.spend(units as u64).is_ok()
-    };
-    // Between two snapshots it cannot be stopped.
     let take = Recording { anchor: map.start_pose(), controls: &controls, every: 1 };
-    let (evaluation, destinations) = simulator.record(&take, &mut look, &mut progress)?;
+    let (evaluation, destinations) = simulator.record(&take, &mut look)?;
     let there = end.iter().zip(destinations).filter(|(_, to)| *to == Destination::Target);
     let there: Vec<_> = there.map(|(p, _)| *p).collect();
     let mass = f64::from(evaluation.census.target) * scene.particle_mass_kg();

@@ -61,19 +61,18 @@ fn what_no_longer_holds_is_said_first() {
 fn stopped(more: &[&str]) -> Done {
     let interrupt = Interrupt::default();
     interrupt.request();
-    let (mut out, mut err) = (Vec::new(), Vec::new());
+    let (mut out, err) = (Vec::new(), Buffer::default());
     let mut context = Context {
         factory: &|_, _| Err(RolloutError::Stopped),
         interrupt,
         out: &mut out,
-        err: &mut err,
+        err: err.clone().into(),
         live: false,
     };
     let arguments = ["optimise", "validate", "--threads", "1"].iter().chain(more);
     let result = execute(arguments, &mut context);
-    let text = |bytes| String::from_utf8(bytes).unwrap();
-    let err = text(err) + &result.as_ref().map_or_else(CliError::to_string, |()| String::new());
-    Done { code: result.map_or_else(|error| error.code(), |()| 0), out: text(out), err }
+    let err = read(&err) + &result.as_ref().map_or_else(CliError::to_string, |()| String::new());
+    Done { code: result.map_or_else(|error| error.code(), |()| 0), out: String::from_utf8(out).unwrap(), err }
 }
 
 #[test]

@@ -11,8 +11,10 @@ use crate::skill::Theta;
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct Restarted {
-    /// As of a rollout, with the gradient.
+    /// As of a rollout.
     pub evaluation: Evaluation,
+    /// Derivative of the loss with respect to theta, metres.
+    pub gradient: Theta,
     /// The cuts, from the motion's beginning to its end.
     pub cuts: Vec<CutReport>,
     /// What the controls between cuts bring to the gradient, metres: those before the first cut first.

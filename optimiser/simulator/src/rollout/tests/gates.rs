@@ -3,9 +3,9 @@
 use powderline_shared::displacement::Displacement;
 
 use crate::real::Real;
-use crate::rollout::{
-    Evaluate, Evaluation, ParticleSimulator, Precision, Recording, Simulator, SimulatorSettings, gradcheck,
-};
+use std::ops::ControlFlow;
+
+use crate::rollout::{Evaluation, Recording, Simulate, Simulator, SimulatorSettings, gradcheck, quiet};
 use crate::scene::{Aim, FillShape, Gate, GateOpening, GateShape, Scene};
 use crate::skill::{SkillMap, Theta};
 
@@ -45,8 +45,7 @@ fn controls(scene: &Scene, steps: usize) -> Vec<Displacement> {
 }
 
 fn simulator<T: Real>(scene: &Scene, threads: usize, memory_bytes: u64) -> Simulator<T> {
-    let settings =
-        SimulatorSettings { seed: 1, precision: Precision::F32, threads: Some(threads), memory_bytes };
+    let settings = SimulatorSettings { seed: 1, threads: Some(threads), memory_bytes };
     Simulator::new(scene, &settings).expect("threads")
 }
 
@@ -76,7 +75,7 @@ fn powder_that_starts_outside_the_source_is_all_accounted_for() {
     let mut last = None;
     for steps in [2, 10, 60] {
         let controls = controls(&scene, steps);
-        let census = s.simulate(&controls, &mut |_, _| true).expect("runs").census;
+        let census = s.simulate(&controls).expect("runs").census;
         assert_eq!(census.all() as usize, scene.particle_count(), "{census:?}");
         println!("{steps} {census:?}");
         last = Some(census);
@@ -97,9 +96,9 @@ fn threads_and_kept_states_change_no_bit_of_a_gradient_past_gates() {
     let gradient = |threads: usize, kept: usize| {
         let mut s = simulator::<f32>(&scene, threads, 1 << 30);
         s.set_max_checkpoints(kept);
-        let start = s.initial_state(&mut |_, _| true).expect("settles");
+        let start = s.initial_state(&mut quiet).expect("settles");
         assert!(start.sleepers() > 0);
-        let (evaluation, bars) = s.control_gradient(&start, &controls, &mut |_, _| true).expect("runs");
+        let (evaluation, bars) = s.control_gradient(&start, &controls, &mut quiet).expect("runs");
         let bits: Vec<[u64; 6]> = bars.iter().map(|b| b.map(f64::to_bits)).collect();
         (evaluation.loss.to_bits(), bits)
     };
@@ -109,7 +108,7 @@ fn threads_and_kept_states_change_no_bit_of_a_gradient_past_gates() {
         assert!(one == gradient(threads, kept), "{threads} threads, {kept} states");
     }
     let mut s = simulator::<f32>(&scene, 2, 1 << 30);
-    let simulated = s.simulate(&controls, &mut |_, _| true).expect("runs");
+    let simulated = s.simulate(&controls).expect("runs");
     assert_eq!(simulated.loss.to_bits(), one.0);
 }
 
@@ -121,26 +120,26 @@ fn a_motion_past_gates_can_be_cut_anywhere() {
         scene.domain.sleep_speed_m_s = 0.01;
         let controls = controls(&scene, 20);
         let mut s = simulator::<f32>(&scene, 2, 1 << 30);
-        let whole = s.simulate(&controls, &mut |_, _| true).expect("runs");
+        let whole = s.simulate(&controls).expect("runs");
         for every in [1, 3, 8] {
             let map = SkillMap::new(&scene);
             let recording = Recording { anchor: map.start_pose(), controls: &controls, every };
-            let (recorded, _) = s.record(&recording, &mut |_| true, &mut |_, _| true).expect("runs");
+            let (recorded, _) = s.record(&recording, &mut |_| ControlFlow::Continue(())).expect("runs");
             assert_eq!(recorded.loss.to_bits(), whole.loss.to_bits(), "{every}");
         }
-        let start = s.initial_state(&mut |_, _| true).expect("settles");
+        let start = s.initial_state(&mut quiet).expect("settles");
         for at in [4, 5, 6, 13] {
             let (first, rest) = controls.split_at(at);
-            let middle = s.advanced(&start, first, &mut |_, _| true).expect("runs");
-            let (end, _) = s.control_gradient(&middle, rest, &mut |_, _| true).expect("runs");
-            let all = s.evaluate_motions(&middle, vec![rest.to_vec(); 2], &mut |_, _| true).expect("runs");
+            let middle = s.advanced(&start, first, &mut quiet).expect("runs");
+            let (end, _) = s.control_gradient(&middle, rest, &mut quiet).expect("runs");
+            let all = s.evaluate_motions(&middle, vec![rest.to_vec(); 2], &mut quiet).expect("runs");
             assert!([end, all[0], all[1]].iter().all(|e| e.loss.to_bits() == whole.loss.to_bits()), "{at}");
         }
         whole.loss.to_bits()
     });
     let shut = column(9000.0, LIFTED);
     let mut s = simulator::<f32>(&shut, 2, 1 << 30);
-    let held = s.simulate(&controls(&shut, 20), &mut |_, _| true).expect("runs").loss.to_bits();
+    let held = s.simulate(&controls(&shut, 20)).expect("runs").loss.to_bits();
     assert!(losses[0] != losses[1] && losses[0] != held && losses[1] != held, "gates do something");
 }
 
@@ -152,11 +151,10 @@ fn skills_side_by_side_past_gates_have_the_bits_of_skills_alone() {
         [0.1, -0.1, 0.2].map(|depth| [depth, 0.0, 0.0, 0.0, 0.3]).into_iter().chain([[0.1; 5]]).collect();
     let evaluate = |threads: usize| -> Vec<Evaluation> {
         let mut s = simulator::<f32>(&scene, threads, 1 << 30);
-        s.evaluate_all(&skills, &mut |_, _| true).expect("runs")
+        s.evaluate_all(&skills).expect("runs")
     };
     let mut s = simulator::<f32>(&scene, 2, 1 << 30);
-    let alone: Vec<_> =
-        skills.iter().map(|theta| s.evaluate(theta, false, &mut |_, _| true).expect("runs")).collect();
+    let alone: Vec<_> = skills.iter().map(|theta| s.evaluate(theta).expect("runs")).collect();
     assert!(evaluate(1) == alone && evaluate(3) == alone);
     assert!(alone[0].loss.to_bits() != alone[1].loss.to_bits());
 }
@@ -174,7 +172,7 @@ fn the_gradient_past_gates_agrees_with_central_differences() {
         scene.time.settle_s = 0.0;
         let controls = controls(&scene, 24);
         let mut s = simulator::<f64>(&scene, 2, 1 << 30);
-        let (_, slopes) = s.simulate_with_gradient(&controls, &mut |_, _| true).expect("runs");
+        let (_, slopes) = s.simulate_with_gradient(&controls).expect("runs");
         let direction = |step: usize, k: usize| libm::sin((6 * step + k) as f64);
         let mut loss_at = |h: f64| {
             let moved = |(step, control): (usize, &Displacement)| {
@@ -182,7 +180,7 @@ fn the_gradient_past_gates_agrees_with_central_differences() {
                 Displacement::from(std::array::from_fn(|k| control[k] + h * direction(step, k)))
             };
             let moved: Vec<_> = controls.iter().enumerate().map(moved).collect();
-            s.simulate(&moved, &mut |_, _| true).expect("runs").loss
+            s.simulate(&moved).expect("runs").loss
         };
         let adjoint: f64 = slopes
             .iter()
@@ -211,13 +209,13 @@ fn windows_of_a_skill_past_gates_pass_the_gradient_check() {
     scene.domain.sleep_speed_m_s = 0.0;
     let mut s = simulator::<f64>(&scene, 2, 1 << 30);
     let map = SkillMap::new(&scene);
-    let window = gradcheck::check_window(&mut s, &map, 12, 28, &mut |_, _| true).expect("runs");
+    let window = gradcheck::check_window(&mut s, &map, 12, 28).expect("runs");
     println!("{:?}", window.components.iter().map(|c| (c.adjoint, c.error)).collect::<Vec<_>>());
     assert!(window.components[0].adjoint != 0.0);
     assert!(window.error < 1e-5, "{}", window.error);
     let controls = map.controls(&gradcheck::CHECKED_THETA).expect("fits");
-    let whole = s.simulate(&controls[..28], &mut |_, _| true).expect("runs");
+    let whole = s.simulate(&controls[..28]).expect("runs");
     assert_eq!(whole.loss.to_bits(), window.loss.to_bits());
-    let positions = s.final_positions_m(&controls[..28], &mut |_, _| true).expect("runs");
+    let positions = s.final_positions_m(&controls[..28]).expect("runs");
     assert_eq!(positions.len(), scene.particle_count());
 }
