@@ -11,10 +11,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut simulator = Simulator::<f64>::new(&scene, &SimulatorSettings::default())?;
     let skill = SkillMap::new(&scene).controls(&[0.3, 0.0, 0.0, 0.0, 0.3])?;
     let controls: Vec<_> = skill[..150].to_vec();
-    let mean_height = |positions_m: &[[f64; 3]]| {
+    let mean_height = |positions_m: &[[f64; 3]], slopes: &mut [[f64; 3]]| {
         let share = 1.0 / positions_m.len() as f64;
-        let height = positions_m.iter().map(|[_, _, z]| z * share).sum();
-        (height, vec![[0.0, 0.0, share]; positions_m.len()])
+        slopes.fill([0.0, 0.0, share]);
+        positions_m.iter().map(|[_, _, z]| z * share).sum()
     };
     let (height_m, gradient) = simulator.gradient_of_custom_loss(&controls, &mean_height)?;
     println!("the powder is {:.3} mm high on average", 1e3 * height_m);

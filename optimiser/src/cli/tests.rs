@@ -94,8 +94,7 @@ impl Simulate for Ends {
         self.tick()?;
         let at = self.map.linearise(theta)?;
         let (evaluation, bar) = Self::judge(at.controls.iter().map(Displacement::components));
-        let bars = vec![bar; at.controls.len()];
-        let mut slope = at.pull_back(&bars);
+        let mut slope = at.pull_back(&vec![DisplacementGradient::from(bar); at.controls.len()]);
         slope[0] += libm::sin(1e6 * theta[0]);
         Ok((evaluation, slope))
     }

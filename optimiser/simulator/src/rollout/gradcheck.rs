@@ -14,7 +14,7 @@ use std::ops::Range;
 use serde::Serialize;
 
 use crate::real::Real;
-use crate::rollout::{Evaluation, RolloutError, Simulate, Simulator, Tick};
+use crate::rollout::{DisplacementGradient, Evaluation, RolloutError, Simulate, Simulator, Tick};
 use crate::skill::{SkillMap, Theta};
 
 /// The skill at which gradients are checked: a middling scoop that reaches the target.
@@ -94,9 +94,9 @@ fn checked<T: Real>(
     let from = simulator.advanced(&beginning, &linear.controls[..stretch.start], progress)?;
     let controls = linear.controls[stretch.clone()].to_vec();
     let (at, bars) = simulator.control_gradient(&from, &controls, progress)?;
-    let mut all_bars = vec![[0.0; 6]; stretch.start];
-    all_bars.extend(bars);
-    let gradient = linear.pull_back(&all_bars);
+    let mut by_displacement = vec![DisplacementGradient::default(); stretch.start];
+    by_displacement.extend(bars.into_iter().map(DisplacementGradient::from));
+    let gradient = linear.pull_back(&by_displacement);
 
     let length = gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
     let mut components = Vec::new();

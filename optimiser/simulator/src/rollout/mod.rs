@@ -64,14 +64,14 @@ pub(crate) use watch::{go_on, quiet};
 pub use crate::memory::Workload;
 use crate::memory::least_memory;
 use crate::scene::Scene;
-use crate::skill::{Control, SkillError, Theta};
+pub use crate::skill::DisplacementGradient;
+use crate::skill::{SkillError, Theta};
 pub use powderline_shared::{
     census::{Census, Places},
     displacement::Displacement,
     plan::Precision,
     pose::Pose,
 };
-use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
 use thiserror::Error;
 
@@ -94,42 +94,15 @@ impl Evaluation {
     }
 }
 
-/// Derivative of the loss with respect to one displacement of a control sequence, the others held,
-/// in the world frame: what [`Displacement`] has in metres and in radians, this has per metre and
-/// per radian.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct DisplacementGradient {
-    /// Metres of loss per metre of each component of the translation.
-    pub per_metre: [f64; 3],
-    /// Metres of loss per radian of each component of the rotation vector, as it stands in the
-    /// displacement: about the world's axes, whatever way the tool is turned.
-    pub per_radian: [f64; 3],
-}
-
-impl DisplacementGradient {
-    /// The six numbers in the order of [`Displacement::components`].
-    pub fn components(&self) -> [f64; 6] {
-        let [x, y, z] = self.per_metre;
-        let [rx, ry, rz] = self.per_radian;
-        [x, y, z, rx, ry, rz]
-    }
-}
-
-impl From<Control> for DisplacementGradient {
-    /// From the cotangent of a [`Control`], translation before rotation vector as there.
-    fn from([x, y, z, rx, ry, rz]: Control) -> Self {
-        Self { per_metre: [x, y, z], per_radian: [rx, ry, rz] }
-    }
-}
-
-/// A custom loss: takes the particle positions at the end of a motion (m, in packing order),
-/// returns the loss and its derivative with respect to each position.
-pub type LossFn<'a> = &'a (dyn Fn(&[[f64; 3]]) -> (f64, Vec<[f64; 3]>) + Sync);
+/// A custom loss: takes the particle positions at the end of a motion (m, in packing order), and writes the loss's derivative with
+/// respect to each into the second slice, which is as long and all zero. Returns the loss.
+pub type LossFn<'a> = &'a (dyn Fn(&[[f64; 3]], &mut [[f64; 3]]) -> f64 + Sync);
 
 /// A custom loss for [`Simulate::restarted_gradient_of_custom_loss`]: takes the particle positions at the end of a motion (m, in
-/// packing order), returns the loss and what each particle costs of it: how the loss changes if that one is elsewhere and all others stay.
-/// A constant more or less does not matter; where the loss is a sum over particles, it is the summand.
-pub type CostsFn<'a> = &'a (dyn Fn(&[[f64; 3]]) -> (f64, Vec<f64>) + Sync);
+/// packing order), and writes what each costs of the loss into the second slice, which is as long and all zero: how the loss changes if that
+/// particle is elsewhere and all others stay. A constant more or less does not matter; where the loss is a sum over particles, it is the
+/// summand. Returns the loss.
+pub type CostsFn<'a> = &'a (dyn Fn(&[[f64; 3]], &mut [f64]) -> f64 + Sync);
 
 /// Powder and tool at one moment of a motion. Where a gate is then, [`crate::scene::Gate::displacement_m`] tells.
 #[derive(Clone, Copy, Debug)]
@@ -220,16 +193,6 @@ pub enum RolloutError {
         besides: bool,
         /// By how many threads.
         threads: usize,
-    },
-    /// A custom loss returned a number of derivatives or costs other than the number of particles.
-    #[error(
-        "the loss has derivatives or costs of {given} particles, but there are {particles}: one for each would be right"
-    )]
-    LossGradientLength {
-        /// Derivatives or costs.
-        given: usize,
-        /// Particles.
-        particles: usize,
     },
     /// The skill is not a motion.
     #[error(transparent)]

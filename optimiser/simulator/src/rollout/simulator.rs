@@ -254,9 +254,8 @@ impl<T: Real> Simulator<T> {
             self.recycle(std::mem::replace(&mut end, next));
             on_body.push(self.on_tool(&end, restarts));
         }
-        let judged = judged(&self.scene, &end.state.particles, &end.tool, costs);
+        let (evaluation, values) = judged(&self.scene, &end.state.particles, &end.tool, costs);
         self.recycle(end);
-        let (evaluation, values) = judged?;
         let rest = |way: &Displacement, sign: f64| carrying.moved(controls, way, sign)[over.start..].to_vec();
         let branches = carrying.ways.iter().flat_map(|way| [rest(way, 1.0), rest(way, -1.0)]).collect();
         let model = self.model.with_sleep_speed(carrying.sleep_speed_m_s);
@@ -318,7 +317,8 @@ impl<T: Real> Simulator<T> {
             let tool = path.end().unwrap_or(from.tool);
             let (mut found, _) = evaluation(scene, &state.particles, &tool);
             if let Some(costs) = costs {
-                found.loss = costs(&state.particles.positions_by_id()).0;
+                let positions = state.particles.positions_by_id();
+                found.loss = costs(&positions, &mut vec![0.0; positions.len()]);
             }
             found
         };
@@ -405,12 +405,12 @@ impl<T: Real> Simulator<T> {
         &mut self,
         controls: &[Displacement],
         asked: Asked<'_>,
-    ) -> Result<(Evaluation, Vec<Control>), RolloutError> {
+    ) -> Result<(Evaluation, Vec<DisplacementGradient>), RolloutError> {
         self.watched(|s, tick| {
             let start = s.initial_state(tick)?;
             let found = s.control_gradient_of(asked, &start, controls, tick);
             s.recycle(start);
-            found.map(|(evaluation, bars, _)| (evaluation, bars))
+            found.map(|(evaluation, bars, _)| (evaluation, by_displacement(bars)))
         })
     }
 
@@ -419,12 +419,12 @@ impl<T: Real> Simulator<T> {
         controls: &[Displacement],
         restarts: &Restarts,
         costs: Option<CostsFn<'_>>,
-    ) -> Result<(Evaluation, Vec<Control>, Vec<CutReport>), RolloutError> {
+    ) -> Result<(Evaluation, Vec<DisplacementGradient>, Vec<CutReport>), RolloutError> {
         self.watched(|s, tick| {
             let start = s.initial_state(tick)?;
             let found = s.restarted(&start, controls, (restarts, costs), tick);
             s.recycle(start);
-            found
+            found.map(|(evaluation, bars, cuts)| (evaluation, by_displacement(bars), cuts))
         })
     }
 
@@ -487,24 +487,26 @@ impl<T: Real> Simulate for Simulator<T> {
             return Ok((found.evaluation, found.gradient));
         }
         let linear = self.skill.linearise(theta)?;
-        let (evaluation, bars) = self.gradient(&linear.controls, Asked::default())?;
-        Ok((evaluation, linear.pull_back(&bars)))
+        let (evaluation, gradient) = self.gradient(&linear.controls, Asked::default())?;
+        Ok((evaluation, linear.pull_back(&gradient)))
     }
 
     fn evaluate_restarted(&mut self, theta: &Theta, restarts: &Restarts) -> Result<Restarted, RolloutError> {
         let linear = self.skill.linearise(theta)?;
-        let (evaluation, bars, mut cuts) = self.restarted_gradient(&linear.controls, restarts, None)?;
-        let gradient = linear.pull_back(&bars);
+        let (evaluation, by_displacement, mut cuts) =
+            self.restarted_gradient(&linear.controls, restarts, None)?;
+        let gradient = linear.pull_back(&by_displacement);
         cuts.reverse();
         let steps = cuts.iter().map(|cut| cut.step);
-        let ends: Vec<usize> = std::iter::once(0).chain(steps).chain([bars.len()]).collect();
+        let all = by_displacement.len();
+        let ends: Vec<usize> = std::iter::once(0).chain(steps).chain([all]).collect();
         let share = |ends: &[usize]| {
-            let mut share = vec![[0.0; 6]; bars.len()];
-            share[ends[0]..ends[1]].copy_from_slice(&bars[ends[0]..ends[1]]);
+            let mut share = vec![DisplacementGradient::default(); all];
+            share[ends[0]..ends[1]].copy_from_slice(&by_displacement[ends[0]..ends[1]]);
             linear.pull_back(&share)
         };
         let shares = ends.windows(2).map(share).collect();
-        Ok(Restarted { evaluation, gradient, cuts, shares, by_displacement: by_displacement(bars) })
+        Ok(Restarted { evaluation, gradient, cuts, shares, by_displacement })
     }
 
     fn simulate(&mut self, controls: &[Displacement]) -> Result<Evaluation, RolloutError> {
@@ -532,8 +534,7 @@ impl<T: Real> Simulate for Simulator<T> {
         &mut self,
         controls: &[Displacement],
     ) -> Result<(Evaluation, Vec<DisplacementGradient>), RolloutError> {
-        let (evaluation, bars) = self.gradient(controls, Asked::default())?;
-        Ok((evaluation, by_displacement(bars)))
+        self.gradient(controls, Asked::default())
     }
 
     fn gradient_of_custom_loss(
@@ -541,8 +542,9 @@ impl<T: Real> Simulate for Simulator<T> {
         controls: &[Displacement],
         loss: LossFn<'_>,
     ) -> Result<(f64, Vec<DisplacementGradient>), RolloutError> {
-        let (evaluation, bars) = self.gradient(controls, Asked { loss: Some(loss), ..Asked::default() })?;
-        Ok((evaluation.loss, by_displacement(bars)))
+        let (evaluation, gradient) =
+            self.gradient(controls, Asked { loss: Some(loss), ..Asked::default() })?;
+        Ok((evaluation.loss, gradient))
     }
 
     fn restarted_gradient_of_custom_loss(
@@ -551,8 +553,8 @@ impl<T: Real> Simulate for Simulator<T> {
         costs: CostsFn<'_>,
         restarts: &Restarts,
     ) -> Result<(f64, Vec<DisplacementGradient>), RolloutError> {
-        let (evaluation, bars, _) = self.restarted_gradient(controls, restarts, Some(costs))?;
-        Ok((evaluation.loss, by_displacement(bars)))
+        let (evaluation, gradient, _) = self.restarted_gradient(controls, restarts, Some(costs))?;
+        Ok((evaluation.loss, gradient))
     }
 
     fn final_positions_m(&mut self, controls: &[Displacement]) -> Result<Vec<[f64; 3]>, RolloutError> {
@@ -613,17 +615,13 @@ fn judged<T: Real>(
     particles: &Particles<T>,
     tool: &Pose,
     costs: Option<CostsFn<'_>>,
-) -> Result<(Evaluation, Vec<Option<f64>>), RolloutError> {
+) -> (Evaluation, Vec<Option<f64>>) {
     let positions = particles.positions_by_id();
     let (mut found, _) = evaluation(scene, particles, tool);
-    let Some(costs) = costs else { return Ok((found, loss::values(scene, &positions))) };
-    let (loss, values) = costs(&positions);
-    let (given, particles) = (values.len(), positions.len());
-    if given != particles {
-        return Err(RolloutError::LossGradientLength { given, particles });
-    }
-    found.loss = loss;
-    Ok((found, values.into_iter().map(Some).collect()))
+    let Some(costs) = costs else { return (found, loss::values(scene, &positions)) };
+    let mut values = vec![0.0; positions.len()];
+    found.loss = costs(&positions, &mut values);
+    (found, values.into_iter().map(Some).collect())
 }
 
 /// Borrowed parts of a simulator during one rollout.
@@ -888,7 +886,7 @@ impl<T: Real> Rollout<'_, T> {
         if let Some(last) = path.len().checked_sub(1) {
             self.step(&mut state, last, &path.bodies(&self.model.gates, last))?;
         }
-        let mut retreat = self.loss_of(path, &state)?;
+        let mut retreat = self.loss_of(path, &state);
         if let Some(GoesOn { values, body }) = self.asked.goes_on {
             (retreat.values, retreat.pose) = (values.to_vec(), body);
             self.restart(path, path.len(), &state, &mut retreat, true);
@@ -899,21 +897,18 @@ impl<T: Real> Rollout<'_, T> {
     }
 
     /// Loss at the end, and the cotangents of particles there.
-    fn loss_of(&mut self, path: &Trajectory, state: &State<T>) -> Result<Retreat<T>, RolloutError> {
+    fn loss_of(&mut self, path: &Trajectory, state: &State<T>) -> Retreat<T> {
         let (mut evaluation, mut gradient) =
             evaluation(self.scene, &state.particles, &path.end().unwrap_or(*self.anchor));
         if let Some(loss) = self.asked.loss {
             let positions = state.particles.positions_by_id();
-            (evaluation.loss, gradient) = loss(&positions);
-            let (given, particles) = (gradient.len(), positions.len());
-            if given != particles {
-                return Err(RolloutError::LossGradientLength { given, particles });
-            }
+            gradient = vec![[0.0; 3]; positions.len()];
+            evaluation.loss = loss(&positions, &mut gradient);
         }
         let mut values = Vec::new();
         if let Some(costs) = self.asked.costs.filter(|_| self.asked.goes_on.is_none()) {
             let tool = path.end().unwrap_or(*self.anchor);
-            (evaluation, values) = judged(self.scene, &state.particles, &tool, Some(costs))?;
+            (evaluation, values) = judged(self.scene, &state.particles, &tool, Some(costs));
         } else if self.asked.restarts.is_some() {
             values = loss::values(self.scene, &state.particles.positions_by_id());
         }
@@ -931,7 +926,7 @@ impl<T: Real> Rollout<'_, T> {
         for (g, l, id) in state.particles.occupied() {
             set_vec(&mut bar[g].x, l, gradient[id as usize].map(T::from_f64));
         }
-        Ok(Retreat { evaluation, values, bar, pose: PoseBar::default(), cuts: Vec::new() })
+        Retreat { evaluation, values, bar, pose: PoseBar::default(), cuts: Vec::new() }
     }
 
     /// Particles are searched once per control step, and whenever the tool's cotangent, a sum over all contacts, is not finite.

@@ -36,6 +36,7 @@ use powderline_shared::{
     plan::SkillParameter,
     pose::Pose,
 };
+use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
 /// Normalised skill parameters: depth, scoop angle, lift, transport, pour angle, each in `[-1, 1]`.
@@ -98,6 +99,34 @@ pub struct SegmentSpan {
     pub end_s: f64,
 }
 
+/// Derivative of the loss with respect to one displacement of a control sequence, the others held,
+/// in the world frame: what [`Displacement`] has in metres and in radians, this has per metre and
+/// per radian.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct DisplacementGradient {
+    /// Metres of loss per metre of each component of the translation.
+    pub per_metre: [f64; 3],
+    /// Metres of loss per radian of each component of the rotation vector, as it stands in the
+    /// displacement: about the world's axes, whatever way the tool is turned.
+    pub per_radian: [f64; 3],
+}
+
+impl DisplacementGradient {
+    /// The six numbers in the order of [`Displacement::components`].
+    pub fn components(&self) -> [f64; 6] {
+        let [x, y, z] = self.per_metre;
+        let [rx, ry, rz] = self.per_radian;
+        [x, y, z, rx, ry, rz]
+    }
+}
+
+impl From<Control> for DisplacementGradient {
+    /// From the cotangent of a [`Control`], translation before rotation vector as there.
+    fn from([x, y, z, rx, ry, rz]: Control) -> Self {
+        Self { per_metre: [x, y, z], per_radian: [rx, ry, rz] }
+    }
+}
+
 /// A control sequence with its derivative.
 #[derive(Clone, Debug)]
 #[non_exhaustive]
@@ -109,13 +138,14 @@ pub struct Linearisation {
 }
 
 impl Linearisation {
-    /// Gradient with respect to theta, given that with respect to the controls.
+    /// Gradient with respect to theta, given that with respect to the controls, as
+    /// [`simulate_with_gradient`](crate::rollout::Simulate::simulate_with_gradient) has it.
     ///
-    /// Summed in the order of the steps, so its bits depend on nothing else. Missing cotangents count as zero.
-    pub fn pull_back(&self, control_bars: &[Control]) -> Theta {
+    /// Summed in the order of the steps, so its bits depend on nothing else. Those of steps that are missing count as zero.
+    pub fn pull_back(&self, gradient: &[DisplacementGradient]) -> Theta {
         let mut theta_bar = [0.0; 5];
-        for (jacobian, control_bar) in self.jacobian.iter().zip(control_bars) {
-            for (row, bar) in jacobian.iter().zip(control_bar) {
+        for (jacobian, of_step) in self.jacobian.iter().zip(gradient) {
+            for (row, bar) in jacobian.iter().zip(of_step.components()) {
                 for (sum, partial) in theta_bar.iter_mut().zip(row) {
                     *sum += bar * partial;
                 }
