@@ -29,10 +29,10 @@ pub(super) struct GradcheckArgs {
     pub short: bool,
     /// Instead of all that: the exact and the restarted gradient beside differences over +-0.1, for so many drawn skills of
     /// the scene as it is
-    #[arg(long, value_name = "N", conflicts_with_all = ["steps", "short"], value_parser = clap::value_parser!(u32).range(2..=1000))]
+    #[arg(long, value_name = "N", group = "table", conflicts_with_all = ["steps", "short"], value_parser = clap::value_parser!(u32).range(2..=1000))]
     pub skills: Option<u32>,
     /// The same for this skill: five numbers in [-1, 1]; can be given more than once
-    #[arg(long, value_name = "D,A,L,T,P", allow_hyphen_values = true, conflicts_with_all = ["steps", "short", "skills", "first"])]
+    #[arg(long, value_name = "D,A,L,T,P", allow_hyphen_values = true, group = "table", conflicts_with_all = ["steps", "short", "skills", "first"])]
     pub theta: Vec<String>,
     /// What the loss asks for, if it is not what the scene says
     #[arg(long)]
@@ -53,7 +53,7 @@ pub(super) struct GradcheckArgs {
     #[command(flatten)]
     pub resources: Resources,
     /// Folder that keeps the table of --skills or --theta, skill by skill; one that was stopped goes on from there
-    #[arg(long, value_name = "DIR", conflicts_with_all = ["steps", "short"])]
+    #[arg(long, value_name = "DIR", requires = "table")]
     pub out: Option<PathBuf>,
     /// Print one JSON object
     #[arg(long)]

@@ -39,7 +39,7 @@ struct Report {
     summary: Option<Summary>,
     /// Without the skills whose differences look across the edge of the miss, if there are such.
     #[serde(skip_deserializing)]
-    summary_beside_edge: Option<Summary>,
+    summary_without_edge: Option<Summary>,
 }
 
 /// What a table is of: skills that were measured otherwise do not stand in it.
@@ -131,7 +131,7 @@ fn begun(of: Subject, folder: Option<&RunFolder>) -> Result<Report, CliError> {
         skills: Vec::new(),
         passed_over: Vec::new(),
         summary: None,
-        summary_beside_edge: None,
+        summary_without_edge: None,
     };
     let Some(folder) = folder.filter(|folder| folder.file(TABLE).exists()) else { return Ok(empty(of)) };
     let file = folder.file(TABLE).display().to_string();
@@ -307,7 +307,7 @@ impl Table {
         let level: Vec<Row> = rows.iter().filter(|row| !row.across_edge).cloned().collect();
         let has_edge = of.aim == Aim::Amount && level.len() < rows.len();
         self.report.summary = Summary::new(&rows);
-        self.report.summary_beside_edge = if has_edge { Summary::new(&level) } else { None };
+        self.report.summary_without_edge = if has_edge { Summary::new(&level) } else { None };
         self.report.complete = complete;
         self.save()?;
         if self.json {
@@ -322,7 +322,7 @@ impl Table {
                 summary.exact_in_rollouts, summary.restarted_in_rollouts
             );
         }
-        if let Some(summary) = &self.report.summary_beside_edge {
+        if let Some(summary) = &self.report.summary_without_edge {
             let _ = writeln!(
                 out,
                 "\nOf these, differences of {} look across the edge of the miss: from too much to too little. Without them:",
@@ -439,10 +439,10 @@ mod tests {
     use super::*;
     use crate::cli::Stream;
 
-    fn measured() -> Measured {
+    fn measured(across_edge: bool) -> Measured {
         let one = [1.0; 5];
         serde_json::from_value(serde_json::json!({
-            "delivered": 50, "across_edge": false, "slope": one, "exact": one, "restarted": one,
+            "delivered": 50, "across_edge": across_edge, "slope": one, "exact": one, "restarted": one,
             "seconds": { "rollout": 1.0, "exact": 8.0, "restarted": 6.0 }
         }))
         .unwrap()
@@ -466,7 +466,7 @@ mod tests {
         (0..count).map(|draw| Asked { draw: Some(draw), theta: skill(draw) }).collect()
     }
 
-    /// Fills a table of three out of nine, in which odd draws deliver, 3 only with the first packing. `left` measurements succeed, and the
+    /// Fills a table of three out of nine, in which odd draws deliver, 3 only with the first packing; 5 is at the edge of the miss. `left` measurements succeed, and the
     /// next one is stopped.
     fn filled(folder: &std::path::Path, subject: Subject, left: u32) -> (Result<Table, CliError>, String) {
         let (mut out, mut left) = (Vec::new(), left);
@@ -483,7 +483,7 @@ mod tests {
             }
             left -= 1;
             Ok(match asked.draw {
-                Some(draw) if draw % 2 == 1 && (draw, seed) != (3, 2) => Ok(measured()),
+                Some(draw) if draw % 2 == 1 && (draw, seed) != (3, 2) => Ok(measured(draw == 5)),
                 _ => Err("delivers too little".into()),
             })
         };
@@ -512,6 +512,11 @@ mod tests {
         assert_eq!(table.report.passed_over.len(), 5);
         assert!(table.report.skills.iter().all(|skill| skill.row.packings.len() == 2));
         assert!(out.contains("skill 3 is left out") && out.contains("over 3 skills"), "{out}");
+        // One looks across the edge of the miss, of which there is none where all powder is wanted.
+        assert!(out.contains("differences of 1 look across") && out.contains("over 2 skills"), "{out}");
+        let place = tempfile::tempdir().unwrap();
+        let (_, out) = filled(place.path(), Subject { aim: Aim::All, ..subject() }, 99);
+        assert!(out.contains("over 3 skills") && !out.contains("look across"), "{out}");
     }
 
     /// Stopped, it goes on from where it was, to the same table; each skill is shown when it is done.

@@ -1285,15 +1285,29 @@ fn bench_refuses_in_one_sentence() {
     assert!(!done.err.contains("forward-only"));
 }
 
+/// What makes simulators of its own, so that no stand-in sees whether it listens.
 #[test]
-fn bench_stops_on_request() {
-    let interrupt = Interrupt::default();
-    interrupt.request();
-    let mut out = Vec::new();
-    let factory = |_: &Scene, _: &Setup| -> Result<Box<dyn Simulate>, RolloutError> { unreachable!() };
-    let mut context =
-        Context { factory: &factory, interrupt, out: &mut out, err: Buffer::default().into(), live: false };
-    let stopped = execute(["optimise", "bench", "--particles", "1000"], &mut context);
-    assert_eq!(stopped.map_err(|error| error.code()), Err(130));
-    assert!(out.is_empty());
+fn what_measures_stops_on_request() {
+    let commands: [&[&str]; 3] = [
+        &["bench", "--particles", "1000"],
+        &["gradcheck", "bench-small", "--short"],
+        &["gradcheck", "bench-small", "--skills", "2", "--json"],
+    ];
+    for command in commands {
+        let interrupt = Interrupt::default();
+        interrupt.request();
+        let mut out = Vec::new();
+        let mut context = Context {
+            factory: &|_, _| unreachable!(),
+            interrupt,
+            out: &mut out,
+            err: Buffer::default().into(),
+            live: false,
+        };
+        let stopped = execute(["optimise"].iter().chain(command), &mut context);
+        assert_eq!(stopped.map_err(|error| error.code()), Err(130), "{command:?}");
+        // A table that has no skill yet is shown as that.
+        let table = command.contains(&"--json").then(|| serde_json::from_slice::<Value>(&out).unwrap());
+        assert!(table.map_or(out.is_empty(), |table| table["skills"].as_array().unwrap().is_empty()));
+    }
 }

@@ -99,8 +99,7 @@ pub fn measure(
         part(simulator, [1.0 / whole, ROLLOUTS / whole], |simulator| simulator.evaluate_all(&both_ways))?;
     let rollout = (cpu_seconds() - from_s) / both_ways.len() as f64;
     let slope = std::array::from_fn(|k| (ends[2 * k].loss - ends[2 * k + 1].loss) / (2.0 * HALF_STEP));
-    let is_short = |end: &Evaluation| end.indicator > 0;
-    let across_edge = ends.iter().any(|end| is_short(end) != is_short(&at));
+    let across_edge = looks_across_edge(&at, &ends);
     let from_s = cpu_seconds();
     let mut gradient = |restarts: &Restarts, from: f64| {
         let span = [from / whole, (from + GRADIENT_WORK) / whole];
@@ -118,6 +117,12 @@ pub fn measure(
         restarted,
         seconds: Seconds { rollout, exact: between_s - from_s, restarted: cpu_seconds() - between_s },
     }))
+}
+
+/// Whether one of these ends brings enough where the skill itself does not, or the other way round.
+fn looks_across_edge(at: &Evaluation, ends: &[Evaluation]) -> bool {
+    let is_short = |found: &Evaluation| found.indicator > 0;
+    ends.iter().any(|end| is_short(end) != is_short(at))
 }
 
 /// One skill over all packings.
@@ -294,6 +299,7 @@ fn correlation(pairs: impl Iterator<Item = [f64; 2]> + Clone) -> Option<f64> {
 #[expect(clippy::float_cmp, reason = "numbers that are exact")]
 mod tests {
     use super::*;
+    use crate::rollout::Census;
 
     fn measured(slope: Theta, exact: Theta, restarted: Theta) -> Measured {
         let seconds = Seconds { rollout: 2.0, exact: 20.0, restarted: 10.0 };
@@ -338,6 +344,14 @@ mod tests {
         assert!(constant.cosine[1] <= first && constant.cosine[0] > 0.9);
         assert!(near(summary.exact_in_rollouts, 10.0) && near(summary.restarted_in_rollouts, 5.0));
         assert!(Summary::new(&rows[..1]).is_none());
+    }
+
+    #[test]
+    fn the_edge_is_where_the_wanted_amount_arrives() {
+        let missing = |indicator: i64| Evaluation::new(1.0, indicator, Census::default());
+        let looks_across = |at: i64, ends: [i64; 2]| looks_across_edge(&missing(at), &ends.map(missing));
+        assert!(looks_across(5, [9, 0]) && looks_across(0, [1, -4]) && looks_across(-5, [-9, 3]));
+        assert!(!looks_across(5, [9, 1]) && !looks_across(0, [0, -4]));
     }
 
     #[test]
