@@ -15,6 +15,7 @@
 //! | the same over larger steps | [`Simulate::restarted_gradient_of_custom_loss`] |
 //! | every grain on the way, and where it ends | [`Simulate::record`] |
 //! | the grains at the end alone | [`Simulate::final_positions_m`] |
+//! | a motion that depends on what the powder does | [`Simulator::begin`], [`Simulator::advance`] |
 //!
 //! A motion is a list of displacements, one for each control step, of any length: an empty one
 //! leaves the powder as it has settled, a longer one than the scene's horizon is simulated to its
@@ -56,8 +57,7 @@ mod tests;
 mod watch;
 
 pub use outcome::Destination;
-pub(crate) use simulator::RolloutState;
-pub use simulator::Simulator;
+pub use simulator::{RolloutState, Simulator};
 pub use watch::{ProgressFn, Tick, Watch, part};
 pub(crate) use watch::{go_on, quiet};
 

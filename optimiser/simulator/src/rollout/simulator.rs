@@ -38,8 +38,9 @@ const ADJOINT_WORK: u64 = 3;
 /// Control steps of a rollout that the gradient of one takes, for the progress bar.
 const GRADIENT_STEPS: usize = 5;
 
-/// Powder and tool at one moment of a rollout.
-pub(crate) struct RolloutState<T> {
+/// Powder and tool at one moment of a motion that is made piece by piece: what comes next may depend on what the powder does. See
+/// [`Simulator::begin`].
+pub struct RolloutState<T: Real> {
     state: State<T>,
     tool: Pose,
     /// Substeps of the motion that are done.
@@ -74,20 +75,33 @@ struct Checkpoint<T> {
     on_grid: Option<OnGrid<T>>,
 }
 
+fn narrow(rows: Vec<[f64; 3]>) -> Vec<[f32; 3]> {
+    rows.into_iter().map(|row| row.map(|x| x as f32)).collect()
+}
+
 impl<T: Real> RolloutState<T> {
+    /// The tool.
+    pub fn tool(&self) -> &Pose {
+        &self.tool
+    }
+
+    /// Particles in the order of the packing, metres.
+    pub fn positions_m(&self) -> Vec<[f32; 3]> {
+        narrow(self.state.particles.positions_by_id())
+    }
+
+    /// Their velocities, m/s.
+    pub fn velocities_m_s(&self) -> Vec<[f32; 3]> {
+        narrow(self.state.particles.velocities_by_id())
+    }
+
     /// Shows it to an observer.
     fn show(&self, step: usize, observer: Observer<'_>) -> ControlFlow<()> {
-        let particles = &self.state.particles;
-        let narrow = |rows: Vec<[f64; 3]>| -> Vec<[f32; 3]> {
-            rows.into_iter().map(|row| row.map(|x| x as f32)).collect()
-        };
-        let positions_m = narrow(particles.positions_by_id());
-        let velocities_m_s = narrow(particles.velocities_by_id());
         observer(&Snapshot {
             step,
             tool: self.tool,
-            positions_m: &positions_m,
-            velocities_m_s: &velocities_m_s,
+            positions_m: &self.positions_m(),
+            velocities_m_s: &self.velocities_m_s(),
         })
     }
 
@@ -136,6 +150,31 @@ impl<T: Real> Simulator<T> {
             max_checkpoints: usize::MAX,
             watch: Watch::default(),
         }
+    }
+
+    /// The settled powder under a tool that waits at `anchor`, the scene's start pose as a rule
+    /// ([`SkillMap::start_pose`]): the beginning of a motion that [`Self::advance`] makes piece by piece.
+    ///
+    /// # Errors
+    /// See [`RolloutError`].
+    pub fn begin(&mut self, anchor: &Pose) -> Result<RolloutState<T>, RolloutError> {
+        self.watched(|s, tick| s.initial_state_under(anchor, tick))
+    }
+
+    /// Makes these control steps. In pieces a motion comes to the same bits as whole.
+    ///
+    /// # Errors
+    /// See [`RolloutError`]; the state is as it was then. Control steps are counted from the beginning of the motion.
+    pub fn advance(
+        &mut self,
+        state: &mut RolloutState<T>,
+        controls: &[Displacement],
+    ) -> Result<(), RolloutError> {
+        let steps = state.done / self.scene.time.substeps as usize;
+        let next = self.watched(|s, tick| s.advanced(state, controls, tick));
+        let next = next.map_err(|error| error.later_by(steps))?;
+        self.recycle(std::mem::replace(state, next));
+        Ok(())
     }
 
     /// Keeps no more states than this at a time while a gradient is computed, even if memory would allow more.
@@ -196,8 +235,8 @@ impl<T: Real> Simulator<T> {
         state.state.recycle_into(&mut self.workspace.spare);
     }
 
-    /// What has been achieved in a state.
-    pub(crate) fn judge(&self, state: &RolloutState<T>) -> Evaluation {
+    /// What has been achieved if the motion ends here.
+    pub fn judge(&self, state: &RolloutState<T>) -> Evaluation {
         evaluation(&self.scene, &state.state.particles, &state.tool).0
     }
 

@@ -327,6 +327,37 @@ fn a_motion_that_is_looked_at_ends_as_one_that_is_not() {
 }
 
 #[test]
+fn a_motion_in_pieces_comes_to_the_same_bits_as_whole() {
+    let mut scene = Scene::load("bench-small").expect("shipped");
+    scene.time.settle_s = 0.1;
+    let map = SkillMap::new(&scene);
+    let controls: Vec<_> = map.controls(&gradcheck::CHECKED_THETA).expect("fits")[..40].to_vec();
+    let settings = SimulatorSettings { seed: 1, threads: Some(2), memory_bytes: 1 << 30 };
+    let mut s = Simulator::<f32>::new(&scene, &settings).expect("threads");
+    let whole = s.simulate(&controls).expect("runs");
+    let positions = s.final_positions_m(&controls).expect("runs");
+    let mut state = s.begin(map.start_pose()).expect("settles");
+    // Another one beside it, which must not disturb it.
+    let mut other = s.begin(map.start_pose()).expect("settles");
+    for piece in [&controls[..7], &controls[7..7], &controls[7..30], &controls[30..]] {
+        s.advance(&mut state, piece).expect("runs");
+        s.advance(&mut other, &controls[..3]).expect("runs");
+    }
+    assert_eq!(s.judge(&state), whole);
+    assert_eq!(*state.tool(), controls.iter().fold(*map.start_pose(), |pose, step| pose.displaced(step)));
+    let same = |(shown, end): (&[f32; 3], &[f64; 3])| *shown == end.map(|x| x as f32);
+    assert!(state.positions_m().iter().zip(&positions).all(same));
+    let before = state.positions_m();
+    let outwards = Displacement { translation_m: [-1.0, 0.0, 0.0], ..Displacement::default() };
+    if let Err(RolloutError::Escaped { step, .. } | RolloutError::NonFinite { step, .. }) =
+        s.advance(&mut state, &[outwards])
+    {
+        assert!(step >= 40, "{step}");
+        assert_eq!(state.positions_m(), before);
+    }
+}
+
+#[test]
 fn the_gradient_of_controls_agrees_with_central_differences() {
     benches().into_iter().for_each(controls_agree_with_differences);
 }
