@@ -39,8 +39,10 @@ mod validate;
 pub use check::{CheckArgs, CheckReport, MemoryRow};
 pub use error::CliError;
 pub use interrupt::Interrupt;
+pub use motion::scene_of_plan;
 pub use options::{PrecisionArg, Resources, Setup};
 pub use progress::{Progress, Stream, is_live};
+pub use run::{EpochFn, RunArgs, run};
 pub use size::{Memory, format_size, parse_size};
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
@@ -137,8 +139,14 @@ impl Context<'_> {
     }
 }
 
-/// The whole program: parses the arguments, runs the command, prints the error if there is one.
+/// The whole program.
 pub fn main() -> ExitCode {
+    ExitCode::from(program(std::env::args_os()))
+}
+
+/// The same with other arguments than the process's, the program's name first: parses them, runs the command, prints the error if
+/// there is one, returns the exit code.
+pub fn program<T: Into<OsString> + Clone>(arguments: impl IntoIterator<Item = T>) -> u8 {
     let mut context = Context {
         factory: &|scene, setup| setup.simulator(scene),
         interrupt: Interrupt::install(),
@@ -146,14 +154,14 @@ pub fn main() -> ExitCode {
         err: Stream::new(io::stderr()),
         live: is_live(),
     };
-    match execute(std::env::args_os(), &mut context) {
-        Ok(()) => ExitCode::SUCCESS,
+    match execute(arguments, &mut context) {
+        Ok(()) => 0,
         Err(error) => {
             if error != CliError::Unread {
                 // With nowhere to write to, the exit code has to do.
                 let _ = writeln!(context.err, "{error}");
             }
-            error.exit_code()
+            error.code()
         }
     }
 }

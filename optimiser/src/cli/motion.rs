@@ -227,7 +227,7 @@ fn scene_given(name: &str, plan: &Path, header: &PlanHeader) -> Result<Scene, Cl
 }
 
 /// The plan's scene, if it is beside the plan or embedded.
-pub(super) fn scene_of_plan(plan: &Path, header: &PlanHeader) -> Option<Scene> {
+pub fn scene_of_plan(plan: &Path, header: &PlanHeader) -> Option<Scene> {
     scene_found(plan, header).ok()
 }
 

@@ -34,7 +34,7 @@ use std::{
 
 /// Arguments of `optimise run`.
 #[derive(Clone, Debug, Args)]
-pub(super) struct RunArgs {
+pub struct RunArgs {
     /// Scene: the name of an embedded one (bench, bench-small, bench-fine, vial, workcell) or a TOML file [default: bench]
     #[arg(value_name = "SCENE")]
     pub scene: Option<String>,
@@ -94,9 +94,13 @@ const MAX_EPOCHS: u32 = 100_000;
 /// Time of a gradient, in evaluations without one; for the progress bar.
 const GRADIENT_COST: f64 = 5.4;
 
+/// Is told of each epoch when it is saved: its line of `metrics.jsonl`.
+pub type EpochFn<'a> = &'a dyn Fn(&str);
+
 /// A run whose folder is open and locked.
-struct Run {
+struct Run<'a> {
     folder: RunFolder,
+    on_epoch: EpochFn<'a>,
     method: Method,
     record: RunRecord,
     /// What epochs' motions bring once they are rounded to whole counts, as far as that was asked.
@@ -111,7 +115,22 @@ struct Performed {
 }
 
 /// A run and the simulator for it.
-type Begun = (Run, Box<dyn Simulate>);
+type Begun<'a> = (Run<'a>, Box<dyn Simulate>);
+
+/// What to run, and who is told.
+#[derive(Clone, Copy)]
+struct Order<'a> {
+    arguments: &'a RunArgs,
+    /// A scene that is at hand, instead of the one that the arguments name.
+    scene: Option<&'a Scene>,
+    on_epoch: EpochFn<'a>,
+}
+
+impl<'a> Order<'a> {
+    fn new(arguments: &'a RunArgs) -> Self {
+        Self { arguments, scene: None, on_epoch: &|_| {} }
+    }
+}
 
 fn simulator(
     arguments: &RunArgs,
@@ -131,22 +150,31 @@ fn simulator(
 /// # Errors
 /// One sentence; everything evaluated before is saved.
 pub(super) fn execute(arguments: &RunArgs, context: &mut Context<'_>) -> Result<(), CliError> {
-    let (mut run, mut simulator) = match &arguments.resume {
-        Some(folder) => Run::resume(arguments, folder, context)?,
-        None => Run::start(arguments, context)?,
-    };
-    let resumable = format!("the epochs before are saved, go on with: {}", resume_command(run.folder.path()));
-    if run.record.state.finished {
-        let (path, search) = (run.folder.path().display(), &run.record.state.search);
-        let prolongs = match search.is_settled() {
-            true => "the amount was met and nothing more gained; in a scene with optimiser.patience_epochs = 0 a run goes on to the last epoch".into(),
-            false => format!("--epochs with more than {} prolongs it", search.epochs()),
+    Order::new(arguments).execute(context)
+}
+
+/// `optimise run` for programs: of the scene at hand, if there is one, instead of the one that the arguments name.
+///
+/// # Errors
+/// One sentence; everything evaluated before is saved.
+pub fn run(
+    arguments: &RunArgs,
+    scene: Option<&Scene>,
+    on_epoch: EpochFn<'_>,
+    context: &mut Context<'_>,
+) -> Result<(), CliError> {
+    Order { arguments, scene, on_epoch }.execute(context)
+}
+
+impl Order<'_> {
+    fn execute(&self, context: &mut Context<'_>) -> Result<(), CliError> {
+        let (mut run, mut simulator) = match &self.arguments.resume {
+            Some(folder) => Run::resume(*self, folder, context)?,
+            None => Run::start(*self, context)?,
         };
-        writeln!(context.err, "The run in {path} is finished; {prolongs}.")?;
-    } else {
-        run.complete(simulator.as_mut(), context).map_err(|error| error.with_remark(&resumable))?;
+        run.go_on(simulator.as_mut(), context)?;
+        run.conclude(self.arguments.json, context)
     }
-    run.conclude(arguments.json, context)
 }
 
 /// The epochs of a run that is begun, gone on with, or only looked at, as its folder (`out`) needs it.
@@ -159,8 +187,8 @@ pub(super) fn completed(
 ) -> Result<Vec<EpochRecord>, CliError> {
     let begun = arguments.out.as_deref().filter(|folder| folder.join(STATE).exists());
     let (mut run, mut simulator) = match begun {
-        Some(folder) => Run::resume(arguments, folder, context)?,
-        None => Run::start(arguments, context)?,
+        Some(folder) => Run::resume(Order::new(arguments), folder, context)?,
+        None => Run::start(Order::new(arguments), context)?,
     };
     if !run.record.state.finished {
         match run.complete(simulator.as_mut(), context) {
@@ -174,11 +202,17 @@ pub(super) fn completed(
     Ok(run.record.state.search.history().to_vec())
 }
 
-impl Run {
+impl<'a> Run<'a> {
     /// Makes the simulator before the folder: what it refuses leaves nothing behind.
-    fn start(arguments: &RunArgs, context: &Context<'_>) -> Result<Begun, CliError> {
-        let name = arguments.scene.as_deref().unwrap_or(DEFAULT_SCENE);
-        let scene = Scene::load(name)?;
+    fn start(order: Order<'a>, context: &Context<'_>) -> Result<Begun<'a>, CliError> {
+        let Order { arguments, on_epoch, .. } = order;
+        let (name, scene) = match order.scene {
+            Some(scene) => (scene.name.as_str(), scene.clone()),
+            None => {
+                let name = arguments.scene.as_deref().unwrap_or(DEFAULT_SCENE);
+                (name, Scene::load(name)?)
+            }
+        };
         if let Some(why) = check::infeasible(&scene) {
             return Err(CliError::Input(format!("{name}: {why}")));
         }
@@ -201,10 +235,11 @@ impl Run {
         folder.replace(STATE, &state.to_bytes()).inspect_err(|_| folder.discard(SCENE))?;
         let method = Method::new(&scene, seed);
         let record = RunRecord::new(scene, state);
-        Ok((Self { folder, method, record, rounded: BTreeMap::new() }, simulator))
+        Ok((Self { folder, on_epoch, method, record, rounded: BTreeMap::new() }, simulator))
     }
 
-    fn resume(arguments: &RunArgs, path: &Path, context: &Context<'_>) -> Result<Begun, CliError> {
+    fn resume(order: Order<'a>, path: &Path, context: &Context<'_>) -> Result<Begun<'a>, CliError> {
+        let Order { arguments, on_epoch, .. } = order;
         let folder = RunFolder::open(path)?;
         let mut record = RunRecord::read(path)?;
         refuse_differences(arguments, path, &record.state)?;
@@ -214,11 +249,27 @@ impl Run {
         record.map.check_all_corners()?;
         let simulator = simulator(arguments, &record.scene, &record.state, context)?;
         let method = Method::new(&record.scene, record.state.seed);
-        let run = Self { folder, method, record, rounded: BTreeMap::new() };
+        let run = Self { folder, on_epoch, method, record, rounded: BTreeMap::new() };
         // The state leads: a line too many or too few, from a run that was ended between two writes, is put right.
         run.write_metrics()?;
         run.folder.replace(STATE, &run.record.state.to_bytes())?;
         Ok((run, simulator))
+    }
+
+    /// What is left to do of it.
+    fn go_on(&mut self, simulator: &mut dyn Simulate, context: &mut Context<'_>) -> Result<(), CliError> {
+        if self.record.state.finished {
+            let (path, search) = (self.folder.path().display(), &self.record.state.search);
+            let prolongs = match search.is_settled() {
+                true => "the amount was met and nothing more gained; in a scene with optimiser.patience_epochs = 0 a run goes on to the last epoch".into(),
+                false => format!("--epochs with more than {} prolongs it", search.epochs()),
+            };
+            writeln!(context.err, "The run in {path} is finished; {prolongs}.")?;
+            return Ok(());
+        }
+        let resumable =
+            format!("the epochs before are saved, go on with: {}", resume_command(self.folder.path()));
+        self.complete(simulator, context).map_err(|error| error.with_remark(&resumable))
     }
 
     /// Evaluates the epochs that are left, then writes the plan.
@@ -332,9 +383,12 @@ impl Run {
         let last = if search.is_done() { record.epoch } else { search.epochs() };
         progress.epoch(&record, &finding.amounts, [last, search.epochs()], search.history());
         self.say_step(&record, progress);
-        self.folder.append(METRICS, self.line(&finding, &record).as_bytes())?;
+        let line = self.line(&finding, &record);
+        self.folder.append(METRICS, line.as_bytes())?;
         self.folder.replace(STATE, &self.record.state.to_bytes())?;
-        self.write_curves(&finding)
+        self.write_curves(&finding)?;
+        (self.on_epoch)(&line);
+        Ok(())
     }
 
     /// Says where the search had to look farther than usual.
