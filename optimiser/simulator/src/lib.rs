@@ -68,7 +68,7 @@
 //! | volume held to the grid's density | `mpm/density.rs` | after Dunatunga and Kamrin 2015 |
 //! | velocity residue, given back | `mpm/residue.rs` | after Fei et al. 2021, AFLIP |
 //! | contact, friction | `mpm/contact.rs`, `mpm/grid_update.rs` | Coulomb; Stomakhin et al. 2013 |
-//! | signed distances, with second derivatives | `shape` | |
+//! | signed distances, with second derivatives | `shape`, a file per solid | |
 //! | which states are kept | `rollout/schedule.rs` | Griewank and Walther 2000, revolve |
 //! | the loss | `rollout/loss.rs` | the paper's, and one that asks for an amount |
 //! | the skill | `skill` | the paper's five parameters; minimum jerk |
