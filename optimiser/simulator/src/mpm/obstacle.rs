@@ -9,12 +9,8 @@ use crate::mpm::contact::{BodyState, ContactParams};
 use crate::mpm::density::room_beside;
 use crate::mpm::layout::{BLOCK_EDGE, BLOCK_NODES, Grid};
 use crate::real::Real;
-use crate::scene::{
-    Container, ContainerShape, Cuboid, Gate, GateShape, Scene, Tool, ToolShape, VolumeCorrection,
-};
-use crate::shape::{
-    AlignedBox, Bowl, Capsule, HalfSpace, OrientedBox, Shape, SignedDistance, Tube, with_solid,
-};
+use crate::scene::{Container, ContainerShape, Gate, GateShape, Scene, Tool, VolumeCorrection};
+use crate::shape::{AlignedBox, HalfSpace, Shape, SignedDistance, Tube, with_solid};
 use crate::small::{sub, tr_mul_vec};
 
 /// One piece of a body.
@@ -303,31 +299,8 @@ impl Builder {
 
     /// The tool's pieces in its own frame.
     fn tool<T: Real>(&self, tool: &Tool) -> Vec<Collider<T>> {
-        let t = tool.wall_thickness_m;
-        let mut solids = match &tool.shape {
-            ToolShape::Bowl { inner_radius_m: r } => {
-                vec![Shape::Bowl(Bowl { radius: r + 0.5 * t, half: 0.5 * t })]
-            }
-            ToolShape::BoxScoop { inner_size_m: [l, w, h] } => scoop(*l, *w, *h, t),
-            ToolShape::Cuboids { cuboid } => cuboid.iter().map(oriented).collect(),
-        };
-        let (from, along) = tool.handle();
-        solids.push(Shape::Capsule(Capsule { from, along, radius: tool.handle.radius_m }));
-        solids.into_iter().map(|solid| self.piece(solid, tool.friction)).collect()
+        tool.solids().into_iter().map(|solid| self.piece(solid, tool.friction)).collect()
     }
-}
-
-/// Floor, back and two sides of a box scoop; the opening's middle is the origin, the front (+x) is open.
-fn scoop(l: f64, w: f64, h: f64, t: f64) -> Vec<Shape<f64>> {
-    let wall = |centre, half| Shape::AlignedBox(AlignedBox { centre, half });
-    let (hl, hw) = (0.5 * l, 0.5 * w);
-    let half_height = 0.5 * (h + t);
-    vec![
-        wall([-0.5 * t, 0.0, -h - 0.5 * t], [hl + 0.5 * t, hw + t, 0.5 * t]),
-        wall([-hl - 0.5 * t, 0.0, -half_height], [0.5 * t, hw + t, half_height]),
-        wall([-0.5 * t, hw + 0.5 * t, -half_height], [hl + 0.5 * t, 0.5 * t, half_height]),
-        wall([-0.5 * t, -hw - 0.5 * t, -half_height], [hl + 0.5 * t, 0.5 * t, half_height]),
-    ]
 }
 
 /// Floor and walls of a container in its own frame.
@@ -370,14 +343,6 @@ pub(crate) fn gate_shape(gate: &Gate) -> Shape<f64> {
 /// A tube about the vertical, or a disc, by the middle of its profile and half of its extents.
 fn ring(radius: f64, half_radial: f64, height: f64, half_axial: f64) -> Shape<f64> {
     Shape::Tube(Tube { radius, half_radial, height, half_axial })
-}
-
-fn oriented(cuboid: &Cuboid) -> Shape<f64> {
-    Shape::OrientedBox(OrientedBox {
-        centre: cuboid.centre_m,
-        half: cuboid.size_m.map(|edge| 0.5 * edge),
-        axes: cuboid.axes(),
-    })
 }
 
 fn at_rest<T: Real>(rotation: [[f64; 3]; 3], position: [f64; 3]) -> BodyState<T> {
