@@ -68,7 +68,8 @@
 //! | volume held to the grid's density | `mpm/density.rs` | after Dunatunga and Kamrin 2015 |
 //! | velocity residue, given back | `mpm/residue.rs` | after Fei et al. 2021, AFLIP |
 //! | contact, friction | `mpm/contact.rs`, `mpm/grid_update.rs` | Coulomb; Stomakhin et al. 2013 |
-//! | signed distances, with second derivatives | `shape` | |
+//! | signed distances, with second derivatives | `shape`, a file per solid | |
+//! | what a tool's shape answers | `scene/tool`, a file per shape | |
 //! | which states are kept | `rollout/schedule.rs` | Griewank and Walther 2000, revolve |
 //! | the loss | `rollout/loss.rs` | the paper's, and one that asks for an amount |
 //! | the skill | `skill` | the paper's five parameters; minimum jerk |
@@ -84,11 +85,15 @@
 //! - **A loss**: no change here; give a function to
 //!   [`rollout::Simulate::gradient_of_custom_loss`].
 //! - **A tool shape**: no change here either, if it can be put together from cuboids:
-//!   [`scene::ToolShape::Cuboids`]. One that is round: a variant of [`scene::ToolShape`] with its
-//!   fields' ranges in `scene/validate/fields.rs`; its signed distance in `shape` (written once:
-//!   the same code gives normal and curvature); its place in the list of `mpm/obstacle.rs`. The
-//!   compiler names the other places: what it holds (`scene/capacity.rs`), where it reaches
-//!   (`scene/tool_body.rs`), what lies on it (`rollout/outcome.rs`).
+//!   [`scene::ToolShape::Cuboids`]. One that is round takes three things in `scene/tool/`: a variant
+//!   of [`scene::ToolShape`] with its fields (`mod.rs`); a file beside `bowl.rs` that answers what
+//!   `body.rs` asks of every shape, from the ranges of its fields to what it holds; its line in
+//!   `ToolShape::with_body` (`mod.rs`), the only place of this crate that tells shapes apart. In the
+//!   list of `scene/tool/tests.rs` its answers are held against each other. Walls that are none
+//!   of the solids in `shape` take a file there, with the signed distance written once (the same
+//!   code gives normal and curvature), a variant of `Shape` and its lines in `with_solid!` and
+//!   `Shape::rounded`. Then the compiler names the drawing (`optimiser/src/report/view.rs`) and the
+//!   tests that list shapes; [`rollout::Destination::Tool`] and `scenes/bench.toml` tell of it in words.
 //! - **A material**: `mpm/material.rs` has the return map and its adjoint side by side;
 //!   `mpm/tests/` holds both to a Taylor slope of 2 and to the closed forms of the element tests.
 //!   What a run was simulated with is [`mpm::PHYSICS_VERSION`]: raise it.

@@ -9,12 +9,8 @@ use crate::mpm::contact::{BodyState, ContactParams};
 use crate::mpm::density::room_beside;
 use crate::mpm::layout::{BLOCK_EDGE, BLOCK_NODES, Grid};
 use crate::real::Real;
-use crate::scene::{
-    Container, ContainerShape, Cuboid, Gate, GateShape, Scene, Tool, ToolShape, VolumeCorrection,
-};
-use crate::shape::{
-    AlignedBox, Bowl, Capsule, HalfSpace, OrientedBox, Shape, SignedDistance, Tube, with_solid,
-};
+use crate::scene::{Container, ContainerShape, Gate, GateShape, Scene, Tool, VolumeCorrection};
+use crate::shape::{AlignedBox, HalfSpace, Shape, SignedDistance, Tube, with_solid};
 use crate::small::{sub, tr_mul_vec};
 
 /// One piece of a body.
@@ -242,7 +238,8 @@ impl Builder {
         }
     }
 
-    fn piece<T: Real>(&self, shape: Shape<T>, friction: f64) -> Collider<T> {
+    fn piece<T: Real>(&self, solid: Shape<f64>, friction: f64) -> Collider<T> {
+        let shape = solid.rounded::<T>();
         // Walls thinner than a cell could lie between two nodes and stop none of them.
         let node_law = ContactParams {
             friction: T::from_f64(friction),
@@ -302,47 +299,16 @@ impl Builder {
 
     /// The tool's pieces in its own frame.
     fn tool<T: Real>(&self, tool: &Tool) -> Vec<Collider<T>> {
-        let t = tool.wall_thickness_m;
-        let mut shapes = match &tool.shape {
-            ToolShape::Bowl { inner_radius_m: r } => {
-                vec![Shape::Bowl(Bowl { radius: T::from_f64(r + 0.5 * t), half: T::from_f64(0.5 * t) })]
-            }
-            ToolShape::BoxScoop { inner_size_m: [l, w, h] } => scoop(*l, *w, *h, t),
-            ToolShape::Cuboids { cuboid } => cuboid.iter().map(oriented).collect(),
-        };
-        let (from, along) = tool.handle();
-        shapes.push(Shape::Capsule(Capsule {
-            from: from.map(T::from_f64),
-            along: along.map(T::from_f64),
-            radius: T::from_f64(tool.handle.radius_m),
-        }));
-        shapes.into_iter().map(|shape| self.piece(shape, tool.friction)).collect()
+        tool.solids().into_iter().map(|solid| self.piece(solid, tool.friction)).collect()
     }
 }
 
-/// Floor, back and two sides of a box scoop; the opening's middle is the origin, the front (+x) is open.
-fn scoop<T: Real>(l: f64, w: f64, h: f64, t: f64) -> Vec<Shape<T>> {
-    let wall = |centre: [f64; 3], half: [f64; 3]| {
-        Shape::AlignedBox(AlignedBox { centre: centre.map(T::from_f64), half: half.map(T::from_f64) })
-    };
-    let (hl, hw) = (0.5 * l, 0.5 * w);
-    let half_height = 0.5 * (h + t);
-    vec![
-        wall([-0.5 * t, 0.0, -h - 0.5 * t], [hl + 0.5 * t, hw + t, 0.5 * t]),
-        wall([-hl - 0.5 * t, 0.0, -half_height], [0.5 * t, hw + t, half_height]),
-        wall([-0.5 * t, hw + 0.5 * t, -half_height], [hl + 0.5 * t, 0.5 * t, half_height]),
-        wall([-0.5 * t, -hw - 0.5 * t, -half_height], [hl + 0.5 * t, 0.5 * t, half_height]),
-    ]
-}
-
 /// Floor and walls of a container in its own frame.
-pub(crate) fn container_shapes<T: Real>(c: &Container) -> Vec<Shape<T>> {
+pub(crate) fn container_shapes(c: &Container) -> Vec<Shape<f64>> {
     let t = c.wall_thickness_m;
     match c.shape {
         ContainerShape::Box { inner_size_m: [lx, ly, h] } => {
-            let wall = |centre: [f64; 3], half: [f64; 3]| {
-                Shape::AlignedBox(AlignedBox { centre: centre.map(T::from_f64), half: half.map(T::from_f64) })
-            };
+            let wall = |centre, half| Shape::AlignedBox(AlignedBox { centre, half });
             let (hx, hy) = (0.5 * lx, 0.5 * ly);
             let middle = 0.5 * (h - t);
             let half_height = 0.5 * (h + t);
@@ -362,11 +328,11 @@ pub(crate) fn container_shapes<T: Real>(c: &Container) -> Vec<Shape<T>> {
 }
 
 /// A gate in its own frame.
-pub(crate) fn gate_shape<T: Real>(gate: &Gate) -> Shape<T> {
+pub(crate) fn gate_shape(gate: &Gate) -> Shape<f64> {
     match gate.shape {
         GateShape::Box { size_m } => Shape::AlignedBox(AlignedBox {
-            centre: [0.0, 0.0, 0.5 * size_m[2]].map(T::from_f64),
-            half: size_m.map(|edge| T::from_f64(0.5 * edge)),
+            centre: [0.0, 0.0, 0.5 * size_m[2]],
+            half: size_m.map(|edge| 0.5 * edge),
         }),
         GateShape::Tube { inner_radius_m: r, height_m: h, wall_thickness_m: t } => {
             ring(r + 0.5 * t, 0.5 * t, 0.5 * h, 0.5 * h)
@@ -375,21 +341,8 @@ pub(crate) fn gate_shape<T: Real>(gate: &Gate) -> Shape<T> {
 }
 
 /// A tube about the vertical, or a disc, by the middle of its profile and half of its extents.
-fn ring<T: Real>(radius: f64, half_radial: f64, height: f64, half_axial: f64) -> Shape<T> {
-    Shape::Tube(Tube {
-        radius: T::from_f64(radius),
-        half_radial: T::from_f64(half_radial),
-        height: T::from_f64(height),
-        half_axial: T::from_f64(half_axial),
-    })
-}
-
-fn oriented<T: Real>(cuboid: &Cuboid) -> Shape<T> {
-    Shape::OrientedBox(OrientedBox {
-        centre: cuboid.centre_m.map(T::from_f64),
-        half: cuboid.size_m.map(|edge| T::from_f64(0.5 * edge)),
-        axes: cuboid.axes().map(|axis| axis.map(T::from_f64)),
-    })
+fn ring(radius: f64, half_radial: f64, height: f64, half_axial: f64) -> Shape<f64> {
+    Shape::Tube(Tube { radius, half_radial, height, half_axial })
 }
 
 fn at_rest<T: Real>(rotation: [[f64; 3]; 3], position: [f64; 3]) -> BodyState<T> {

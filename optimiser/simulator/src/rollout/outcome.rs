@@ -1,6 +1,6 @@
 //! Where the powder ended up.
 
-use crate::scene::{Container, ContainerShape, Scene, ToolShape};
+use crate::scene::{Container, ContainerShape, Scene};
 use powderline_shared::{census::Census, pose::Pose};
 
 /// Powder that moves faster is not at rest, m/s: a grain has fallen for 5 ms, over an eighth of a millimetre.
@@ -123,26 +123,14 @@ fn place(c: &Container, p: &[f64; 3]) -> Place {
     }
 }
 
-/// In the ball (or box) around the tool's inner space.
+/// On the tool, whose walls powder may lie upon.
 pub(super) fn held(scene: &Scene, tool: &Pose, p: &[f64; 3]) -> bool {
     held_within(scene, tool, p, scene.tool.wall_thickness_m)
 }
 
-/// The same with that much room around it, metres.
-pub(super) fn held_within(scene: &Scene, tool: &Pose, p: &[f64; 3], t: f64) -> bool {
-    let y = tool.tool_from_world(&(*p).into());
-    match &scene.tool.shape {
-        ToolShape::Bowl { inner_radius_m } => y.norm() <= inner_radius_m + t,
-        ToolShape::BoxScoop { inner_size_m: [l, w, h] } => {
-            y.x.abs() <= 0.5 * l + t && y.y.abs() <= 0.5 * w + t && y.z.abs() <= h + t
-        }
-        ToolShape::Cuboids { .. } => {
-            let ([low, high], p) = (scene.tool.body_extent_m(), [y.x, y.y, y.z]);
-            // A heap is at most as high as the body.
-            let above = [t, t, t + high[2] - low[2]];
-            (0..3).all(|i| (low[i] - t..=high[i] + above[i]).contains(&p[i]))
-        }
-    }
+/// The same with so much room around it, metres.
+pub(super) fn held_within(scene: &Scene, tool: &Pose, p: &[f64; 3], room_m: f64) -> bool {
+    scene.tool.carries(tool.tool_from_world(&(*p).into()).into(), room_m)
 }
 
 #[cfg(test)]

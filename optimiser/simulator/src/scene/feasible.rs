@@ -2,7 +2,7 @@
 
 use super::figures::{about, mass};
 use super::solid::Vec3;
-use super::{Aim, Scene, ToolShape};
+use super::{Aim, Scene};
 use std::fmt;
 use thiserror::Error;
 
@@ -175,17 +175,10 @@ impl Scene {
 
     /// Distances ahead of the tool's origin at which powder may leave it: of the lip, at pitches a pour goes through, and 0.
     fn lips_ahead_m(&self) -> Vec<f64> {
-        let lip = |forward: Vec3| match &self.tool.shape {
-            ToolShape::Bowl { inner_radius_m } => inner_radius_m * forward[0],
-            ToolShape::BoxScoop { inner_size_m: [length, _, height] } => {
-                0.5 * length * forward[0] - height * forward[2]
-            }
-            ToolShape::Cuboids { .. } => self.tool.body_support(forward),
-        };
         let [carried_deg, poured_deg] = self.carried_to_poured_deg();
         let ahead = |pitch_deg: f64| {
             let (sin, cos) = libm::sincos(pitch_deg.to_radians());
-            lip([cos, 0.0, sin])
+            self.tool.with_body(|body| body.lip_m([cos, 0.0, sin]))
         };
         spread([carried_deg, poured_deg], ANGLES).map(ahead).chain([0.0]).collect()
     }

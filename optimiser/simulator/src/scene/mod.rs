@@ -41,7 +41,6 @@ mod arm;
 mod canonical;
 mod capacity;
 mod closest_match;
-mod cuboid;
 mod derived;
 mod embedded;
 mod error;
@@ -53,9 +52,10 @@ mod parse;
 mod path;
 mod read;
 mod remarks;
+mod ruler;
 mod solid;
 mod timing;
-mod tool_body;
+mod tool;
 mod valid;
 mod validate;
 
@@ -66,7 +66,6 @@ pub use arm::{Arm, Elbow, PostureChoice, Shoulder, TurnBack, Wrist};
 pub use canonical::{DIGEST_VERSION, Digest};
 pub use capacity::Capacity;
 pub use closest_match::closest_match;
-pub use cuboid::Cuboid;
 pub use derived::{
     BLOCK_CELLS, MAX_CELLS, MAX_CFL, MAX_PARTICLES, MAX_SUBSTEPS, MAX_VISCOUS_LOSS, PADDING_BLOCKS,
 };
@@ -77,8 +76,8 @@ pub use gate::{Gate, GateOpening, GateShape, MAX_GATES};
 pub use powderline_shared::limits::Limits;
 pub use read::MAX_SCENE_BYTES;
 pub use solid::Obstacle;
-pub(crate) use tool_body::PlacedTool;
-pub use tool_body::ToolPart;
+pub(crate) use tool::PlacedTool;
+pub use tool::{Cuboid, Handle, MAX_CUBOIDS, Tool, ToolPart, ToolShape};
 pub use valid::Scene;
 
 /// A whole bench, as written in TOML, valid or not.
@@ -310,84 +309,6 @@ pub enum ContainerShape {
         /// Inner height, metres; one cell to 10.
         inner_height_m: f64,
     },
-}
-
-/// The tool's own frame: origin at the middle of the opening (rim plane), +z out of the opening, +x the
-/// direction in which it scoops and pours (its lip), handle along -x.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Tool {
-    /// Shape and inner dimensions.
-    pub shape: ToolShape,
-    /// Thickness of the tool's walls, outside the inner dimensions, metres; half a cell to 1,
-    /// typically one cell. Cuboids have sizes of their own: there it only moves the handle's end
-    /// into the rear wall.
-    pub wall_thickness_m: f64,
-    /// Coulomb friction of the tool, dimensionless; 0 to 2, typically 0.4.
-    pub friction: f64,
-    /// Start position of the tool's origin, metres, world frame. The tool, as its convex hull, must
-    /// be clear of the powder there, and `skill.approach_m` above it.
-    pub start_position_m: [f64; 3],
-    /// Start pitch, degrees: how far the opening is tilted from straight up towards the scooping
-    /// direction; -90 to 90, typically 80.
-    pub start_pitch_deg: f64,
-    /// Rod that joins the tool to the arm.
-    pub handle: Handle,
-}
-
-/// Inner dimensions of the tool.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
-pub enum ToolShape {
-    /// Hemispherical bowl, below the rim plane.
-    Bowl {
-        /// Inner radius, metres; one cell to 1, typically 0.016.
-        inner_radius_m: f64,
-    },
-    /// Box scoop, open at +x (front) and +z (top), walls at -x, -y, +y and -z.
-    BoxScoop {
-        /// Inner length (x), width (y) and height (z), metres; each one cell to 1.
-        inner_size_m: [f64; 3],
-    },
-    /// Any shape that can be put together from cuboids, in the tool's frame: origin where the
-    /// opening's middle should be, what holds powder below it (z < 0), lip towards +x. Tool and
-    /// powder turn about the origin. Here a plate that leans outwards by 30 degrees:
-    ///
-    /// ```
-    /// # use powderline_simulator::scene::{Cuboid, ToolShape};
-    /// let blade = Cuboid {
-    ///     centre_m: [0.0, 0.0, -0.005],
-    ///     size_m: [0.020, 0.012, 0.002],
-    ///     rotation_deg: [0.0; 3],
-    /// };
-    /// let rim = Cuboid {
-    ///     centre_m: [0.0, 0.008, -0.003],
-    ///     size_m: [0.020, 0.002, 0.005],
-    ///     rotation_deg: [-30.0, 0.0, 0.0],
-    /// };
-    /// let shape = ToolShape::Cuboids { cuboid: vec![blade, rim] };
-    /// ```
-    Cuboids {
-        /// The cuboids, 1 to [`MAX_CUBOIDS`]; they may overlap.
-        cuboid: Vec<Cuboid>,
-    },
-}
-
-/// Most cuboids of one tool.
-pub const MAX_CUBOIDS: usize = 64;
-
-/// Straight round rod (capsule) that starts at the tool's rear rim and runs along -x, raised by
-/// `rise_deg` towards +z. Behind cuboids it starts at z = 0, as far back as they reach.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Handle {
-    /// Length of the capsule's axis, metres; 0.001 to 1, typically 0.04.
-    pub length_m: f64,
-    /// Radius, metres; a quarter of a cell to 0.1, typically one cell.
-    pub radius_m: f64,
-    /// Angle between the rod and the tool's -x axis, degrees, positive towards +z; -90 to 90,
-    /// typically 85.
-    pub rise_deg: f64,
 }
 
 /// Theta in [-1, 1]^5 maps affinely to these bounds (low at -1, high at +1); low equal to high fixes a

@@ -2,8 +2,7 @@
 
 use super::figures::{about, list, mass};
 use super::solid::{Hull, Vec3, dot};
-use super::tool_body::PlacedTool;
-use super::{Container, ContainerShape, Objective, Powder, Scene, ToolShape};
+use super::{Container, ContainerShape, Objective, PlacedTool, Powder, Scene};
 
 /// Gap between expectation and geometry that is worth a remark, in cells.
 const REMARKABLE_CELLS: f64 = 0.25;
@@ -132,7 +131,7 @@ impl Scene {
     }
 
     fn remark_cells(&self) -> Option<String> {
-        let radius_m = self.tool.shape.radius_m();
+        let radius_m = self.tool.with_body(|body| body.half_width_m());
         let cells = radius_m / self.domain.cell_m;
         (cells < CELLS_PER_RADIUS - 1e-6).then(|| {
             format!(
@@ -164,23 +163,6 @@ impl Scene {
             about(1e3 * face_m, 4),
             about(1e3 * 0.5 * cell_m, 4)
         ))
-    }
-}
-
-impl ToolShape {
-    /// Half of the narrowest that powder is held in, metres; of cuboids, half of what they measure across.
-    fn radius_m(&self) -> f64 {
-        match self {
-            Self::Bowl { inner_radius_m } => *inner_radius_m,
-            Self::BoxScoop { inner_size_m } => 0.5 * inner_size_m[0].min(inner_size_m[1]),
-            Self::Cuboids { cuboid } => {
-                let half = |axis: usize| {
-                    let ends = cuboid.iter().map(|c| c.centre_m[axis].abs() + 0.5 * c.size_m[axis]);
-                    ends.fold(0.0, f64::max)
-                };
-                half(0).min(half(1))
-            }
-        }
     }
 }
 

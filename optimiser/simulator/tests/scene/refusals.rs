@@ -437,6 +437,11 @@ const SINGLE_FIELDS: &[Case] = &[
         ": tool.shape.inner_radius_m is 0.001, but it must be from 0.004 to 1",
     ),
     (
+        r#"shape = { kind = "bowl", inner_radius_m = 0.016 }"#,
+        r#"shape = { kind = "box_scoop", inner_size_m = [0.030, 0.003, 0.016] }"#,
+        ": tool.shape.inner_size_m[1] is 0.003, but it must be from 0.004 to 1",
+    ),
+    (
         "start_pitch_deg = 50.0",
         "start_pitch_deg = 91.0",
         ": tool.start_pitch_deg is 91, but it must be from -90 to 90",

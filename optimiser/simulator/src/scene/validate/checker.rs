@@ -11,7 +11,7 @@ pub(super) type Checked = Result<(), SceneError>;
 
 /// Interval of a number, in the unit of its key.
 #[derive(Clone, Copy)]
-pub(super) struct Range {
+pub(in crate::scene) struct Range {
     low: f64,
     high: f64,
     low_excluded: bool,
@@ -20,17 +20,17 @@ pub(super) struct Range {
 
 impl Range {
     /// From `low` to `high`, both allowed.
-    pub(super) const fn closed(low: f64, high: f64) -> Self {
+    pub(in crate::scene) const fn closed(low: f64, high: f64) -> Self {
         Self { low, high, low_excluded: false, high_excluded: false }
     }
 
     /// Above `low`, up to `high`.
-    pub(super) const fn above(low: f64, high: f64) -> Self {
+    pub(in crate::scene) const fn above(low: f64, high: f64) -> Self {
         Self { low_excluded: true, ..Self::closed(low, high) }
     }
 
     /// From `low` to below `high`.
-    pub(super) const fn below(low: f64, high: f64) -> Self {
+    pub(in crate::scene) const fn below(low: f64, high: f64) -> Self {
         Self { high_excluded: true, ..Self::closed(low, high) }
     }
 
@@ -60,6 +60,9 @@ impl Range {
     }
 }
 
+/// An angle of a thing that may be turned any way.
+pub(in crate::scene) const TURN_DEG: Range = Range::closed(-360.0, 360.0);
+
 /// What messages call the containers, in their order.
 pub(super) fn container_paths(containers: &[Container]) -> Vec<String> {
     listed_paths("container", containers.iter().map(|container| container.name.as_str()).collect())
@@ -75,7 +78,7 @@ fn listed_paths(list: &str, names: Vec<&str>) -> Vec<String> {
 }
 
 /// Writes refusals in the name of one file.
-pub(super) struct Checker<'a> {
+pub(in crate::scene) struct Checker<'a> {
     pub(super) file: &'a str,
 }
 

@@ -1,62 +1,16 @@
 //! The range of every single field, as documented at the field.
 
-use super::checker::{Checked, Checker, Range, container_paths, gate_paths};
-use crate::scene::figures::plain;
+use super::checker::{Checker, Range, TURN_DEG, container_paths, gate_paths};
+use super::found::Found;
 use crate::scene::{
-    Arm, Container, ContainerShape, Cuboid, Domain, Flow, Gate, GateOpening, GateShape, Limits, MAX_CUBOIDS,
-    Objective, Observation, Optimiser, Powder, Quantity, SceneError, SceneSpec, Skill, Time, Tool, ToolShape,
-    Transfer,
+    Arm, Container, ContainerShape, Domain, Flow, Gate, GateOpening, GateShape, Limits, Objective,
+    Observation, Optimiser, Powder, Quantity, SceneError, SceneSpec, Skill, Time, Tool, Transfer,
 };
 use powderline_shared::plan::{PERIOD_US_MAX, PERIOD_US_MIN};
 
 const CELL_M: Range = Range::closed(1e-4, 0.1);
 const FRICTION: Range = Range::closed(0.0, 2.0);
 const WORLD_M: Range = Range::closed(-10.0, 10.0);
-const TURN_DEG: Range = Range::closed(-360.0, 360.0);
-
-/// What is wrong with the fields, gathered.
-struct Found<'a> {
-    checker: &'a Checker<'a>,
-    errors: Vec<SceneError>,
-}
-
-impl Found<'_> {
-    /// Whether it is right.
-    fn keep(&mut self, checked: Checked) -> bool {
-        let is_right = checked.is_ok();
-        self.errors.extend(checked.err());
-        is_right
-    }
-
-    fn refuse(&mut self, field: &str, value: String, right: String) {
-        self.errors.push(self.checker.invalid(field, value, right));
-    }
-
-    fn name(&mut self, field: &str, name: &str) -> bool {
-        self.keep(self.checker.name(field, name))
-    }
-
-    fn number(&mut self, field: &str, value: f64, range: Range) -> bool {
-        self.keep(self.checker.number(field, value, range))
-    }
-
-    fn count(&mut self, field: &str, value: u32, low: u32, high: u32) -> bool {
-        self.keep(self.checker.count(field, value, low, high))
-    }
-
-    /// Every component within the same range; the first that is not is named.
-    fn vector(&mut self, field: &str, values: &[f64], range: Range) -> bool {
-        let number =
-            |(index, value): (usize, &f64)| self.checker.number(&format!("{field}[{index}]"), *value, range);
-        let all = values.iter().enumerate().try_for_each(number);
-        self.keep(all)
-    }
-
-    /// `[low, high]`, both within the range, low not above high.
-    fn bounds(&mut self, field: &str, bounds: [f64; 2], range: Range) -> bool {
-        self.vector(field, &bounds, range) && self.keep(self.checker.ordered(field, bounds))
-    }
-}
 
 /// Checks every field on its own, and gives all that is wrong.
 pub(super) fn check(checker: &Checker<'_>, scene: &SceneSpec) -> Vec<SceneError> {
@@ -140,7 +94,7 @@ fn container(found: &mut Found<'_>, path: &str, container: &Container, cell_m: f
     found.name(&field("name"), &container.name);
     found.vector(&field("position_m"), &container.position_m, WORLD_M);
     found.number(&field("yaw_deg"), container.yaw_deg, TURN_DEG);
-    wall(found, &field("wall_thickness_m"), container.wall_thickness_m, cell_m);
+    found.wall(&field("wall_thickness_m"), container.wall_thickness_m, cell_m);
     found.number(&field("friction"), container.friction, FRICTION);
     match &container.shape {
         ContainerShape::Box { inner_size_m } => {
@@ -163,13 +117,13 @@ fn gate(found: &mut Found<'_>, path: &str, gate: &Gate, cell_m: f64) {
     match &gate.shape {
         GateShape::Box { size_m } => {
             found.vector(&field("shape.size_m"), size_m, Range::above(0.0, 10.0));
-            wall(found, &field("shape.size_m"), gate.shape.least_thickness_m(), cell_m);
+            found.wall(&field("shape.size_m"), gate.shape.least_thickness_m(), cell_m);
         }
         GateShape::Tube { inner_radius_m, height_m, wall_thickness_m } => {
             let inner = Range::closed(cell_m, 10.0);
             found.number(&field("shape.inner_radius_m"), *inner_radius_m, inner);
             found.number(&field("shape.height_m"), *height_m, inner);
-            wall(found, &field("shape.wall_thickness_m"), *wall_thickness_m, cell_m);
+            found.wall(&field("shape.wall_thickness_m"), *wall_thickness_m, cell_m);
         }
     }
     match &gate.opening {
@@ -181,53 +135,15 @@ fn gate(found: &mut Found<'_>, path: &str, gate: &Gate, cell_m: f64) {
     }
 }
 
-/// Walls much thinner than a cell would let powder through.
-fn wall(found: &mut Found<'_>, field: &str, thickness_m: f64, cell_m: f64) {
-    let least_m = 0.5 * cell_m;
-    if found.number(field, thickness_m, Range::above(0.0, 1.0)) && thickness_m < least_m * (1.0 - 1e-9) {
-        let right = format!(
-            "it must be at least half a cell, {} for domain.cell_m = {}",
-            plain(least_m),
-            plain(cell_m)
-        );
-        found.refuse(field, plain(thickness_m), right);
-    }
-}
-
 fn tool(found: &mut Found<'_>, tool: &Tool, cell_m: f64) {
-    let inner = Range::closed(cell_m, 1.0);
-    match &tool.shape {
-        ToolShape::Bowl { inner_radius_m } => {
-            found.number("tool.shape.inner_radius_m", *inner_radius_m, inner);
-        }
-        ToolShape::BoxScoop { inner_size_m } => {
-            found.vector("tool.shape.inner_size_m", inner_size_m, inner);
-        }
-        ToolShape::Cuboids { cuboid } => cuboids(found, cuboid, cell_m),
-    }
-    wall(found, "tool.wall_thickness_m", tool.wall_thickness_m, cell_m);
+    tool.with_body(|body| body.check(found, cell_m));
+    found.wall("tool.wall_thickness_m", tool.wall_thickness_m, cell_m);
     found.number("tool.friction", tool.friction, FRICTION);
     found.vector("tool.start_position_m", &tool.start_position_m, WORLD_M);
     found.number("tool.start_pitch_deg", tool.start_pitch_deg, Range::closed(-90.0, 90.0));
     found.number("tool.handle.length_m", tool.handle.length_m, Range::closed(0.001, 1.0));
     found.number("tool.handle.radius_m", tool.handle.radius_m, Range::closed(0.25 * cell_m, 0.1));
     found.number("tool.handle.rise_deg", tool.handle.rise_deg, Range::closed(-90.0, 90.0));
-}
-
-fn cuboids(found: &mut Found<'_>, cuboids: &[Cuboid], cell_m: f64) {
-    if cuboids.is_empty() || cuboids.len() > MAX_CUBOIDS {
-        let right = format!("1 to {MAX_CUBOIDS} cuboids would be right");
-        found.refuse("tool.shape.cuboid", format!("{} cuboids", cuboids.len()), right);
-        return;
-    }
-    for (index, cuboid) in cuboids.iter().enumerate() {
-        let field = |name: &str| format!("tool.shape.cuboid[{index}].{name}");
-        found.vector(&field("centre_m"), &cuboid.centre_m, Range::closed(-1.0, 1.0));
-        let least = cuboid.size_m.iter().copied().fold(f64::INFINITY, f64::min);
-        found.vector(&field("size_m"), &cuboid.size_m, Range::above(0.0, 1.0));
-        wall(found, &field("size_m"), least, cell_m);
-        found.vector(&field("rotation_deg"), &cuboid.rotation_deg, TURN_DEG);
-    }
 }
 
 fn skill(found: &mut Found<'_>, skill: &Skill) {

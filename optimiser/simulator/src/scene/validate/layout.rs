@@ -5,10 +5,9 @@ use crate::scene::closest_match::did_you_mean;
 use crate::scene::error::MAX_NAME_CHARS;
 use crate::scene::figures::{about, at_most, list, plain};
 use crate::scene::solid::{Hull, TOUCH_M, Vec3};
-use crate::scene::tool_body::PlacedTool;
 use crate::scene::{
-    BLOCK_CELLS, FillShape, MAX_CELLS, MAX_CFL, MAX_PARTICLES, MAX_SUBSTEPS, MAX_VISCOUS_LOSS, Scene,
-    YieldSurface,
+    BLOCK_CELLS, FillShape, MAX_CELLS, MAX_CFL, MAX_PARTICLES, MAX_SUBSTEPS, MAX_VISCOUS_LOSS, PlacedTool,
+    Scene, YieldSurface,
 };
 
 /// World directions with the name of their coordinate and their sign.

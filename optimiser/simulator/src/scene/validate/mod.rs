@@ -2,6 +2,7 @@
 
 mod checker;
 mod fields;
+mod found;
 mod gates;
 mod layout;
 mod reach;
@@ -9,6 +10,9 @@ mod reach;
 use super::error::is_name;
 use super::{Container, Scene, SceneError, SceneSpec};
 use checker::Checker;
+
+pub(super) use checker::{Range, TURN_DEG};
+pub(super) use found::Found;
 
 impl SceneSpec {
     /// The scene, if every field is in its range and all of them agree. Messages call it by its name.

@@ -5,8 +5,7 @@ use super::layout::{AXIS_NAMES, inside_domain};
 use crate::scene::figures::{about, at_most, list, plain};
 use crate::scene::path::{SegmentEnvelope, pitches};
 use crate::scene::solid::{TOUCH_M, Vec3, Wall};
-use crate::scene::tool_body::PlacedTool;
-use crate::scene::{Profile, Scene};
+use crate::scene::{PlacedTool, Profile, Scene};
 
 /// Everything about the motions that can be judged without making one.
 pub(super) fn check(checker: &Checker<'_>, scene: &Scene) -> Checked {

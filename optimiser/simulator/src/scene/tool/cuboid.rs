@@ -1,8 +1,11 @@
 //! Rectangular blocks, of which a tool can be built.
 
-use super::solid::{Vec3, dot};
+use crate::scene::solid::{Vec3, dot};
 use nalgebra::Rotation3;
 use serde::{Deserialize, Serialize};
+
+/// Most cuboids of one tool.
+pub const MAX_CUBOIDS: usize = 64;
 
 /// A rectangular block of a tool, in the tool's frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
