@@ -91,7 +91,7 @@
 //!   (`scene/tool_body.rs`), what lies on it (`rollout/outcome.rs`).
 //! - **A material**: `mpm/material.rs` has the return map and its adjoint side by side;
 //!   `mpm/tests/` holds both to a Taylor slope of 2 and to the closed forms of the element tests.
-//!   What a run was simulated with is [`mpm::PHYSICS_VERSION`]: raise it.
+//!   What a run was simulated with is [`PHYSICS_VERSION`]: raise it.
 //!
 //! # Features, versions
 //!
@@ -104,7 +104,7 @@
 pub mod arm;
 pub mod bench;
 pub mod memory;
-pub mod mpm;
+mod mpm;
 mod real;
 pub mod rollout;
 pub mod scene;
@@ -113,6 +113,7 @@ pub mod skill;
 mod small;
 pub mod validate;
 
+pub use mpm::PHYSICS_VERSION;
 pub use real::Real;
 
 /// The programs in `examples/`: `cargo run --release -p powderline-simulator --example NAME`.

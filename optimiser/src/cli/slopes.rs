@@ -9,7 +9,7 @@ use super::{
 use crate::report::folder::RunFolder;
 use crate::report::words::{hex, precision_name};
 use powderline_shared::plan::{Precision, SkillParameter};
-use powderline_simulator::mpm::PHYSICS_VERSION;
+use powderline_simulator::PHYSICS_VERSION;
 use powderline_simulator::rollout::slopes::{
     Fit, HALF_STEP, LEAST_DELIVERED, Measured, Row, Summary, cosine, measure, skill,
 };

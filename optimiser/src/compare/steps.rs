@@ -10,7 +10,7 @@ use crate::{
 };
 use powderline_shared::plan::Precision;
 use powderline_simulator::{
-    mpm::PHYSICS_VERSION,
+    PHYSICS_VERSION,
     rollout::{DisplacementGradient, Evaluation},
     scene::{Digest, Scene},
     skill::{SkillError, SkillMap},

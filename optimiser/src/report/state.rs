@@ -4,7 +4,7 @@ use super::sealed::Seal;
 pub use super::sealed::StateError;
 use crate::optim::Search;
 use powderline_shared::plan::Precision;
-use powderline_simulator::{mpm::PHYSICS_VERSION, scene::Digest};
+use powderline_simulator::{PHYSICS_VERSION, scene::Digest};
 use serde::{Deserialize, Serialize};
 
 const SEAL: Seal = Seal { magic: *b"PLSTATE\0", version: 8 };
