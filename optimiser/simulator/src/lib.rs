@@ -15,7 +15,7 @@
 //! ```
 //! use powderline_simulator::rollout::{Simulate, Simulator, SimulatorSettings};
 //! use powderline_simulator::scene::Scene;
-//! use powderline_simulator::skill::SkillMap;
+//! use powderline_simulator::skill::{SkillMap, Theta};
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! // An embedded scene. `Scene::from_toml` reads your own; its error says what is wrong.
@@ -23,7 +23,8 @@
 //! let mut simulator = Simulator::<f32>::new(&scene, &SimulatorSettings::default())?;
 //!
 //! // Five parameters, each from -1 to 1, become one displacement of the tool per control step.
-//! let skill = SkillMap::new(&scene).controls(&[0.3, 0.0, 0.0, 0.0, 0.3])?;
+//! let theta = Theta::new([0.3, 0.0, 0.0, 0.0, 0.3])?;
+//! let skill = SkillMap::new(&scene).controls(&theta)?;
 //! let controls: Vec<_> = skill.into_iter().take(60).collect();
 //!
 //! // Simulate them.

@@ -115,7 +115,7 @@ impl StepTrack {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use powderline_simulator::rollout::Census;
+    use powderline_simulator::{rollout::Census, skill::Theta};
 
     fn scene() -> Scene {
         Scene::load("bench-small").expect("shipped")
@@ -187,7 +187,7 @@ mod tests {
             |track| track.tries.clear(),
             |track| track.tries[0].loss = f64::INFINITY,
             |track| track.tries[1].loss = 8.5,
-            |track| track.tries[0].theta = Some([0.0; 5]),
+            |track| track.tries[0].theta = Some(Theta::MIDDLE),
             |track| track.tries[0].seconds = f64::NAN,
             |track| track.physics += 1,
         ];
