@@ -15,7 +15,7 @@ use powderline_simulator::scene::{ContainerShape, Scene, ToolShape};
 use powderline_simulator::skill::{SegmentKind, SkillMap, Theta};
 
 /// A deep scoop that pours well before the end.
-const THETA: Theta = [0.9, -0.35, 0.39, 0.07, 0.23];
+const THETA: [f64; 5] = [0.9, -0.35, 0.39, 0.07, 0.23];
 
 /// Half the thickness of the drawn slice, metres.
 const SLICE_M: f64 = 0.004;
@@ -40,14 +40,14 @@ const GAP_M: f64 = 0.006;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let scene = Scene::load("bench")?;
-    let map = SkillMap::new(&scene);
-    let controls = map.quantise(&THETA)?.controls;
+    let (map, theta) = (SkillMap::new(&scene), Theta::new(THETA)?);
+    let controls = map.quantise(&theta)?.controls;
     let settings = SimulatorSettings { seed: scene.powder.seed, threads: None, memory_bytes: 1 << 30 };
     let mut simulator = Simulator::<f32>::new(&scene, &settings)?;
     let mut svg = String::new();
     open(&mut svg)?;
     for (place, (name, kind, share)) in MOMENTS.into_iter().enumerate() {
-        let segments = map.segments(&THETA);
+        let segments = map.segments(&theta);
         let span = segments.iter().find(|span| span.kind == kind).ok_or("the skill has no such segment")?;
         let time_s = span.start_s + share * (span.end_s - span.start_s);
         let steps = (time_s / scene.time.control_period_s()).round() as usize;

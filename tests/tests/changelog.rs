@@ -1,7 +1,7 @@
 //! What the changelog says of formats.
 
 use powderline_shared::{plan, trajectory, wire::message::PROTOCOL_VERSION};
-use powderline_simulator::{mpm::PHYSICS_VERSION, scene::DIGEST_VERSION};
+use powderline_simulator::{PHYSICS_VERSION, scene::DIGEST_VERSION};
 
 #[test]
 fn the_versions_in_the_changelog_are_those_of_the_code() {

@@ -1,7 +1,7 @@
 //! What the guide has a reader write.
 
 use powderline_simulator::scene::{FillShape, Scene, embedded_scene};
-use powderline_simulator::skill::{SkillMap, collision};
+use powderline_simulator::skill::{SkillMap, Theta, collision};
 
 #[test]
 fn the_column_of_the_guide_is_a_scene() {
@@ -18,7 +18,7 @@ fn the_column_of_the_guide_is_a_scene() {
     assert_eq!(text.iter().zip(bench.lines()).filter(|(new, old)| new != old).count(), lines.lines().count());
     // The pipe is out of the spoon's way by then.
     let map = SkillMap::new(&scene);
-    let motion = map.quantise(&[0.0; 5]).unwrap().controls;
+    let motion = map.quantise(&Theta::MIDDLE).unwrap().controls;
     assert_eq!(collision(&scene, map.start_pose(), &motion), None);
     let shut = scene.with(|spec| spec.gates[0].opens_at_s = 9.0).unwrap();
     assert!(collision(&shut, map.start_pose(), &motion).is_some());

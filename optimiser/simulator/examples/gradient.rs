@@ -6,13 +6,13 @@
 
 use powderline_simulator::rollout::{Simulate, Simulator, SimulatorSettings};
 use powderline_simulator::scene::Scene;
-use powderline_simulator::skill::SkillMap;
+use powderline_simulator::skill::{SkillMap, Theta};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     // Falling asleep is a jump, if a small one, that no difference over a small step survives.
     let scene = Scene::load("bench-small")?.without_sleep();
     let mut simulator = Simulator::<f64>::new(&scene, &SimulatorSettings::default())?;
-    let skill = SkillMap::new(&scene).controls(&[0.3, 0.0, 0.0, 0.0, 0.3])?;
+    let skill = SkillMap::new(&scene).controls(&Theta::new([0.3, 0.0, 0.0, 0.0, 0.3])?)?;
     // The spoon is in the powder then.
     let controls: Vec<_> = skill[..100].to_vec();
     let (at, gradient) = simulator.simulate_with_gradient(&controls)?;

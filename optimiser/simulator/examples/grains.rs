@@ -4,13 +4,13 @@ use std::ops::ControlFlow;
 
 use powderline_simulator::rollout::{Recording, Simulate, Simulator, SimulatorSettings, Snapshot};
 use powderline_simulator::scene::Scene;
-use powderline_simulator::skill::SkillMap;
+use powderline_simulator::skill::{SkillMap, Theta};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let scene = Scene::load("bench-small")?;
     let mut simulator = Simulator::<f32>::new(&scene, &SimulatorSettings::default())?;
     let map = SkillMap::new(&scene);
-    let controls: Vec<_> = map.controls(&[0.5, -0.5, 0.0, 0.0, 0.3])?;
+    let controls = map.controls(&Theta::new([0.5, -0.5, 0.0, 0.0, 0.3])?)?;
     let recording = Recording { anchor: map.start_pose(), controls: &controls, every: 30 };
     let mut observer = |snapshot: &Snapshot<'_>| {
         let highest = snapshot.positions_m.iter().map(|[_, _, z]| *z).fold(f32::NEG_INFINITY, f32::max);

@@ -4,12 +4,12 @@
 
 use powderline_simulator::rollout::{Simulate, Simulator, SimulatorSettings};
 use powderline_simulator::scene::Scene;
-use powderline_simulator::skill::SkillMap;
+use powderline_simulator::skill::{SkillMap, Theta};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let scene = Scene::load("bench-small")?;
     let mut simulator = Simulator::<f64>::new(&scene, &SimulatorSettings::default())?;
-    let skill = SkillMap::new(&scene).controls(&[0.3, 0.0, 0.0, 0.0, 0.3])?;
+    let skill = SkillMap::new(&scene).controls(&Theta::new([0.3, 0.0, 0.0, 0.0, 0.3])?)?;
     let controls: Vec<_> = skill[..150].to_vec();
     let mean_height = |positions_m: &[[f64; 3]], slopes: &mut [[f64; 3]]| {
         let share = 1.0 / positions_m.len() as f64;

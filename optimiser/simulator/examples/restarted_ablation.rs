@@ -25,12 +25,12 @@ use powderline_simulator::rollout::restart::{Carrying, Restarted, Restarts};
 use powderline_simulator::rollout::slopes::{HALF_STEP, cosine};
 use powderline_simulator::rollout::{RolloutError, Simulate, Simulator, SimulatorSettings};
 use powderline_simulator::scene::Scene;
-use powderline_simulator::skill::{SegmentKind, SkillMap, Theta};
+use powderline_simulator::skill::{SegmentKind, SkillMap, SkillParameter, Theta, ThetaGradient};
 
 type Failure = Box<dyn std::error::Error>;
 
 /// Those by which the settings were chosen: not drawn, so that drawn ones can judge.
-const SKILLS: [Theta; 7] = [
+const SKILLS: [[f64; 5]; 7] = [
     [0.3, 0.0, 0.0, 0.0, 0.3],
     [0.21, -0.37, 0.12, 0.33, 0.45],
     [-0.31, 0.42, -0.22, -0.15, 0.18],
@@ -69,7 +69,7 @@ fn main() -> Result<(), Failure> {
     let settings = SimulatorSettings { seed: scene.powder.seed, ..SimulatorSettings::default() };
     let mut simulator = Simulator::<f32>::new(&scene, &settings)?;
     for skill in skills.split(',') {
-        let theta = SKILLS.get(skill.parse::<usize>()?).ok_or("there is no such skill")?;
+        let theta = &Theta::new(*SKILLS.get(skill.parse::<usize>()?).ok_or("there is no such skill")?)?;
         let (slope, rollout_s) = slope(&mut simulator, theta)?;
         println!("skill {skill}: slope {}", shown(&slope));
         for words in &variants {
@@ -92,13 +92,9 @@ fn main() -> Result<(), Failure> {
 }
 
 /// Central differences over what a search might step, metres, and processor time of one of their rollouts, seconds.
-fn slope(simulator: &mut dyn Simulate, theta: &Theta) -> Result<(Theta, f64), RolloutError> {
-    let moved = |(k, step): (usize, f64)| {
-        let mut moved = *theta;
-        moved[k] += step;
-        moved
-    };
-    let both: Vec<Theta> = (0..5).flat_map(|k| [(k, HALF_STEP), (k, -HALF_STEP)]).map(moved).collect();
+fn slope(simulator: &mut dyn Simulate, theta: &Theta) -> Result<(ThetaGradient, f64), RolloutError> {
+    let both_ways = |which| [HALF_STEP, -HALF_STEP].map(|step| theta.moved(which, step));
+    let both: Vec<Theta> = SkillParameter::ALL.into_iter().flat_map(both_ways).collect();
     // Settles the powder, so that it counts nowhere.
     simulator.evaluate_all(&[])?;
     let from_s = cpu_seconds();
@@ -179,10 +175,10 @@ fn trace(found: &Restarted) {
     }
 }
 
-fn length(theta: &Theta) -> f64 {
-    theta.iter().map(|x| x * x).sum::<f64>().sqrt()
+fn length(gradient: &ThetaGradient) -> f64 {
+    gradient.iter().map(|x| x * x).sum::<f64>().sqrt()
 }
 
-fn shown(theta: &Theta) -> String {
-    theta.map(|x| format!("{x:9.3}")).join(" ")
+fn shown(gradient: &ThetaGradient) -> String {
+    gradient.map(|x| format!("{x:9.3}")).join(" ")
 }

@@ -8,7 +8,7 @@ use powderline_simulator::rollout::restart::Restarts;
 use powderline_simulator::rollout::slopes::{cosine, measure, skill};
 use powderline_simulator::rollout::{Simulator, SimulatorSettings};
 use powderline_simulator::scene::Scene;
-use powderline_simulator::skill::{SkillMap, Theta};
+use powderline_simulator::skill::SkillMap;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut arguments = std::env::args().skip(1);
@@ -18,18 +18,18 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut simulator =
         Simulator::<f32>::new(&scene, &SimulatorSettings { seed, ..SimulatorSettings::default() })?;
     let restarts = Restarts::of_skill(&scene, &SkillMap::new(&scene), &theta);
-    println!("skill     {}", shown(&theta));
+    println!("skill     {}", shown(theta.components()));
     let Some(found) = measure(&mut simulator, &theta, &restarts)? else {
         println!("It delivers next to nothing: there is no slope to speak of.");
         return Ok(());
     };
-    println!("slope     {}   {} particles arrive", shown(&found.slope), found.delivered);
+    println!("slope     {}   {} particles arrive", shown(found.slope), found.delivered);
     for (name, gradient) in [("exact    ", found.exact), ("restarted", found.restarted)] {
-        println!("{name} {}   cosine {:.2}", shown(&gradient), cosine(&gradient, &found.slope));
+        println!("{name} {}   cosine {:.2}", shown(gradient), cosine(&gradient, &found.slope));
     }
     Ok(())
 }
 
-fn shown(theta: &Theta) -> String {
-    theta.map(|x| format!("{x:9.3}")).join(" ")
+fn shown(numbers: [f64; 5]) -> String {
+    numbers.map(|x| format!("{x:9.3}")).join(" ")
 }

@@ -2,6 +2,7 @@
 
 use powderline_simulator::rollout::{Simulate, Simulator, SimulatorSettings};
 use powderline_simulator::scene::{ContainerShape, Scene};
+use powderline_simulator::skill::Theta;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     // What is not said is taken from a scene that exists. All is checked together, as a file is when it is read: the error says
@@ -19,13 +20,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     })?;
 
     let capacity = scene.tool_capacity();
-    println!(
-        "the tool holds {:.2} g level, {:.2} g heaped",
-        1e3 * capacity.level_kg,
-        1e3 * capacity.heaped_kg
-    );
+    let [level_g, heaped_g] = [capacity.level_kg, capacity.heaped_kg].map(|kg| 1e3 * kg);
+    println!("the tool holds {level_g:.2} g level, {heaped_g:.2} g heaped");
     let mut simulator = Simulator::<f32>::new(&scene, &SimulatorSettings::default())?;
-    let found = simulator.evaluate(&[0.5, -0.5, 0.0, 0.0, 0.3])?;
+    let found = simulator.evaluate(&Theta::new([0.5, -0.5, 0.0, 0.0, 0.3])?)?;
     println!("{} particles arrive, {} are lost", found.census.target, found.census.lost());
     Ok(())
 }

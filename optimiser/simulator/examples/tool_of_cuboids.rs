@@ -2,6 +2,7 @@
 
 use powderline_simulator::rollout::{Simulate, Simulator, SimulatorSettings};
 use powderline_simulator::scene::{Cuboid, Scene, ToolShape};
+use powderline_simulator::skill::Theta;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let bench = Scene::load("bench-small")?;
@@ -22,13 +23,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     })?;
 
     let capacity = scene.tool_capacity();
-    println!(
-        "the gutter carries {:.2} g level, {:.2} g heaped",
-        1e3 * capacity.level_kg,
-        1e3 * capacity.heaped_kg
-    );
+    let [level_g, heaped_g] = [capacity.level_kg, capacity.heaped_kg].map(|kg| 1e3 * kg);
+    println!("the gutter carries {level_g:.2} g level, {heaped_g:.2} g heaped");
     let mut simulator = Simulator::<f32>::new(&scene, &SimulatorSettings::default())?;
-    let found = simulator.evaluate(&[0.6, 0.0, 0.0, 0.0, 0.3])?;
+    let found = simulator.evaluate(&Theta::new([0.6, 0.0, 0.0, 0.0, 0.3])?)?;
     let particle_g = 1e3 * scene.particle_mass_kg();
     println!(
         "{:.2} g arrive, {:.2} g are lost",

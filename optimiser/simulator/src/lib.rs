@@ -15,7 +15,7 @@
 //! ```
 //! use powderline_simulator::rollout::{Simulate, Simulator, SimulatorSettings};
 //! use powderline_simulator::scene::Scene;
-//! use powderline_simulator::skill::SkillMap;
+//! use powderline_simulator::skill::{SkillMap, Theta};
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! // An embedded scene. `Scene::from_toml` reads your own; its error says what is wrong.
@@ -23,7 +23,8 @@
 //! let mut simulator = Simulator::<f32>::new(&scene, &SimulatorSettings::default())?;
 //!
 //! // Five parameters, each from -1 to 1, become one displacement of the tool per control step.
-//! let skill = SkillMap::new(&scene).controls(&[0.3, 0.0, 0.0, 0.0, 0.3])?;
+//! let theta = Theta::new([0.3, 0.0, 0.0, 0.0, 0.3])?;
+//! let skill = SkillMap::new(&scene).controls(&theta)?;
 //! let controls: Vec<_> = skill.into_iter().take(60).collect();
 //!
 //! // Simulate them.
@@ -96,7 +97,7 @@
 //!   tests that list shapes; [`rollout::Destination::Tool`] and `scenes/bench.toml` tell of it in words.
 //! - **A material**: `mpm/material.rs` has the return map and its adjoint side by side;
 //!   `mpm/tests/` holds both to a Taylor slope of 2 and to the closed forms of the element tests.
-//!   What a run was simulated with is [`mpm::PHYSICS_VERSION`]: raise it.
+//!   What a run was simulated with is [`PHYSICS_VERSION`]: raise it.
 //!
 //! # Features, versions
 //!
@@ -109,7 +110,7 @@
 pub mod arm;
 pub mod bench;
 pub mod memory;
-pub mod mpm;
+mod mpm;
 mod real;
 pub mod rollout;
 pub mod scene;
@@ -118,6 +119,7 @@ pub mod skill;
 mod small;
 pub mod validate;
 
+pub use mpm::PHYSICS_VERSION;
 pub use real::Real;
 
 /// The programs in `examples/`: `cargo run --release -p powderline-simulator --example NAME`.

@@ -174,14 +174,12 @@ fn remarks(scene: &Scene, ability: Option<&Ability>) -> Vec<String> {
     let refusal = SkillMap::new(scene).check_all_corners().err();
     let refusal = refusal.map(|error| format!("`optimise run` would refuse this scene: {error}"));
     let collision = colliding_skill(scene).map(|(theta, collision)| {
-        format!(
-            "`optimise run` would pass over some skills of this range: with theta = {theta:?} {collision}"
-        )
+        format!("`optimise run` would pass over some skills of this range: with theta = {theta} {collision}")
     });
     let unable = ability.filter(|ability| !ability.none).and_then(|ability| ability.unable.as_ref());
     let unable = unable.map(|(theta, refusal)| {
         format!(
-            "`optimise run` would pass over some skills of this range: with theta = {theta:?} the arm cannot make the motion: \
+            "`optimise run` would pass over some skills of this range: with theta = {theta} the arm cannot make the motion: \
              {refusal}"
         )
     });

@@ -486,11 +486,12 @@ impl Tracing {
     fn ask(&mut self) -> Result<Vec<Theta>, CliError> {
         if self.asked.is_empty() {
             let left = self.most as usize - self.track.tries.len();
-            let skill = |point: Vec<f64>| point.try_into().map_err(|_| ());
-            let skills: Result<Vec<Theta>, ()> =
-                self.search.ask(left.min(BATCH)).into_iter().map(skill).collect();
-            let wrong = |()| CliError::Failed("a search asked for a skill without five parameters".into());
-            self.asked = skills.map_err(wrong)?;
+            let wrong = |_| CliError::Failed("a search asked for a skill without five parameters".into());
+            let skill = |point: Vec<f64>| -> Result<Theta, CliError> {
+                Ok(Theta::new(point.try_into().map_err(wrong)?)?)
+            };
+            let points = self.search.ask(left.min(BATCH));
+            self.asked = points.into_iter().map(skill).collect::<Result<_, _>>()?;
         }
         Ok(self.asked.clone())
     }
@@ -507,7 +508,7 @@ impl Tracing {
             let done = self.track.tries.len();
             let skills = self.ask()?;
             let Some(known) = self.known.get(done..done + skills.len()).map(<[Try]>::to_vec) else { break };
-            let bits = |theta: Theta| theta.map(f64::to_bits);
+            let bits = |theta: Theta| theta.components().map(f64::to_bits);
             let same = |(skill, one): (&Theta, &Try)| Some(bits(*skill)) == one.theta.map(bits);
             if !skills.iter().zip(&known).all(same) {
                 return Err(CliError::Input(format!(
@@ -604,7 +605,8 @@ fn table(comparison: &Comparison) -> String {
             let Try { loss, indicator, census, rollouts, seconds, theta } = one;
             let census = census.named().map(|(_, particles)| particles.to_string()).join(",");
             // Five cells, empty where the motion is no skill's.
-            let theta = theta.map_or(",".repeat(4), |theta| theta.map(|value| value.to_string()).join(","));
+            let theta = theta
+                .map_or(",".repeat(4), |theta| theta.components().map(|value| value.to_string()).join(","));
             // Writing to a string does not fail.
             let _ = writeln!(
                 text,

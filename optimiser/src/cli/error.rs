@@ -2,7 +2,11 @@
 
 use crate::report::{folder::FolderError, record::RecordError};
 use powderline_shared::plan::file::LoadError;
-use powderline_simulator::{rollout::RolloutError, scene::SceneError, skill::SkillError};
+use powderline_simulator::{
+    rollout::RolloutError,
+    scene::SceneError,
+    skill::{SkillError, ThetaError},
+};
 use std::{fmt, io, process::ExitCode};
 
 /// One sentence for the person, and the exit code that goes with it.
@@ -75,11 +79,18 @@ impl From<SkillError> for CliError {
     }
 }
 
+impl From<ThetaError> for CliError {
+    fn from(error: ThetaError) -> Self {
+        Self::Input(error.to_string())
+    }
+}
+
 impl From<RolloutError> for CliError {
     fn from(error: RolloutError) -> Self {
         match error {
             RolloutError::Stopped => Self::Interrupted(error.to_string()),
             RolloutError::Skill(skill) => skill.into(),
+            RolloutError::Theta(theta) => theta.into(),
             RolloutError::Memory { .. } | RolloutError::Threads { .. } => Self::Input(error.to_string()),
             _ => Self::Failed(error.to_string()),
         }

@@ -10,7 +10,7 @@ use powderline_simulator::rollout::gradcheck::{
 };
 use powderline_simulator::rollout::{RolloutError, Simulate, Simulator, Workload};
 use powderline_simulator::scene::{Aim, DEFAULT_SCENE, Scene};
-use powderline_simulator::skill::SkillMap;
+use powderline_simulator::skill::{SkillMap, Theta};
 use serde::Serialize;
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -82,7 +82,7 @@ impl From<AimArg> for Aim {
 struct Report {
     scene: String,
     precision: &'static str,
-    theta: [f64; 5],
+    theta: Theta,
     windows: Vec<Window>,
     growth: Vec<Window>,
     smoothed: Option<Smoothed>,
@@ -173,7 +173,7 @@ fn compare<T: Real>(
 
 fn text(report: &Report) -> String {
     let mut out = String::new();
-    let _ = writeln!(out, "{}, {}, theta {:?}", report.scene, report.precision, report.theta);
+    let _ = writeln!(out, "{}, {}, theta {}", report.scene, report.precision, report.theta);
     for w in &report.windows {
         write_window(&mut out, w);
     }

@@ -86,7 +86,7 @@ pub(super) fn execute(arguments: &InspectArgs, context: &mut Context<'_>) -> Res
 pub(super) fn run_of(path: &Path, plan: &PlanReader<'_>) -> Option<Finding> {
     let record = RunRecord::read(path.parent()?).ok()?;
     let header = plan.header();
-    let made = record.shipped?.is_of(&header.theta)
+    let made = record.shipped?.is_of(header.theta)
         && record.state.scene == header.scene_digest
         && record.state.seed == header.seed;
     record.finding().filter(|_| made)

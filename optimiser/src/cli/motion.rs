@@ -20,7 +20,7 @@ use powderline_shared::{
 use powderline_simulator::{
     arm::{ArmMotion, CYCLE_US, Mount, Refusal, Surroundings, ToolPath},
     scene::{DEFAULT_SCENE, EMBEDDED_SCENES, Scene},
-    skill::{Collision, LSB, SkillMap, Theta, check_theta, collision, controls_of},
+    skill::{Collision, LSB, SkillMap, Theta, collision, controls_of},
 };
 use std::path::{Path, PathBuf};
 
@@ -267,8 +267,7 @@ pub(super) fn parse_theta(text: &str) -> Result<Theta, CliError> {
         .split(',')
         .map(|part| part.trim().parse().map_err(|_| wrong(&format!("`{}` is no number", part.trim()))))
         .collect::<Result<Vec<f64>, _>>()?;
-    let theta =
+    let five: [f64; 5] =
         numbers.try_into().map_err(|numbers: Vec<f64>| wrong(&format!("there are {}", numbers.len())))?;
-    check_theta(&theta)?;
-    Ok(theta)
+    Ok(Theta::new(five)?)
 }

@@ -345,7 +345,6 @@ mod tests {
             loss: 1158.9404,
             indicator: 146,
             census: Census { target: 1854, spilled: 3, ..Census::default() },
-            theta: [0.0; 5],
             seconds: 2.0,
             ..EpochRecord::default()
         }

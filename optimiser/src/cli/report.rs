@@ -29,7 +29,7 @@ use powderline_simulator::{
         Scene,
         figures::{about, mass},
     },
-    skill::Theta,
+    skill::ThetaGradient,
 };
 use powderline_view::page::{
     Chart, Figure, Mark, Page, Recorder, Row as PageRow, Scale, Series, Table, Tone,
@@ -415,8 +415,9 @@ fn run_charts(record: &RunRecord, finding: &Finding) -> Vec<Chart> {
             })
             .collect()
     };
-    let gradient =
-        |record: &EpochRecord| record.gradient.map_or([None; 5], |gradient: Theta| gradient.map(Some));
+    let gradient = |record: &EpochRecord| {
+        record.gradient.map_or([None; 5], |gradient: ThetaGradient| gradient.map(Some))
+    };
     let charts = vec![
         Chart::new(
             "Powder that arrives",

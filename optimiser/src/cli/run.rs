@@ -23,7 +23,7 @@ use powderline_simulator::{
     arm::arm_motion,
     rollout::{self, Evaluation, Places, RolloutError, Simulate},
     scene::{DEFAULT_SCENE, Scene},
-    skill::{QuantisedControls, SkillMap, Theta, colliding_skill},
+    skill::{QuantisedControls, SkillMap, Theta, ThetaGradient, colliding_skill},
 };
 use serde::Serialize;
 use std::{
@@ -284,7 +284,7 @@ impl<'a> Run<'a> {
             self.folder.path().display()
         ));
         if let Some((theta, collision)) = colliding_skill(&self.record.scene) {
-            progress.line(&format!("skills such as theta = {theta:?} are passed over: {collision}"));
+            progress.line(&format!("skills such as theta = {theta} are passed over: {collision}"));
         }
         let result = self
             .search(simulator, &progress, &context.interrupt)
@@ -340,7 +340,7 @@ impl<'a> Run<'a> {
         let cost = if request.want_gradient { GRADIENT_COST } else { 1.0 };
         let share = |done: f64, probes: usize| done / (cost + probes as f64);
         let search = &self.record.state.search;
-        let thetas = |adjoint: Option<&Theta>| {
+        let thetas = |adjoint: Option<&ThetaGradient>| {
             search.probes(&self.method, adjoint).into_iter().map(|probe| probe.theta)
         };
         let (answer, probes) = if request.want_gradient {
@@ -548,7 +548,11 @@ struct Work<'a> {
 
 impl Work<'_> {
     /// One evaluation, which takes the bar to `end`.
-    fn evaluate_with_gradient(&mut self, theta: &Theta, end: f64) -> Result<(Evaluation, Theta), CliError> {
+    fn evaluate_with_gradient(
+        &mut self,
+        theta: &Theta,
+        end: f64,
+    ) -> Result<(Evaluation, ThetaGradient), CliError> {
         self.go([0.0, end], |simulator| simulator.evaluate_with_gradient(theta))
     }
 

@@ -15,7 +15,7 @@ use powderline_shared::plan::{PlanHeader, Prediction};
 use powderline_simulator::{
     rollout::{Evaluation, Workload},
     scene::{Obstacle, ToolPart, figures::mass},
-    skill::{Collision, Theta},
+    skill::Collision,
 };
 use serde::Serialize;
 
@@ -38,7 +38,7 @@ struct Report {
     collision: Option<CollisionReport>,
     seed: u64,
     precision: &'static str,
-    theta: Theta,
+    theta: [f64; 5],
     amounts: Amounts,
     indicator: i64,
     #[serde(flatten)]
@@ -129,7 +129,7 @@ impl Report {
 
     fn new(task: &Task, found: &Evaluation, seconds: f64) -> Self {
         let (theta, plan, executed) = match &task.motion {
-            Motion::Skill(theta) => (*theta, None, None),
+            Motion::Skill(theta) => (theta.components(), None, None),
             Motion::Plan { header, content_hash, .. } => {
                 let Prediction { loss_m, census, .. } = header.predicted;
                 let reproduced = found.loss.to_bits() == loss_m.to_bits() && found.census == census;

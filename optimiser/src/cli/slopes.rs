@@ -9,7 +9,7 @@ use super::{
 use crate::report::folder::RunFolder;
 use crate::report::words::{hex, precision_name};
 use powderline_shared::plan::{Precision, SkillParameter};
-use powderline_simulator::mpm::PHYSICS_VERSION;
+use powderline_simulator::PHYSICS_VERSION;
 use powderline_simulator::rollout::slopes::{
     Fit, HALF_STEP, LEAST_DELIVERED, Measured, Row, Summary, cosine, measure, skill,
 };
@@ -160,7 +160,7 @@ fn asked(arguments: &GradcheckArgs) -> Result<(usize, Vec<Asked>), CliError> {
     }
     let given = |text: &String| {
         let theta = parse_theta(text)?;
-        if theta.iter().any(|x| x.abs() > 1.0 - HALF_STEP) {
+        if theta.components().iter().any(|x| x.abs() > 1.0 - HALF_STEP) {
             let most = 1.0 - HALF_STEP;
             return Err(CliError::Input(format!(
                 "--theta is `{text}`: numbers from -{most} to {most} would leave room for differences over +-{HALF_STEP}"
@@ -270,7 +270,7 @@ struct Table {
 impl Table {
     /// Whether a skill was tried before.
     fn has(&self, asked: &Asked) -> bool {
-        let bits = |theta: &Theta| theta.map(f64::to_bits);
+        let bits = |theta: &Theta| theta.components().map(f64::to_bits);
         let Report { skills, passed_over, .. } = &self.report;
         let mut tried =
             skills.iter().map(|skill| &skill.row.theta).chain(passed_over.iter().map(|skill| &skill.theta));
@@ -381,7 +381,7 @@ impl PassedOver {
 impl Skill {
     fn text(&self) -> String {
         let (mut out, row) = (String::new(), &self.row);
-        let _ = writeln!(out, "\n{}: theta {}", name(self.draw), numbers(&row.theta));
+        let _ = writeln!(out, "\n{}: theta {}", name(self.draw), numbers(&row.theta.components()));
         let delivered: Vec<String> = row.packings.iter().map(|one| one.delivered.to_string()).collect();
         let _ =
             writeln!(out, "  slope      {}   {} particles arrive", numbers(&row.slope), delivered.join(", "));

@@ -19,7 +19,7 @@ use powderline_simulator::{
         restart::{Restarted, Restarts},
     },
     scene::{Amount, ContainerShape, Quantity, SceneSpec},
-    skill::{Control, SkillMap, Theta},
+    skill::{Control, SkillMap, Theta, ThetaGradient},
 };
 use powderline_view::Destination;
 use serde_json::Value;
@@ -90,12 +90,12 @@ impl Simulate for Ends {
         Ok(self.evaluate_with_gradient(theta)?.0)
     }
 
-    fn evaluate_with_gradient(&mut self, theta: &Theta) -> Result<(Evaluation, Theta), RolloutError> {
+    fn evaluate_with_gradient(&mut self, theta: &Theta) -> Result<(Evaluation, ThetaGradient), RolloutError> {
         self.tick()?;
         let at = self.map.linearise(theta)?;
         let (evaluation, bar) = Self::judge(at.controls.iter().map(Displacement::components));
         let mut slope = at.pull_back(&vec![DisplacementGradient::from(bar); at.controls.len()]);
-        slope[0] += libm::sin(1e6 * theta[0]);
+        slope[0] += libm::sin(1e6 * theta.components()[0]);
         Ok((evaluation, slope))
     }
 

@@ -211,7 +211,7 @@ mod tests {
     pub(super) fn track(method: Method, seed: u64, losses: &[f64]) -> Track {
         let mut tries: Vec<Try> = Vec::new();
         for loss in losses {
-            tries.push(Try::after(tries.last(), Some([0.0; 5]), &at(*loss), 1, 2.0));
+            tries.push(Try::after(tries.last(), Some(Theta::MIDDLE), &at(*loss), 1, 2.0));
         }
         Track { method, seed, tries }
     }
@@ -253,7 +253,7 @@ mod tests {
             "census":{"source":0,"target":1,"rims":0,"tool":2,"spilled":0,"in_flight":0},
             "rollouts":11,"seconds":3.5}"#;
         let read: Try = serde_json::from_str(saved).unwrap();
-        assert_eq!((read.theta, read.rollouts), (Some([0.1, 0.2, 0.3, 0.4, 0.5]), 11));
+        assert_eq!((read.theta, read.rollouts), (Theta::new([0.1, 0.2, 0.3, 0.4, 0.5]).ok(), 11));
         let without = Try { theta: None, ..read };
         let text = serde_json::to_string(&without).unwrap();
         assert_eq!(serde_json::from_str::<Try>(&text).unwrap(), without);

@@ -10,7 +10,7 @@ use crate::{
 };
 use powderline_shared::plan::Precision;
 use powderline_simulator::{
-    mpm::PHYSICS_VERSION,
+    PHYSICS_VERSION,
     rollout::{DisplacementGradient, Evaluation},
     scene::{Digest, Scene},
     skill::{SkillError, SkillMap},
@@ -115,7 +115,7 @@ impl StepTrack {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use powderline_simulator::rollout::Census;
+    use powderline_simulator::{rollout::Census, skill::Theta};
 
     fn scene() -> Scene {
         Scene::load("bench-small").expect("shipped")
@@ -187,7 +187,7 @@ mod tests {
             |track| track.tries.clear(),
             |track| track.tries[0].loss = f64::INFINITY,
             |track| track.tries[1].loss = 8.5,
-            |track| track.tries[0].theta = Some([0.0; 5]),
+            |track| track.tries[0].theta = Some(Theta::MIDDLE),
             |track| track.tries[0].seconds = f64::NAN,
             |track| track.physics += 1,
         ];

@@ -34,7 +34,7 @@
 use super::search::WIDEST_HALF_STEP;
 use powderline_simulator::{
     scene::{self, GradientEstimator},
-    skill::Theta,
+    skill::{SkillParameter, Theta, ThetaGradient},
 };
 use serde::{Deserialize, Serialize};
 
@@ -113,13 +113,26 @@ pub struct Probe {
     pub theta: Theta,
 }
 
+impl Place {
+    fn value(&self, component: usize) -> f64 {
+        self.theta.components()[component]
+    }
+}
+
+impl Probe {
+    /// Of the component that differs.
+    fn value(&self) -> f64 {
+        self.theta.components()[self.component]
+    }
+}
+
 /// What was found at a place.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Findings<'a> {
     /// Loss at theta, metres.
     pub loss: f64,
     /// The adjoint, if it was wanted.
-    pub adjoint: Option<Theta>,
+    pub adjoint: Option<ThetaGradient>,
     /// The loss at each of the probes, metres.
     pub probes: &'a [f64],
 }
@@ -128,9 +141,9 @@ pub struct Findings<'a> {
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Estimate {
     /// What the optimiser uses. In components that do not take part: the adjoint's value, 0 if there is none.
-    pub gradient: Theta,
+    pub gradient: ThetaGradient,
     /// Its standard deviation, as far as it is known; 0 otherwise.
-    pub noise: Theta,
+    pub noise: [f64; 5],
     /// The adjoint, where it was computed.
     pub adjoint: [Option<f64>; 5],
     /// The central differences, where they were computed.
@@ -174,20 +187,20 @@ impl Estimator {
 
     /// The points whose losses have to be computed, once it is known what the adjoint is (`None` if it is not
     /// wanted, or not known yet: what it may surprise with is then left out).
-    pub fn probes(&self, state: &EstimatorState, place: &Place, adjoint: Option<&Theta>) -> Vec<Probe> {
+    pub fn probes(
+        &self,
+        state: &EstimatorState,
+        place: &Place,
+        adjoint: Option<&ThetaGradient>,
+    ) -> Vec<Probe> {
         if self.gradient == GradientEstimator::Adjoint {
             return Vec::new();
         }
         (0..place.active)
             .filter(|&k| !self.adjoint_suffices(state, place, k, adjoint.map(|adjoint| adjoint[k])))
-            .flat_map(|component| self.ends(place, component).map(|end| (component, end)))
+            .flat_map(|component| self.ends(place, component).map(|theta| Probe { component, theta }))
             // At a bound one of the ends is theta itself.
-            .filter(|&(component, end)| end.to_bits() != place.theta[component].to_bits())
-            .map(|(component, end)| {
-                let mut theta = place.theta;
-                theta[component] = end;
-                Probe { component, theta }
-            })
+            .filter(|probe| probe.value().to_bits() != place.value(probe.component).to_bits())
             .collect()
     }
 
@@ -200,16 +213,22 @@ impl Estimator {
         g1: Option<f64>,
     ) -> bool {
         let trust = &state.components[component];
-        let [low, high] = self.ends(place, component);
-        let allowed = trust.gradient.abs() + SURPRISE * libm::sqrt(state.variance(high - low));
+        let allowed =
+            trust.gradient.abs() + SURPRISE * libm::sqrt(state.variance(self.distance(place, component)));
         trust.trusted >= AGREEING
             && trust.is_fresh(place.epoch)
             && g1.is_none_or(|g1| (g1 - trust.gradient).abs() <= allowed)
     }
 
     /// Lower and upper end of the difference.
-    fn ends(&self, place: &Place, component: usize) -> [f64; 2] {
-        [-self.half_step, self.half_step].map(|step| (place.theta[component] + step).clamp(-1.0, 1.0))
+    fn ends(&self, place: &Place, component: usize) -> [Theta; 2] {
+        [-self.half_step, self.half_step].map(|step| place.theta.moved(SkillParameter::ALL[component], step))
+    }
+
+    /// How far apart they are.
+    fn distance(&self, place: &Place, component: usize) -> f64 {
+        let [low, high] = self.ends(place, component).map(|end| end.components()[component]);
+        high - low
     }
 
     /// What comes of the findings: the gradient, and the state for the next epoch. Components that have neither an
@@ -250,18 +269,17 @@ impl Estimator {
         probes: &[Probe],
         found: &Findings<'_>,
     ) -> Option<Difference> {
-        let [low, high] = self.ends(place, component);
         let mut losses = [found.loss; 2];
         let mut probed = false;
         for (probe, &loss) in
             probes.iter().zip(found.probes).filter(|(probe, _)| probe.component == component)
         {
-            losses[usize::from(probe.theta[component] > place.theta[component])] = loss;
+            losses[usize::from(probe.value() > place.value(component))] = loss;
             probed = true;
         }
-        let distance = high - low;
+        let distance = self.distance(place, component);
         let second = (losses[1] - 2.0 * found.loss + losses[0]).abs();
-        let whole = place.theta[component].abs() + self.half_step <= 1.0;
+        let whole = place.value(component).abs() + self.half_step <= 1.0;
         probed.then(|| Difference {
             slope: (losses[1] - losses[0]) / distance,
             distance,
@@ -373,19 +391,19 @@ mod tests {
 
     const MIXED: Estimator = Estimator { gradient: GradientEstimator::Mixed, half_step: 0.1 };
     const ADJOINT: Estimator = Estimator { gradient: GradientEstimator::Adjoint, half_step: 0.1 };
-    const MINIMUM: Theta = [0.3, -0.2, 0.5, -0.4, 0.1];
+    const MINIMUM: [f64; 5] = [0.3, -0.2, 0.5, -0.4, 0.1];
 
     /// A quadratic with shot noise of 1 m, as the simulated bench has it.
     struct Bench {
         rng: ChaCha8Rng,
         /// Scale of the adjoint's error in each component; its distribution is Cauchy's, without mean or variance.
-        tail: Theta,
+        tail: [f64; 5],
         forward: usize,
         adjoint: usize,
     }
 
     impl Bench {
-        fn new(seed: u64, tail: Theta) -> Self {
+        fn new(seed: u64, tail: [f64; 5]) -> Self {
             Self { rng: ChaCha8Rng::seed_from_u64(seed), tail, forward: 0, adjoint: 0 }
         }
 
@@ -397,11 +415,15 @@ mod tests {
         fn loss(&mut self, theta: &Theta) -> f64 {
             self.forward += 1;
             let noise: f64 = (0..12).map(|_| self.uniform()).sum::<f64>() - 6.0;
-            1200.0 + noise + theta.iter().zip(MINIMUM).map(|(x, m)| 50.0 * (x - m) * (x - m)).sum::<f64>()
+            let components = theta.components();
+            1200.0
+                + noise
+                + components.iter().zip(MINIMUM).map(|(x, m)| 50.0 * (x - m) * (x - m)).sum::<f64>()
         }
 
-        fn adjoint(&mut self, theta: &Theta) -> Theta {
+        fn adjoint(&mut self, theta: &Theta) -> ThetaGradient {
             self.adjoint += 1;
+            let theta = theta.components();
             std::array::from_fn(|k| {
                 let cauchy = libm::tan(std::f64::consts::PI * (self.uniform() - 0.5));
                 100.0 * (theta[k] - MINIMUM[k]) + self.tail[k] * cauchy
@@ -422,11 +444,11 @@ mod tests {
         }
 
         /// Estimates at one place, epoch after epoch.
-        fn estimates(&mut self, theta: Theta, active: usize, epochs: u32) -> Vec<Estimate> {
+        fn estimates(&mut self, components: [f64; 5], active: usize, epochs: u32) -> Vec<Estimate> {
             let mut state = EstimatorState::default();
             (0..epochs)
                 .map(|epoch| {
-                    let (estimate, next) = self.estimate(&MIXED, &state, &Place { epoch, theta, active });
+                    let (estimate, next) = self.estimate(&MIXED, &state, &place(epoch, components, active));
                     state = next;
                     estimate
                 })
@@ -437,19 +459,19 @@ mod tests {
         fn search(&mut self, estimator: &Estimator, epochs: u32) -> f64 {
             let rule = RmsProp { beta: 0.9, learning_rate: 0.05, epsilon: 1e-8, curriculum_epochs: 0 };
             let mut state = EstimatorState::default();
-            let mut search = RmsPropState::new([-0.6, 0.7, -0.5, 0.5, -0.8]);
+            let mut search = RmsPropState::new(Theta::new([-0.6, 0.7, -0.5, 0.5, -0.8]).unwrap());
             for epoch in 0..epochs {
                 let (estimate, next) =
                     self.estimate(estimator, &state, &Place { epoch, theta: search.theta, active: 5 });
                 state = next;
                 search = rule.update(&search, &estimate.gradient, &estimate.noise).unwrap();
             }
-            search.theta.iter().zip(MINIMUM).map(|(x, m)| (x - m).abs()).fold(0.0, f64::max)
+            search.theta.components().iter().zip(MINIMUM).map(|(x, m)| (x - m).abs()).fold(0.0, f64::max)
         }
     }
 
-    fn place(epoch: u32, theta: Theta, active: usize) -> Place {
-        Place { epoch, theta, active }
+    fn place(epoch: u32, components: [f64; 5], active: usize) -> Place {
+        Place { epoch, theta: Theta::new(components).unwrap(), active }
     }
 
     /// How often a component's differences were computed.
@@ -568,16 +590,17 @@ mod tests {
 
     #[test]
     fn ends_are_clamped_and_the_distance_is_the_actual_one() {
-        let theta = [1.0, -0.95, 0.0, 0.0, 0.0];
-        let at = place(0, theta, 3);
+        let at = place(0, [1.0, -0.95, 0.0, 0.0, 0.0], 3);
         let state = EstimatorState::default();
         let probes = MIXED.probes(&state, &at, None);
-        let ends: Vec<_> =
-            probes.iter().map(|probe| (probe.component, probe.theta[probe.component])).collect();
+        let ends: Vec<_> = probes.iter().map(|probe| (probe.component, probe.value())).collect();
         assert_eq!(ends, [(0, 0.9), (1, -1.0), (1, -0.95 + 0.1), (2, -0.1), (2, 0.1)]);
-        let loss = |theta: &Theta| 3.0 * theta[0] - 2.0 * theta[1] + theta[2] * theta[2];
+        let loss = |theta: &Theta| {
+            let [depth, scoop, lift, ..] = theta.components();
+            3.0 * depth - 2.0 * scoop + lift * lift
+        };
         let losses: Vec<_> = probes.iter().map(|probe| loss(&probe.theta)).collect();
-        let found = Findings { loss: loss(&theta), adjoint: Some([5.0; 5]), probes: &losses };
+        let found = Findings { loss: loss(&at.theta), adjoint: Some([5.0; 5]), probes: &losses };
         let (estimate, next) = MIXED.combine(&state, &at, &found);
         let slopes = [3.0, -2.0, 0.0];
         assert!(
@@ -616,7 +639,7 @@ mod tests {
 
     #[test]
     fn counts_beyond_the_updates_are_not_sound() {
-        let place = Place { epoch: 0, theta: [0.0; 5], active: 5 };
+        let place = place(0, [0.0; 5], 5);
         let (_, sound) = Bench::new(8, [1.0; 5]).estimate(&MIXED, &EstimatorState::default(), &place);
         assert!(sound.is_sound(1) && !sound.is_sound(0));
         let defects: [fn(&mut EstimatorState); 4] = [

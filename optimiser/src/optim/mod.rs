@@ -38,10 +38,10 @@ fn drawn_theta(ranges: &[[f64; 2]; 5], seed: u64, before: u32) -> Theta {
     rng.set_stream(THETA_STREAM);
     // Two words of 32 bits for each component.
     rng.set_word_pos(10 * u128::from(before));
-    ranges.map(|[low, high]| {
+    Theta::clamped(ranges.map(|[low, high]| {
         let unit = (rng.next_u64() >> 11) as f64 * f64::EPSILON / 2.0;
         (low + unit * (high - low)).clamp(low, high)
-    })
+    }))
 }
 
 #[cfg(test)]
@@ -53,10 +53,13 @@ mod tests {
     #[test]
     fn initial_theta_lies_in_its_ranges_and_depends_on_the_seed_only() {
         for seed in 0..100 {
-            let theta = initial_theta(&RANGES, seed);
+            let theta = initial_theta(&RANGES, seed).components();
             assert!(theta.iter().zip(RANGES).all(|(value, [low, high])| (low..=high).contains(value)));
-            assert_eq!(theta.map(f64::to_bits), initial_theta(&RANGES, seed).map(f64::to_bits));
-            assert_ne!(theta.map(f64::to_bits), initial_theta(&RANGES, seed + 1).map(f64::to_bits));
+            assert_eq!(theta.map(f64::to_bits), initial_theta(&RANGES, seed).components().map(f64::to_bits));
+            assert_ne!(
+                theta.map(f64::to_bits),
+                initial_theta(&RANGES, seed + 1).components().map(f64::to_bits)
+            );
         }
     }
 
@@ -66,15 +69,16 @@ mod tests {
         rng.set_stream(THETA_STREAM);
         for before in 0..20 {
             let whole = [[0.0, 1.0]; 5].map(|_| (rng.next_u64() >> 11) as f64 * f64::EPSILON / 2.0);
-            let drawn = drawn_theta(&[[0.0, 1.0]; 5], 7, before);
+            let drawn = drawn_theta(&[[0.0, 1.0]; 5], 7, before).components();
             assert_eq!(drawn.map(f64::to_bits), whole.map(f64::to_bits), "{before}");
         }
     }
 
     #[test]
     fn initial_theta_covers_its_range() {
-        let mean: f64 = (0..1000).map(|seed| initial_theta(&RANGES, seed)[0]).sum::<f64>() / 1000.0;
-        let square: f64 = (0..1000).map(|seed| initial_theta(&RANGES, seed)[0].powi(2)).sum::<f64>() / 1000.0;
+        let first = |seed: u64| initial_theta(&RANGES, seed).components()[0];
+        let mean: f64 = (0..1000).map(first).sum::<f64>() / 1000.0;
+        let square: f64 = (0..1000).map(|seed| first(seed).powi(2)).sum::<f64>() / 1000.0;
         assert!(mean.abs() < 0.06 && (square - 1.0 / 3.0).abs() < 0.03, "{mean} {square}");
     }
 }

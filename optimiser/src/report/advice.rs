@@ -73,7 +73,7 @@ impl Measured<'_> {
 
     /// The same in the plan.
     fn in_plan(&self, which: SkillParameter) -> String {
-        self.value(which, self.plan.record.theta[which.index()])
+        self.value(which, self.plan.record.theta[which])
     }
 
     /// Such as `skill.scooping_depth_m = [0.002, 0.02]`.
@@ -84,7 +84,7 @@ impl Measured<'_> {
 
     /// The smallest and largest value of a parameter in all epochs.
     fn tried(&self, which: SkillParameter) -> String {
-        let values = || self.epochs.iter().map(|epoch| epoch.record.theta[which.index()]);
+        let values = || self.epochs.iter().map(|epoch| epoch.record.theta[which]);
         let [low, high] =
             [values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max)];
         let [low, high] = [low, high].map(|theta| self.value(which, theta));
@@ -214,7 +214,7 @@ impl Measured<'_> {
     /// Parameters that stand at an end of their range.
     fn at_bounds(&self) -> impl Iterator<Item = String> {
         SkillParameter::ALL.into_iter().filter_map(|which| {
-            let theta = self.plan.record.theta[which.index()];
+            let theta = self.plan.record.theta[which];
             let [low, high] = self.scene.skill.range(which);
             (theta.abs() >= AT_BOUND && low < high).then(|| {
                 format!(
@@ -233,7 +233,7 @@ impl Measured<'_> {
 mod tests {
     use super::*;
     use crate::optim::EpochRecord;
-    use powderline_simulator::rollout::Census;
+    use powderline_simulator::{rollout::Census, skill::Theta};
 
     fn epochs(records: &[(u32, u32, u32)]) -> Vec<Judged> {
         (0..)
@@ -284,7 +284,7 @@ mod tests {
         assert!(text.contains("still shrinking") && text.contains("--epochs 4"), "{text}");
 
         let mut bound = epochs(&[(1000, 0, 500), (1100, 0, 110), (1000, 0, 500)]);
-        bound[1].record.theta[2] = -1.0;
+        bound[1].record.theta = Theta::MIDDLE.moved(SkillParameter::LiftHeight, -1.0);
         let text = said(&scene, &bound, 1);
         assert!(text.contains("the lift height stands at the lower end of its range, 60.0 mm"), "{text}");
 

@@ -289,7 +289,7 @@ fn notes(side: &Area<'_>, panel: &Panel) -> Drawn {
 mod tests {
     use super::ink::tests::assert_straight;
     use super::*;
-    use powderline_simulator::{rollout::Census, scene::Scene};
+    use powderline_simulator::{rollout::Census, scene::Scene, skill::Theta};
 
     fn record(epoch: u32, from: f64) -> EpochRecord {
         let fall = 0.8f64.powi(epoch as i32);
@@ -298,7 +298,7 @@ mod tests {
             loss: 1.5 + from * fall,
             indicator: (800.0 * fall) as i64,
             census: Census { target: 10, spilled: 1, ..Census::default() },
-            theta: std::array::from_fn(|k| (0.1 * f64::from(epoch) + k as f64).sin()),
+            theta: Theta::clamped(std::array::from_fn(|k| (0.1 * f64::from(epoch) + k as f64).sin())),
             seconds: 1.0,
             ..EpochRecord::default()
         }

@@ -9,11 +9,11 @@ use super::{
     words::{hex, precision_name},
 };
 use crate::optim::{EpochRecord, Step};
-use powderline_shared::plan::{Mounting, PlanHeader, Precision};
+use powderline_shared::plan::{Mounting, PlanError, PlanHeader, Precision};
 use powderline_simulator::{
     rollout::{Census, Evaluation, Places},
     scene::Scene,
-    skill::Theta,
+    skill::{Theta, ThetaError},
 };
 use serde::Serialize;
 
@@ -76,13 +76,18 @@ pub struct Shipped {
 
 impl Shipped {
     /// What a plan says of itself.
-    pub fn new(amounts: &Amounts, header: &PlanHeader) -> Self {
-        Self { theta: header.theta, outcome: Outcome::of_plan(amounts, header), arm: header.arm }
+    ///
+    /// # Errors
+    /// Its theta is none.
+    pub fn new(amounts: &Amounts, header: &PlanHeader) -> Result<Self, PlanError> {
+        let theta = Theta::new(header.theta)
+            .map_err(|ThetaError { value, .. }| PlanError::ThetaOutOfRange { value })?;
+        Ok(Self { theta, outcome: Outcome::of_plan(amounts, header), arm: header.arm })
     }
 
     /// Whether it was made of this skill, bit by bit.
-    pub fn is_of(&self, theta: &Theta) -> bool {
-        self.theta.map(f64::to_bits) == theta.map(f64::to_bits)
+    pub fn is_of(&self, theta: [f64; 5]) -> bool {
+        self.theta.components().map(f64::to_bits) == theta.map(f64::to_bits)
     }
 }
 
@@ -165,7 +170,7 @@ impl Finding {
         let [first, ..] = epochs else { return None };
         let (amounts, rule) = (Amounts::from(scene), Rule::of(scene));
         let epoch = match shipped {
-            Some(shipped) => epochs.iter().position(|epoch| shipped.is_of(&epoch.record.theta)),
+            Some(shipped) => epochs.iter().position(|epoch| shipped.is_of(epoch.record.theta.components())),
             None => rule.choose(&amounts, epochs),
         };
         let candidates = rule.candidates(&amounts, epochs);
@@ -235,7 +240,7 @@ mod tests {
                 epoch,
                 loss,
                 census: Census { target: transported, ..Census::default() },
-                theta: [f64::from(epoch) / 10.0; 5],
+                theta: Theta::clamped([f64::from(epoch) / 10.0; 5]),
                 ..EpochRecord::default()
             },
             obstacle: blocked.contains(&epoch).then(|| "the arm is too slow".into()),
@@ -305,7 +310,7 @@ mod tests {
         let finding = |epoch: u32, target: u32| {
             let census = Census { target, ..Census::default() };
             let outcome = Outcome::new(&amounts, census, 15.1);
-            let shipped = Shipped { theta: [f64::from(epoch) / 10.0; 5], outcome, arm: None };
+            let shipped = Shipped { theta: Theta::clamped([f64::from(epoch) / 10.0; 5]), outcome, arm: None };
             let run = RunSoFar {
                 scene: &scene,
                 seed: 1,
@@ -340,7 +345,11 @@ mod tests {
         let amounts = Amounts::from(&scene);
         let epochs = judged(&[0, 1100, 1200], &[90.0, 15.0, 14.0], &[2]);
         let census = Census { target: 1101, spilled: 7, ..Census::default() };
-        let shipped = Shipped { theta: [0.1; 5], outcome: Outcome::new(&amounts, census, 15.1), arm: None };
+        let shipped = Shipped {
+            theta: Theta::clamped([0.1; 5]),
+            outcome: Outcome::new(&amounts, census, 15.1),
+            arm: None,
+        };
         let mut run = RunSoFar {
             scene: &scene,
             seed: 1,

@@ -64,7 +64,7 @@ impl PlanParts<'_> {
             optimiser_version: version(),
             seed: self.seed,
             precision: self.precision,
-            theta: *self.theta,
+            theta: self.theta.components(),
             skill_parameters: map.parameters(self.theta),
             control_period_us: scene.time.control_period_us,
             step_count: self.quantised.steps.len() as u32,

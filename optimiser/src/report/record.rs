@@ -115,7 +115,7 @@ impl RunRecord {
     /// They are no plan.
     pub fn ship(&mut self, plan: &[u8]) -> Result<(), PlanError> {
         let plan = PlanReader::new(plan)?;
-        self.shipped = Some(Shipped::new(&Amounts::from(&self.scene), plan.header()));
+        self.shipped = Some(Shipped::new(&Amounts::from(&self.scene), plan.header())?);
         Ok(())
     }
 

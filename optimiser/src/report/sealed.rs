@@ -4,7 +4,7 @@
 //! magic (8) | version u32 LE (4) | body (postcard) | SHA-256 of everything before (32)
 //! ```
 
-use powderline_simulator::mpm::PHYSICS_VERSION;
+use powderline_simulator::PHYSICS_VERSION;
 use serde::{Serialize, de::DeserializeOwned};
 use sha2::{Digest as _, Sha256};
 use thiserror::Error;

@@ -4,7 +4,7 @@ use super::sealed::Seal;
 pub use super::sealed::StateError;
 use crate::optim::Search;
 use powderline_shared::plan::Precision;
-use powderline_simulator::{mpm::PHYSICS_VERSION, scene::Digest};
+use powderline_simulator::{PHYSICS_VERSION, scene::Digest};
 use serde::{Deserialize, Serialize};
 
 const SEAL: Seal = Seal { magic: *b"PLSTATE\0", version: 8 };
@@ -55,10 +55,12 @@ impl RunState {
 mod tests {
     use super::*;
     use crate::report::sealed::{CHECKSUM, HEAD};
+    use powderline_simulator::skill::Theta;
     use sha2::{Digest as _, Sha256};
 
     fn state() -> RunState {
-        let search = Search::new([0.1, -0.2, 1.0 / 3.0, 0.0, -1.0], 30);
+        let theta = Theta::new([0.1, -0.2, 1.0 / 3.0, 0.0, -1.0]).unwrap();
+        let search = Search::new(theta, 30);
         RunState::new([7; 32], 3, Precision::F32, search)
     }
 
@@ -94,12 +96,18 @@ mod tests {
 
     #[test]
     fn what_no_run_leaves_behind_is_refused_whatever_its_checksum() {
-        let outside = RunState { search: Search::new([2.0; 5], 30), ..state() };
+        let with_angle = |value: f64| {
+            let bytes = &state().to_bytes()[..state().to_bytes().len() - CHECKSUM];
+            let at = bytes.windows(8).position(|eight| eight == (-0.2f64).to_le_bytes()).unwrap();
+            [&bytes[..at], &value.to_le_bytes(), &bytes[at + 8..]].concat()
+        };
         let physics_only = [&state().to_bytes()[..HEAD], &[2]].concat();
         let longer = [&state().to_bytes()[..state().to_bytes().len() - CHECKSUM], &[0]].concat();
         let sealed = |bytes: Vec<u8>| [&bytes[..], &Sha256::digest(&bytes)].concat();
-        for bytes in [outside.to_bytes(), sealed(physics_only), sealed(longer)] {
-            assert_eq!(RunState::from_bytes(&bytes), Err(StateError::Nonsense));
+        assert!(RunState::from_bytes(&sealed(with_angle(-0.3))).is_ok());
+        let outside = [2.0, -1.001, f64::NAN].map(with_angle);
+        for bytes in outside.into_iter().chain([physics_only, longer]) {
+            assert_eq!(RunState::from_bytes(&sealed(bytes)), Err(StateError::Nonsense));
         }
     }
 

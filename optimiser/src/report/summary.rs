@@ -192,20 +192,21 @@ mod tests {
         },
     };
     use powderline_shared::plan::Precision;
-    use powderline_simulator::{rollout::Census, scene::Scene};
+    use powderline_simulator::{rollout::Census, scene::Scene, skill::Theta};
 
     fn found(arrives: [u32; 3], blocked: Option<&str>, planned: u32) -> (Finding, RunRecord) {
         let scene = Scene::load("bench").unwrap();
-        let state = RunState::new(scene.digest(), 1, Precision::F32, Search::new([0.0; 5], 2));
+        let state = RunState::new(scene.digest(), 1, Precision::F32, Search::new(Theta::MIDDLE, 2));
         let mut run = RunRecord::new(scene, state);
         run.epochs = (0..)
             .zip(arrives)
-            .map(|(epoch, transported)| Judged {
+            .zip([0.0, 1.0, -1.0])
+            .map(|((epoch, transported), component)| Judged {
                 record: EpochRecord {
                     epoch,
                     loss: 100.0 - f64::from(epoch),
                     census: Census { target: transported, ..Census::default() },
-                    theta: [f64::from(epoch); 5],
+                    theta: Theta::clamped([component; 5]),
                     ..EpochRecord::default()
                 },
                 obstacle: blocked.filter(|_| epoch != 1).map(str::to_owned),
@@ -213,8 +214,11 @@ mod tests {
             .collect();
         let amounts = (&run.scene).into();
         let census = Census { target: planned, spilled: 8, source: 7, ..Census::default() };
-        run.shipped =
-            Some(Shipped { theta: [1.0; 5], outcome: Outcome::new(&amounts, census, 99.1), arm: None });
+        run.shipped = Some(Shipped {
+            theta: Theta::clamped([1.0; 5]),
+            outcome: Outcome::new(&amounts, census, 99.1),
+            arm: None,
+        });
         (run.finding().unwrap(), run)
     }
 

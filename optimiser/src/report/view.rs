@@ -83,7 +83,7 @@ fn tool(tool: &Tool) -> Mesh {
 mod tests {
     use super::*;
     use powderline_simulator::scene::{Cuboid, EMBEDDED_SCENES, GateOpening};
-    use powderline_simulator::skill::SkillMap;
+    use powderline_simulator::skill::{SkillMap, Theta};
     use powderline_view::Frame;
     use powderline_view::picture::{Camera, Image, Look, Painter};
 
@@ -159,7 +159,7 @@ mod tests {
         }
         let scene = scene.validate().unwrap();
         let map = SkillMap::new(&scene);
-        let controls = map.controls(&[0.0; 5]).unwrap();
+        let controls = map.controls(&Theta::MIDDLE).unwrap();
         let next = |pose: &mut Pose, control: &_| {
             *pose = pose.displaced(control);
             Some(*pose)

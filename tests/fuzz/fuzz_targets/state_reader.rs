@@ -10,7 +10,7 @@ use powderline_optimiser::report::{amounts::Amounts, curves::Curves, state::RunS
 use powderline_shared::plan::Precision;
 use powderline_simulator::rollout::{Census, Evaluation};
 use powderline_simulator::scene::{DEFAULT_SCENE, Scene};
-use powderline_simulator::skill::SkillMap;
+use powderline_simulator::skill::{SkillMap, Theta};
 use sha2::{Digest, Sha256};
 use std::sync::LazyLock;
 
@@ -71,11 +71,11 @@ fn go_on(mut search: Search) {
 /// One epoch, evaluated by a bowl.
 fn record(search: &mut Search) {
     let Some(request) = search.next(&METHOD) else { return };
-    let loss = |theta: &[f64; 5]| theta.iter().map(|value| value * value).sum::<f64>();
+    let loss = |theta: &Theta| theta.components().iter().map(|value| value * value).sum::<f64>();
     let census = Census { target: 2, spilled: 3, tool: 4, ..Census::default() };
     let answer = Answer {
         evaluation: Evaluation::new(loss(&request.theta), 1, census),
-        adjoint: request.want_gradient.then_some(request.theta),
+        adjoint: request.want_gradient.then_some(request.theta.components()),
     };
     let probes = search.probes(&METHOD, answer.adjoint.as_ref());
     let losses = |probes: Vec<Probe>| probes.iter().map(|probe| loss(&probe.theta)).collect();
@@ -92,7 +92,8 @@ fn record(search: &mut Search) {
 
 /// A run of two epochs, of which some are done.
 fn state(done: usize) -> RunState {
-    let mut search = Search::new([0.1, -0.2, 1.0 / 3.0, 0.0, -1.0], 2);
+    let first = Theta::new([0.1, -0.2, 1.0 / 3.0, 0.0, -1.0]).expect("it is in the range");
+    let mut search = Search::new(first, 2);
     (0..done).for_each(|_| record(&mut search));
     RunState::new([7; 32], 3, Precision::F32, search)
 }

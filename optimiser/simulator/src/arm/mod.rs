@@ -89,7 +89,7 @@ impl Ability {
         let (map, mut mount) = (SkillMap::new(scene), Mount::of(arm));
         let around = Surroundings::of_scene(scene, arm.table_height_m);
         let path = |theta: &Theta| Some(ToolPath::of_skill(&map, &map.quantise(theta).ok()?));
-        let middle = ArmMotion::new(&path(&[0.0; 5])?, &mount, &around, CYCLE_US);
+        let middle = ArmMotion::new(&path(&Theta::MIDDLE)?, &mount, &around, CYCLE_US);
         let any_posture = mount;
         // What does in the middle mostly does in the corners.
         mount.posture = mount.posture.or_else(|| middle.as_ref().ok().map(|arm| arm.model.posture));
@@ -97,10 +97,8 @@ impl Ability {
             Err(_) => ArmMotion::new(path, &any_posture, &around, CYCLE_US).map(drop),
             Ok(_) => Ok(()),
         };
-        let corners =
-            (0..32u32).map(|corner| std::array::from_fn(|k| if corner >> k & 1 == 0 { -1.0 } else { 1.0 }));
         let tried: Vec<(Theta, Result<(), Refusal>)> =
-            corners.filter_map(|theta| Some((theta, can(&path(&theta)?)))).collect();
+            Theta::lattice(2).filter_map(|theta| Some((theta, can(&path(&theta)?)))).collect();
         let none = middle.is_err() && tried.iter().all(|(_, can)| can.is_err());
         let unable = tried.into_iter().find_map(|(theta, can)| Some((theta, can.err()?)));
         Some(Self { middle, unable, none })

@@ -304,7 +304,7 @@ mod tests {
     use super::*;
     use crate::arm::CYCLE_US;
     use crate::scene::{Gate, GateOpening, GateShape};
-    use crate::skill::SkillMap;
+    use crate::skill::{SkillMap, Theta};
 
     struct Case {
         scene: Scene,
@@ -318,7 +318,7 @@ mod tests {
             let mut scene = Scene::load(name).unwrap();
             change(&mut scene);
             let (map, arm) = (SkillMap::new(&scene), scene.arm.clone().unwrap());
-            let path = ToolPath::of_skill(&map, &map.quantise(&[0.0; 5]).unwrap());
+            let path = ToolPath::of_skill(&map, &map.quantise(&Theta::MIDDLE).unwrap());
             let surroundings = Surroundings::of_scene(&scene, arm.table_height_m);
             Self { mount: Mount::of(&arm), scene, path, surroundings }
         }

@@ -15,10 +15,11 @@ use serde::Serialize;
 
 use crate::real::Real;
 use crate::rollout::{DisplacementGradient, Evaluation, RolloutError, Simulate, Simulator, Tick};
-use crate::skill::{SkillMap, Theta};
+use crate::skill::{SkillMap, SkillParameter, Theta, ThetaGradient};
 
 /// The skill at which gradients are checked: a middling scoop that reaches the target.
-pub const CHECKED_THETA: Theta = [0.3, 0.0, 0.0, 0.0, 0.3];
+pub const CHECKED_THETA: Theta =
+    Theta::MIDDLE.moved(SkillParameter::ScoopingDepth, 0.3).moved(SkillParameter::PouringAngle, 0.3);
 
 /// Half-steps of the central differences.
 pub const HALF_STEPS: [f64; 7] = [1e-3, 1e-4, 1e-5, 3e-6, 1e-6, 3e-7, 1e-7];
@@ -63,9 +64,9 @@ pub struct Smoothed {
     /// Half-step in theta.
     pub half_step: f64,
     /// Gradient by the adjoint, m.
-    pub adjoint: Theta,
+    pub adjoint: ThetaGradient,
     /// Central differences over the half-step, m.
-    pub differences: Theta,
+    pub differences: ThetaGradient,
     /// Cosine of the angle between both.
     pub cosine: f64,
 }
@@ -100,12 +101,12 @@ fn checked<T: Real>(
 
     let length = gradient.iter().map(|g| g * g).sum::<f64>().sqrt();
     let mut components = Vec::new();
-    for (k, adjoint) in gradient.into_iter().enumerate() {
+    for (parameter, adjoint) in SkillParameter::ALL.into_iter().zip(gradient) {
+        let k = parameter.index();
         let at_work = linear.jacobian[stretch.clone()].iter().flatten().any(|row| row[k] != 0.0);
         let half_steps = if at_work { &HALF_STEPS[..] } else { &[] };
         let moved = |step: f64| -> Result<_, RolloutError> {
-            let mut theta = CHECKED_THETA;
-            theta[k] += step;
+            let theta = CHECKED_THETA.moved(parameter, step);
             Ok(map.controls(&theta)?[stretch.clone()].to_vec())
         };
         let both_ways = half_steps.iter().flat_map(|h| [moved(*h), moved(-h)]);
@@ -127,16 +128,13 @@ fn checked<T: Real>(
 /// See [`RolloutError`].
 pub fn smoothed(simulator: &mut dyn Simulate) -> Result<Smoothed, RolloutError> {
     let (_, adjoint) = simulator.evaluate_with_gradient(&CHECKED_THETA)?;
-    let moved = |(k, step): (usize, f64)| {
-        let mut theta = CHECKED_THETA;
-        theta[k] += step;
-        theta
-    };
-    let both_ways = (0..5).flat_map(|k| [(k, SMOOTH_HALF_STEP), (k, -SMOOTH_HALF_STEP)]);
-    let ends = simulator.evaluate_all(&both_ways.map(moved).collect::<Vec<_>>())?;
-    let differences: Theta =
+    let both_ways = SkillParameter::ALL.into_iter().flat_map(|parameter| {
+        [SMOOTH_HALF_STEP, -SMOOTH_HALF_STEP].map(|step| CHECKED_THETA.moved(parameter, step))
+    });
+    let ends = simulator.evaluate_all(&both_ways.collect::<Vec<_>>())?;
+    let differences: ThetaGradient =
         std::array::from_fn(|k| (ends[2 * k].loss - ends[2 * k + 1].loss) / (2.0 * SMOOTH_HALF_STEP));
-    let dot = |a: &Theta, b: &Theta| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let dot = |a: &ThetaGradient, b: &ThetaGradient| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
     let cosine =
         dot(&adjoint, &differences) / (dot(&adjoint, &adjoint) * dot(&differences, &differences)).sqrt();
     Ok(Smoothed { half_step: SMOOTH_HALF_STEP, adjoint, differences, cosine })

@@ -65,7 +65,7 @@ pub use crate::memory::Workload;
 use crate::memory::least_memory;
 use crate::scene::Scene;
 pub use crate::skill::DisplacementGradient;
-use crate::skill::{SkillError, Theta};
+use crate::skill::{SkillError, Theta, ThetaError, ThetaGradient};
 pub use powderline_shared::{
     census::{Census, Places},
     displacement::Displacement,
@@ -197,6 +197,9 @@ pub enum RolloutError {
     /// The skill is not a motion.
     #[error(transparent)]
     Skill(#[from] SkillError),
+    /// The skill lies so near to an end of theta's range that a difference would go beyond.
+    #[error(transparent)]
+    Theta(#[from] ThetaError),
 }
 
 impl RolloutError {
@@ -252,7 +255,7 @@ pub trait Simulate {
     ///
     /// # Errors
     /// See [`RolloutError`].
-    fn evaluate_with_gradient(&mut self, theta: &Theta) -> Result<(Evaluation, Theta), RolloutError>;
+    fn evaluate_with_gradient(&mut self, theta: &Theta) -> Result<(Evaluation, ThetaGradient), RolloutError>;
 
     /// Loss of a skill, its gradient by the adjoint that [`restart`]s as asked, and how that came about.
     ///

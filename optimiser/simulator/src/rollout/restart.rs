@@ -541,7 +541,7 @@ mod tests {
             let (map, model) = (SkillMap::new(&scene), Model::new(&scene));
             let tool = *map.start_pose();
             let bodies = Bodies { tool: resting(&tool), gates: model.gates.at(Moment::Settling) };
-            let restarts = Restarts::of_skill(&scene, &map, &[0.0; 5]);
+            let restarts = Restarts::of_skill(&scene, &map, &Theta::MIDDLE);
             Self { scene, model, bodies, tool, restarts }
         }
 
@@ -657,8 +657,8 @@ mod tests {
         let mut scene = Scene::load("bench").unwrap();
         scene.skill.heading_deg = 30.0;
         let map = SkillMap::new(&scene);
-        let carrying = Restarts::of_skill(&scene, &map, &[0.0; 5]).carrying.unwrap();
-        let controls: Vec<Displacement> = map.controls(&[0.0; 5]).unwrap();
+        let carrying = Restarts::of_skill(&scene, &map, &Theta::MIDDLE).carrying.unwrap();
+        let controls: Vec<Displacement> = map.controls(&Theta::MIDDLE).unwrap();
         assert!(carrying.fits(controls.len()) && carrying.ways.len() == 3);
         // Of many particles losses are large, and must not run over.
         for scale in [1.0, 1e6] {
@@ -717,7 +717,7 @@ mod tests {
         let Restarts { steps, carrying, .. } = &case.restarts;
         let carrying = carrying.as_ref().unwrap();
         let ends: Vec<usize> = map
-            .segments(&[0.0; 5])
+            .segments(&Theta::MIDDLE)
             .iter()
             .map(|segment| (segment.end_s / case.scene.time.control_period_s()).round() as usize)
             .collect();

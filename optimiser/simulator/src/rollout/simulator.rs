@@ -26,7 +26,7 @@ use crate::rollout::{
     quiet, thread_pool,
 };
 use crate::scene::{GradientEstimator, Scene};
-use crate::skill::{Control, SkillMap, Theta};
+use crate::skill::{Control, SkillMap, Theta, ThetaGradient};
 
 /// Memory of each worker when there are several, in settled states: its current state, its workspace, its sort buffers, all of them
 /// half as large again once the powder has spread.
@@ -519,7 +519,7 @@ impl<T: Real> Simulate for Simulator<T> {
         })
     }
 
-    fn evaluate_with_gradient(&mut self, theta: &Theta) -> Result<(Evaluation, Theta), RolloutError> {
+    fn evaluate_with_gradient(&mut self, theta: &Theta) -> Result<(Evaluation, ThetaGradient), RolloutError> {
         if self.scene.optimiser.gradient == GradientEstimator::Restarted {
             let restarts = Restarts::of_skill(&self.scene, &self.skill, theta);
             let found = self.evaluate_restarted(theta, &restarts)?;

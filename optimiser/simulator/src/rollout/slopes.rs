@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 use crate::bench::cpu_seconds;
 use crate::rollout::restart::Restarts;
 use crate::rollout::{Evaluation, RolloutError, Simulate, part};
-use crate::skill::Theta;
+use crate::skill::{SkillParameter, Theta, ThetaError, ThetaGradient};
 
 /// Half-step of the differences, in units of theta.
 pub const HALF_STEP: f64 = 0.1;
@@ -38,11 +38,11 @@ pub struct Measured {
     /// two slopes.
     pub across_edge: bool,
     /// Central differences of the loss, metres.
-    pub slope: Theta,
+    pub slope: ThetaGradient,
     /// The gradient by the exact adjoint, metres.
-    pub exact: Theta,
+    pub exact: ThetaGradient,
     /// The gradient by the restarted adjoint, metres.
-    pub restarted: Theta,
+    pub restarted: ThetaGradient,
     /// What they took of processors.
     pub seconds: Seconds,
 }
@@ -64,16 +64,16 @@ pub struct Seconds {
 pub fn skill(draw: u64) -> Theta {
     // Roberts 2018: powers of the root of x^6 = x + 1.
     const ROOT: f64 = 1.134_724_138_401_519_4;
-    std::array::from_fn(|k| {
+    Theta::clamped(std::array::from_fn(|k| {
         let share = (0.5 + (draw + 1) as f64 / ROOT.powi(k as i32 + 1)).fract();
         (1.0 - HALF_STEP) * (2.0 * share - 1.0)
-    })
+    }))
 }
 
 /// Measures one skill; nothing if it delivers less than [`LEAST_DELIVERED`].
 ///
 /// # Errors
-/// See [`RolloutError`].
+/// See [`RolloutError`]; [`RolloutError::Theta`] where the skill leaves no room for differences over [`HALF_STEP`].
 pub fn measure(
     simulator: &mut dyn Simulate,
     theta: &Theta,
@@ -88,12 +88,7 @@ pub fn measure(
     if delivered < LEAST_DELIVERED {
         return Ok(None);
     }
-    let moved = |(k, step): (usize, f64)| {
-        let mut moved = *theta;
-        moved[k] += step;
-        moved
-    };
-    let both_ways = (0..5).flat_map(|k| [(k, HALF_STEP), (k, -HALF_STEP)]).map(moved).collect::<Vec<_>>();
+    let both_ways = both_ways(theta)?;
     let from_s = cpu_seconds();
     let ends =
         part(simulator, [1.0 / whole, ROLLOUTS / whole], |simulator| simulator.evaluate_all(&both_ways))?;
@@ -119,6 +114,12 @@ pub fn measure(
     }))
 }
 
+/// The ends of the differences, two by two: the upper one first.
+fn both_ways(theta: &Theta) -> Result<Vec<Theta>, ThetaError> {
+    let ends = |which| [HALF_STEP, -HALF_STEP].map(|step| theta.with(which, theta[which] + step));
+    SkillParameter::ALL.into_iter().flat_map(ends).collect()
+}
+
 /// Whether one of these ends brings enough where the skill itself does not, or the other way round.
 fn looks_across_edge(at: &Evaluation, ends: &[Evaluation]) -> bool {
     let is_short = |found: &Evaluation| found.indicator > 0;
@@ -136,13 +137,13 @@ pub struct Row {
     /// Whether a difference looks across the edge of the miss with any of them.
     pub across_edge: bool,
     /// Mean slope, metres.
-    pub slope: Theta,
+    pub slope: ThetaGradient,
     /// How uncertain that is, metres; none of a single packing.
-    pub noise: Option<Theta>,
+    pub noise: Option<ThetaGradient>,
     /// Mean gradient by the exact adjoint, metres.
-    pub exact: Theta,
+    pub exact: ThetaGradient,
     /// Mean gradient by the restarted adjoint, metres.
-    pub restarted: Theta,
+    pub restarted: ThetaGradient,
 }
 
 /// How well one kind of gradient fits the slope, over all skills.
@@ -182,7 +183,7 @@ impl Row {
     #[must_use]
     pub fn new(theta: Theta, packings: Vec<Measured>) -> Self {
         let count = packings.len() as f64;
-        let mean = |of: fn(&Measured) -> &Theta| -> Theta {
+        let mean = |of: fn(&Measured) -> &ThetaGradient| -> ThetaGradient {
             std::array::from_fn(|k| packings.iter().map(|one| of(one)[k]).sum::<f64>() / count)
         };
         let slope = mean(|one| &one.slope);
@@ -209,9 +210,9 @@ impl Summary {
             let others = rows.iter().enumerate().filter(|(index, _)| *index != left_out);
             others.map(|(_, row)| row.slope[k]).sum::<f64>() / (rows.len() - 1) as f64
         };
-        let constant: Vec<Theta> =
+        let constant: Vec<ThetaGradient> =
             (0..rows.len()).map(|index| std::array::from_fn(|k| others(index, k))).collect();
-        let of = |estimate: fn(&Row) -> Theta| rows.iter().map(estimate).collect::<Vec<_>>();
+        let of = |estimate: fn(&Row) -> ThetaGradient| rows.iter().map(estimate).collect::<Vec<_>>();
         let all = || rows.iter().flat_map(|row| &row.packings).map(|one| &one.seconds);
         let rollout_s: f64 = all().map(|seconds| seconds.rollout).sum();
         Some(Self {
@@ -225,7 +226,7 @@ impl Summary {
 }
 
 impl Fit {
-    fn new(rows: &[Row], estimates: &[Theta], constant: Option<&[Theta]>) -> Self {
+    fn new(rows: &[Row], estimates: &[ThetaGradient], constant: Option<&[ThetaGradient]>) -> Self {
         let cosines = rows.iter().zip(estimates).map(|(row, estimate)| cosine(estimate, &row.slope));
         let cosines = ordered(cosines);
         let residuals = constant.map(|constant| {
@@ -254,23 +255,23 @@ impl Fit {
     }
 }
 
-fn dot(a: &Theta, b: &Theta) -> f64 {
+fn dot(a: &ThetaGradient, b: &ThetaGradient) -> f64 {
     a.iter().zip(b).map(|(a, b)| a * b).sum()
 }
 
-fn length(a: &Theta) -> f64 {
+fn length(a: &ThetaGradient) -> f64 {
     libm::sqrt(dot(a, a))
 }
 
 /// Cosine of the angle between two vectors: 0 if one has no direction.
 #[must_use]
-pub fn cosine(a: &Theta, b: &Theta) -> f64 {
+pub fn cosine(a: &ThetaGradient, b: &ThetaGradient) -> f64 {
     let lengths = length(a) * length(b);
     if lengths > 0.0 { dot(a, b) / lengths } else { 0.0 }
 }
 
 /// A vector less its part along another.
-fn without(a: &Theta, along: &Theta) -> Theta {
+fn without(a: &ThetaGradient, along: &ThetaGradient) -> ThetaGradient {
     let square = dot(along, along);
     let share = if square > 0.0 { dot(a, along) / square } else { 0.0 };
     std::array::from_fn(|k| a[k] - share * along[k])
@@ -301,7 +302,7 @@ mod tests {
     use super::*;
     use crate::rollout::Census;
 
-    fn measured(slope: Theta, exact: Theta, restarted: Theta) -> Measured {
+    fn measured(slope: ThetaGradient, exact: ThetaGradient, restarted: ThetaGradient) -> Measured {
         let seconds = Seconds { rollout: 2.0, exact: 20.0, restarted: 10.0 };
         Measured { delivered: 50, across_edge: false, slope, exact, restarted, seconds }
     }
@@ -309,14 +310,14 @@ mod tests {
     /// Slopes share a large first component; the restarted gradient is half as long, the exact one points the other way.
     fn rows() -> Vec<Row> {
         let slopes = [[-10.0, 1.0, 0.0, 2.0, 0.0], [-10.0, -1.0, 0.0, 2.0, 0.0], [-10.0, 0.0, 3.0, 2.0, 0.0]];
-        let row = |slope: Theta| {
+        let row = |slope: ThetaGradient| {
             let [exact, restarted] = [-2.0, 0.5].map(|times| slope.map(|x| times * x));
             let shaken = |by: f64| {
                 let mut slope = slope;
                 slope[3] += by;
                 measured(slope, exact, restarted)
             };
-            Row::new([0.0; 5], vec![shaken(5.0), shaken(-5.0)])
+            Row::new(Theta::MIDDLE, vec![shaken(5.0), shaken(-5.0)])
         };
         slopes.map(row).into()
     }
@@ -370,9 +371,18 @@ mod tests {
     fn drawn_skills_are_always_the_same_and_leave_room_for_differences() {
         for draw in 0..200 {
             let theta = skill(draw);
-            assert!(theta.iter().all(|x| x.abs() <= 1.0 - HALF_STEP), "{theta:?}");
+            assert!(theta.components().iter().all(|x| x.abs() <= 1.0 - HALF_STEP), "{theta}");
             assert_eq!(theta, skill(draw));
+            assert_eq!(both_ways(&theta).map(|ends| ends.len()), Ok(10));
         }
         assert_ne!(skill(0), skill(1));
+    }
+
+    #[test]
+    fn a_skill_without_room_for_differences_is_refused_by_name() {
+        let ends = both_ways(&Theta::clamped([0.9, 0.0, 0.0, 0.0, -0.9])).unwrap();
+        assert_eq!((ends[0].components()[0], ends[9].components()[4]), (1.0, -1.0));
+        let error = both_ways(&Theta::clamped([0.0, 0.0, 0.95, 0.0, 0.0])).unwrap_err();
+        assert!(error.to_string().contains("(lift height) is 1.05"), "{error}");
     }
 }

@@ -19,7 +19,7 @@ use crate::scene::{
     Aim, Cuboid, Flow, GradientEstimator, Infeasible, Scene, Tool, ToolShape, Transfer, VolumeCorrection,
     YieldSurface,
 };
-use crate::skill::{SkillMap, Theta};
+use crate::skill::{SkillMap, SkillParameter, Theta};
 
 /// The small bench with the paper's powder, which is viscous, and with every part of it that can be another.
 fn benches() -> [Scene; 3] {
@@ -84,7 +84,7 @@ fn restarts_change_no_bit_by_threads_or_memory_and_are_what_makes_the_difference
     assert_eq!(one, restarted(2, 1 << 30, &usual), "two threads");
     assert_eq!(one, restarted(16, 48 << 20, &usual), "sixteen threads and few checkpoints");
     let (exact, gradient) = simulator(2, 1 << 30).evaluate_with_gradient(&theta).expect("runs");
-    let bits = |gradient: &Theta| gradient.map(f64::to_bits);
+    let bits = |gradient: &[f64; 5]| gradient.map(f64::to_bits);
     assert_eq!(one.evaluation.loss.to_bits(), exact.loss.to_bits());
     assert_ne!(bits(&one.gradient), bits(&gradient));
     let without = restarted(2, 1 << 30, &usual.without_cuts());
@@ -95,7 +95,7 @@ fn restarts_change_no_bit_by_threads_or_memory_and_are_what_makes_the_difference
 #[test]
 fn powder_sleeps_in_branches_as_the_restarts_say() {
     let scene = Scene::load("bench-small").expect("shipped");
-    let theta = [0.3, 0.0, 0.0, 0.0, 0.3];
+    let theta = gradcheck::CHECKED_THETA;
     let usual = Restarts::of_skill(&scene, &SkillMap::new(&scene), &theta);
     let carrying = usual.carrying.clone().expect("it carries");
     let mut s = Simulator::<f32>::new(&scene, &SimulatorSettings::default()).expect("threads");
@@ -220,11 +220,7 @@ fn skills_evaluated_side_by_side_have_the_bits_of_skills_evaluated_alone() {
     scene.time.substeps /= 2;
     let skills: Vec<Theta> = [(0, 0.1), (1, 0.1), (1, -0.1), (4, 0.0), (3, 0.1), (4, 0.2), (4, -0.2)]
         .into_iter()
-        .map(|(component, step)| {
-            let mut theta = gradcheck::CHECKED_THETA;
-            theta[component] += step;
-            theta
-        })
+        .map(|(k, step)| gradcheck::CHECKED_THETA.moved(SkillParameter::ALL[k], step))
         .collect();
     let evaluate = |threads: usize, memory_bytes: u64| {
         let settings = SimulatorSettings { seed: 1, threads: Some(threads), memory_bytes };
@@ -262,7 +258,7 @@ fn a_worker_that_panics_ends_the_others() {
     let scene = Scene::load("bench-small").expect("shipped");
     let settings = SimulatorSettings { seed: 1, threads: Some(2), memory_bytes: 1 << 30 };
     let mut s = Simulator::<f32>::new(&scene, &settings).expect("threads");
-    let skills = [0.1, -0.1, 0.2].map(|depth| [depth, 0.0, 0.0, 0.0, 0.0]);
+    let skills = [0.1, -0.1, 0.2].map(|depth| Theta::MIDDLE.moved(SkillParameter::ScoopingDepth, depth));
     let mut calls = 0;
     s.set_progress(Box::new(move |_| {
         calls += 1;

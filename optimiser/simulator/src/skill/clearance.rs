@@ -3,7 +3,7 @@
 //! The simulation does not check this: there tool, containers, gates and floor are kinematic and pass through each other. A real
 //! arm would collide.
 
-use super::{SkillMap, Theta};
+use super::{SkillMap, SkillParameter, Theta};
 use crate::scene::{Gate, Obstacle, PlacedTool, Scene, ToolPart};
 use powderline_shared::{displacement::Displacement, pose::Pose};
 use thiserror::Error;
@@ -108,7 +108,8 @@ fn fraction(control: &Displacement, part: f64) -> Displacement {
 /// A skill within the scene's bounds whose tool would pass through something, if one is found among their ends and middles.
 pub fn colliding_skill(scene: &Scene) -> Option<(Theta, Collision)> {
     let map = SkillMap::new(scene);
-    samples().find_map(|theta| collision_of(scene, &map, &theta).map(|collision| (theta, collision)))
+    Theta::lattice(SAMPLES)
+        .find_map(|theta| collision_of(scene, &map, &theta).map(|collision| (theta, collision)))
 }
 
 /// Every skill takes the tool through a wall.
@@ -126,20 +127,16 @@ pub struct Impassable {
 /// # Errors
 /// None of their ends and middles does.
 pub fn check_passable(scene: &Scene) -> Result<(), Impassable> {
-    const HIGHEST: Theta = [0.0, 0.0, 1.0, 0.0, 0.0];
+    const HIGHEST: Theta = Theta::MIDDLE.moved(SkillParameter::LiftHeight, 1.0);
     let map = SkillMap::new(scene);
     match collision_of(scene, &map, &HIGHEST) {
-        Some(collision) if samples().all(|theta| collision_of(scene, &map, &theta).is_some()) => {
+        Some(collision)
+            if Theta::lattice(SAMPLES).all(|theta| collision_of(scene, &map, &theta).is_some()) =>
+        {
             Err(Impassable { collision })
         }
         _ => Ok(()),
     }
-}
-
-/// Ends and middles of all parameters.
-fn samples() -> impl Iterator<Item = Theta> {
-    (0..SAMPLES.pow(5))
-        .map(|index| std::array::from_fn(|k| (index / SAMPLES.pow(k as u32) % SAMPLES) as f64 - 1.0))
 }
 
 fn collision_of(scene: &Scene, map: &SkillMap, theta: &Theta) -> Option<Collision> {
@@ -199,7 +196,8 @@ mod tests {
         let mut scene = Scene::load("bench").unwrap();
         scene.skill.lift_height_m[0] = 0.020;
         let map = SkillMap::new(&scene);
-        let motion = |lift: f64| map.quantise(&[1.0, -1.0, lift, 0.0, 0.0]).unwrap().controls;
+        let skill = |lift: f64| Theta::new([1.0, -1.0, lift, 0.0, 0.0]).unwrap();
+        let motion = |lift: f64| map.quantise(&skill(lift)).unwrap().controls;
         let found = collision(&scene, map.start_pose(), &motion(-1.0)).unwrap();
         assert_eq!((found.part, &found.obstacle), (ToolPart::Body, &Obstacle::Container("source".into())));
         assert!(
@@ -240,7 +238,7 @@ mod tests {
     fn a_gate_is_in_the_way_until_it_has_opened() {
         let mut scene = Scene::load("bench").unwrap();
         let map = SkillMap::new(&scene);
-        let motion = map.quantise(&[0.0; 5]).unwrap().controls;
+        let motion = map.quantise(&Theta::MIDDLE).unwrap().controls;
         let mut met = |opens_at_s: f64, opening: GateOpening| {
             scene.gates = vec![plate(opens_at_s, opening)];
             assert_eq!(scene.clone().into_spec().validate_as("scene").err(), None);
@@ -285,7 +283,8 @@ mod tests {
         let mut scene = Scene::load("bench").unwrap();
         scene.tool.handle.length_m = 0.09;
         let map = SkillMap::new(&scene);
-        let motion = map.quantise(&[0.0, -1.0, -1.0, 0.0, 1.0]).unwrap().controls;
+        let over = Theta::new([0.0, -1.0, -1.0, 0.0, 1.0]).unwrap();
+        let motion = map.quantise(&over).unwrap().controls;
         let found = collision(&scene, map.start_pose(), &motion).unwrap();
         assert_eq!((found.part, &found.obstacle), (ToolPart::Handle, &Obstacle::Container("target".into())));
     }

@@ -18,14 +18,17 @@ mod quantised;
 mod real;
 #[cfg(test)]
 mod tests;
+mod theta;
 
 pub(crate) use clearance::standing_collision;
 pub use clearance::{Collision, Impassable, check_passable, colliding_skill, collision};
 pub(crate) use duration::rest_to_rest_steps;
 pub use motion::SegmentKind;
+pub use powderline_shared::plan::SkillParameter;
 pub(crate) use profile::minimum_jerk_position;
 pub use quantised::{LSB, QuantisedControls, controls_of};
 use real::{Dual5, SkillScalar};
+pub use theta::{Theta, ThetaError, ThetaGradient};
 
 use crate::scene::{Limits, Scene, Skill, Time, Tool};
 use duration::{Caps, Pace};
@@ -33,14 +36,10 @@ use motion::{Coordinates, Segment, TimeParametrisation, Travel};
 use powderline_shared::{
     displacement::{Displacement, SetpointError},
     limits::{LimitsError, Violation},
-    plan::SkillParameter,
     pose::Pose,
 };
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
-
-/// Normalised skill parameters: depth, scoop angle, lift, transport, pour angle, each in `[-1, 1]`.
-pub type Theta = [f64; 5];
 
 /// One control step: translation in metres, then rotation vector in radians, world frame.
 pub type Control = [f64; 6];
@@ -49,14 +48,6 @@ pub type Control = [f64; 6];
 #[derive(Clone, Debug, PartialEq, Error)]
 #[non_exhaustive]
 pub enum SkillError {
-    /// A component of theta is outside `[-1, 1]`, or not a number.
-    #[error("theta's component {} ({}) is {value}, outside [-1, 1]", parameter.index(), parameter.name())]
-    Theta {
-        /// Which component.
-        parameter: SkillParameter,
-        /// Its value.
-        value: f64,
-    },
     /// The segments take longer than the horizon.
     #[error("the motion takes {motion_s:.3} s, longer than the horizon of {horizon_s:.3} s")]
     TooLong {
@@ -78,7 +69,7 @@ pub enum SkillError {
     #[error(transparent)]
     Violation(#[from] Violation),
     /// Not every skill that the scene allows is a motion that the arm can make.
-    #[error("the scene allows a skill that the arm cannot perform (theta = {theta:?}): {source}")]
+    #[error("the scene allows a skill that the arm cannot perform (theta = {theta}): {source}")]
     Corner {
         /// The skill, a corner of theta's range.
         theta: Theta,
@@ -142,7 +133,7 @@ impl Linearisation {
     /// [`simulate_with_gradient`](crate::rollout::Simulate::simulate_with_gradient) has it.
     ///
     /// Summed in the order of the steps, so its bits depend on nothing else. Those of steps that are missing count as zero.
-    pub fn pull_back(&self, gradient: &[DisplacementGradient]) -> Theta {
+    pub fn pull_back(&self, gradient: &[DisplacementGradient]) -> ThetaGradient {
         let mut theta_bar = [0.0; 5];
         for (jacobian, of_step) in self.jacobian.iter().zip(gradient) {
             for (row, bar) in jacobian.iter().zip(of_step.components()) {
@@ -199,12 +190,13 @@ impl SkillMap {
 
     /// The five parameters in metres and radians.
     pub fn parameters(&self, theta: &Theta) -> [f64; 5] {
-        self.physical(theta)
+        self.physical(&theta.components())
     }
 
-    /// The theta of five parameters in metres and radians, inverse of [`Self::parameters`]; 0 for one that the scene fixes.
-    /// Beyond [-1, 1] where they lie beyond the scene's bounds.
-    pub fn theta(&self, parameters: &[f64; 5]) -> Theta {
+    /// The components of theta for five parameters in metres and radians, inverse of [`Self::parameters`]; 0 for one that the scene
+    /// fixes. Beyond [-1, 1] where they lie beyond the scene's bounds, and by a rounding error where they lie at one: [`Theta::new`]
+    /// refuses that, [`Theta::clamped`] does not.
+    pub fn theta(&self, parameters: &[f64; 5]) -> [f64; 5] {
         std::array::from_fn(|k| {
             let [low, high] = self.bounds[k];
             if low >= high { 0.0 } else { (2.0 * parameters[k] - low - high) / (high - low) }
@@ -213,7 +205,7 @@ impl SkillMap {
 
     /// The segments' places in time; the tool rests from the end of the last one.
     pub fn segments(&self, theta: &Theta) -> Vec<SegmentSpan> {
-        self.schedule(theta)
+        self.schedule(&theta.components())
             .iter()
             .map(|segment| SegmentSpan {
                 kind: segment.kind,
@@ -226,23 +218,22 @@ impl SkillMap {
     /// The control sequence, one displacement per control step.
     ///
     /// # Errors
-    /// [`SkillError::Theta`] and [`SkillError::TooLong`].
+    /// [`SkillError::TooLong`].
     pub fn controls(&self, theta: &Theta) -> Result<Vec<Displacement>, SkillError> {
         Ok(self.control_vectors(theta)?.into_iter().map(Displacement::from).collect())
     }
 
     fn control_vectors(&self, theta: &Theta) -> Result<Vec<Control>, SkillError> {
-        check_theta(theta)?;
-        let coordinates = self.coordinates(theta)?;
+        let coordinates = self.coordinates(&theta.components())?;
         Ok(coordinates.array_windows().map(|[from, to]| self.control(from, to)).collect())
     }
 
     /// The control sequence and its derivative, exact to rounding.
     ///
     /// # Errors
-    /// [`SkillError::Theta`] and [`SkillError::TooLong`].
+    /// [`SkillError::TooLong`].
     pub fn linearise(&self, theta: &Theta) -> Result<Linearisation, SkillError> {
-        check_theta(theta)?;
+        let theta = theta.components();
         let dual: [Dual5; 5] = std::array::from_fn(|k| Dual5::variable(theta[k], k));
         let coordinates = self.coordinates(&dual)?;
         let steps: Vec<[Dual5; 6]> =
@@ -303,18 +294,6 @@ impl SkillMap {
             along(self.pitch_axis[1], pitch),
             S::constant(0.0),
         ]
-    }
-}
-
-/// Refuses components outside `[-1, 1]` and those that are not numbers.
-///
-/// # Errors
-/// [`SkillError::Theta`] for the first such component.
-pub fn check_theta(theta: &Theta) -> Result<(), SkillError> {
-    let mut components = SkillParameter::ALL.into_iter().zip(*theta);
-    match components.find(|(_, value)| !(-1.0..=1.0).contains(value)) {
-        Some((parameter, value)) => Err(SkillError::Theta { parameter, value }),
-        None => Ok(()),
     }
 }
 

@@ -103,8 +103,7 @@ impl SkillMap {
     /// [`SkillError::Corner`] with what is wrong at the first corner that is not a motion within
     /// the limits.
     pub fn check_all_corners(&self) -> Result<(), SkillError> {
-        for corner in 0..32u32 {
-            let theta = std::array::from_fn(|k| if corner >> k & 1 == 0 { -1.0 } else { 1.0 });
+        for theta in Theta::lattice(2) {
             self.quantise(&theta)
                 .and_then(|quantised| self.check_limits(&quantised))
                 .map_err(|source| SkillError::Corner { theta, source: Box::new(source) })?;

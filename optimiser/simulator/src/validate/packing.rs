@@ -32,7 +32,7 @@ const BALL_M: f64 = 0.004;
 const STEP_M: f64 = 0.0015;
 
 /// A skill that pours a heap into the target of the default scene.
-const SKILL: Theta = [0.9, -0.35, 0.39, 0.07, 0.23];
+const SKILL: [f64; 5] = [0.9, -0.35, 0.39, 0.07, 0.23];
 
 fn container(middle: f64) -> Container {
     Container {
@@ -111,7 +111,8 @@ fn in_target(scene: &Scene, seed: u64, meter: &Meter<'_>) -> Result<([f64; 3], f
     let settings = SimulatorSettings { seed, threads: Some(1), ..SimulatorSettings::default() };
     let mut simulator = Simulator::<f32>::new(scene, &settings)?;
     let map = SkillMap::new(scene);
-    let controls = map.controls(&SKILL).map_err(RolloutError::from)?;
+    let skill = Theta::new(SKILL).map_err(RolloutError::from)?;
+    let controls = map.controls(&skill).map_err(RolloutError::from)?;
     let mut end = Vec::new();
     let (units, mut before) = (work_of_skill(scene) / controls.len() as f64, 0);
     let mut look = |snapshot: &Snapshot<'_>| {

@@ -182,7 +182,7 @@ pub struct Table {
     pub scene: String,
     /// Which lines were to be measured.
     pub scope: Scope,
-    /// [`crate::mpm::PHYSICS_VERSION`]
+    /// [`crate::PHYSICS_VERSION`]
     pub physics: u32,
     /// How many lines were to be measured: fewer are there if it was stopped.
     pub wanted: usize,
@@ -204,7 +204,7 @@ impl Table {
         Self {
             scene: scene.into(),
             scope,
-            physics: crate::mpm::PHYSICS_VERSION,
+            physics: crate::PHYSICS_VERSION,
             wanted: measured.iter().map(|(claims, _)| claims.len()).sum(),
             lines,
         }

@@ -69,7 +69,7 @@ fn a_skill_through_a_wall_is_said_first() {
     fs::write(&file, scene.to_toml()).unwrap();
     let (theta, collision) =
         powderline_simulator::skill::colliding_skill(&scene.validate().unwrap()).unwrap();
-    let through = format!("--theta={}", theta.map(|x| x.to_string()).join(","));
+    let through = format!("--theta={}", theta.components().map(|x| x.to_string()).join(","));
     let Obstacle::Container(container) = collision.obstacle.clone() else { panic!("{collision}") };
     let sentence = format!("{collision}: the simulated tool can do that, an arm cannot");
 

@@ -5,7 +5,7 @@ use serde::Serialize;
 
 use crate::rollout::path::PoseBar;
 use crate::rollout::{DisplacementGradient, Evaluation, outcome::AT_REST_M_S};
-use crate::skill::Theta;
+use crate::skill::ThetaGradient;
 
 /// A restarted gradient, and how it came about.
 #[derive(Clone, Debug, PartialEq)]
@@ -14,11 +14,11 @@ pub struct Restarted {
     /// As of a rollout.
     pub evaluation: Evaluation,
     /// Derivative of the loss with respect to theta, metres.
-    pub gradient: Theta,
+    pub gradient: ThetaGradient,
     /// The cuts, from the motion's beginning to its end.
     pub cuts: Vec<CutReport>,
     /// What the controls between cuts bring to the gradient, metres: those before the first cut first.
-    pub shares: Vec<Theta>,
+    pub shares: Vec<ThetaGradient>,
     /// The derivative with respect to each displacement, the others held.
     pub by_displacement: Vec<DisplacementGradient>,
 }

@@ -147,8 +147,12 @@ fn a_motion_past_gates_can_be_cut_anywhere() {
 fn skills_side_by_side_past_gates_have_the_bits_of_skills_alone() {
     let mut scene = column(0.2, GateOpening::Vanish {});
     scene.time.horizon_steps = 300;
-    let skills: Vec<Theta> =
-        [0.1, -0.1, 0.2].map(|depth| [depth, 0.0, 0.0, 0.0, 0.3]).into_iter().chain([[0.1; 5]]).collect();
+    let skills: Vec<Theta> = [0.1, -0.1, 0.2]
+        .map(|depth| [depth, 0.0, 0.0, 0.0, 0.3])
+        .into_iter()
+        .chain([[0.1; 5]])
+        .map(Theta::clamped)
+        .collect();
     let evaluate = |threads: usize| -> Vec<Evaluation> {
         let mut s = simulator::<f32>(&scene, threads, 1 << 30);
         s.evaluate_all(&skills).expect("runs")
