@@ -341,7 +341,8 @@ fn a_motion_in_pieces_comes_to_the_same_bits_as_whole() {
     }
     assert_eq!(s.judge(&state), whole);
     assert_eq!(*state.tool(), controls.iter().fold(*map.start_pose(), |pose, step| pose.displaced(step)));
-    let same = |(shown, end): (&[f32; 3], &[f64; 3])| *shown == end.map(|x| x as f32);
+    let same =
+        |(shown, end): (&[f32; 3], &[f64; 3])| shown.map(f32::to_bits) == end.map(|x| (x as f32).to_bits());
     assert!(state.positions_m().iter().zip(&positions).all(same));
     let before = state.positions_m();
     let outwards = Displacement { translation_m: [-1.0, 0.0, 0.0], ..Displacement::default() };

@@ -1,0 +1,64 @@
+"""Powder that a robot scoops and pours: a differentiable simulator, and the search for the motion.
+
+    import powderline as pl
+
+    scene = pl.Scene.load("bench-small")            # one of Scene.names(), or a TOML file
+    simulator = pl.Simulator(scene)
+    theta = [0.3, 0.0, 0.0, 0.0, 0.3]               # depth, scooping angle, lift, transport, pouring angle, -1 to 1
+
+    found = simulator.rollout(theta)                # Evaluation(1.208 g of 1.6 g (-24 %), 0 mg lost, loss 4.338 m)
+    found, gradient = simulator.gradient(theta)     # and its gradient, an array of shape (5,)
+    motion = simulator.motion(scene.displacements(theta), every=10)
+    motion.positions_m                              # every particle on its way: (frames, particles, 3)
+
+    run = pl.optimise(scene)                        # the search; its folder is what the program `optimise` writes
+    run.plan.save("skill.plan")                     # what the program `execute` plays to an arm
+    run.plan.to_joint_angles()                      # radians, (steps + 1, 6)
+
+Units are SI and stand in the names. World frame: z up, the floor at z = 0. Poses are x, y, z in metres and a unit quaternion
+w, x, y, z. The same scene, seed and precision give the same bits on any machine, for any number of threads.
+
+`powderline.torch` differentiates a rollout within PyTorch, `powderline.gym` has environments for reinforcement learning. The program
+`optimise` comes along; `python -m powderline` is the same.
+"""
+
+from ._native import (
+    Episode,
+    Evaluation,
+    Motion,
+    Plan,
+    PlanError,
+    Scene,
+    SceneError,
+    SimulationError,
+    Simulator,
+    SkillError,
+    __version__,
+)
+from ._run import Run, optimise
+
+#: Names of the components of theta, in their order.
+SKILL_PARAMETERS: tuple[str, ...] = (
+    "scooping depth",
+    "scooping angle",
+    "lift height",
+    "transport displacement",
+    "pouring angle",
+)
+
+__all__ = [
+    "SKILL_PARAMETERS",
+    "Episode",
+    "Evaluation",
+    "Motion",
+    "Plan",
+    "PlanError",
+    "Run",
+    "Scene",
+    "SceneError",
+    "SimulationError",
+    "Simulator",
+    "SkillError",
+    "__version__",
+    "optimise",
+]

@@ -1,0 +1,112 @@
+//! NumPy's arrays as the simulator's lists, and back.
+
+use nalgebra::{Quaternion, UnitQuaternion};
+use numpy::{
+    AllowTypeChange, IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayLike1, PyArrayLike2, PyArrayMethods,
+    ndarray::ArrayView1,
+};
+use powderline_shared::{
+    displacement::Displacement,
+    pose::{Pose, renormalised},
+};
+use powderline_simulator::skill::Theta;
+use pyo3::{exceptions::PyValueError, prelude::*};
+
+use crate::errors;
+
+/// A list or an array of numbers.
+pub(crate) type Numbers<'py> = PyArrayLike1<'py, f64, AllowTypeChange>;
+
+/// A list of lists, or a table.
+pub(crate) type Table<'py> = PyArrayLike2<'py, f64, AllowTypeChange>;
+
+fn refused<T>(what: &str, shape: &str, found: impl std::fmt::Debug) -> PyResult<T> {
+    Err(PyValueError::new_err(format!("{what} has the shape {found:?}, but it must be {shape}")))
+}
+
+fn fixed<const N: usize>(row: ArrayView1<'_, f64>) -> [f64; N] {
+    std::array::from_fn(|k| row[k])
+}
+
+/// `N` numbers.
+pub(crate) fn row<const N: usize>(what: &str, numbers: &Numbers<'_>) -> PyResult<[f64; N]> {
+    let numbers = numbers.as_array();
+    if numbers.len() == N { Ok(fixed(numbers)) } else { refused(what, &format!("({N},)"), numbers.shape()) }
+}
+
+/// A skill.
+pub(crate) fn theta(numbers: &Numbers<'_>) -> PyResult<Theta> {
+    Theta::new(row("theta", numbers)?).map_err(errors::of_theta)
+}
+
+/// Rows of `N` numbers.
+pub(crate) fn rows<const N: usize>(what: &str, table: &Table<'_>) -> PyResult<Vec<[f64; N]>> {
+    let table = table.as_array();
+    // Nothing at all has no width.
+    if table.is_empty() && table.nrows() == 0 {
+        return Ok(Vec::new());
+    }
+    if table.ncols() != N {
+        return refused(what, &format!("(n, {N})"), table.shape());
+    }
+    Ok(table.rows().into_iter().map(fixed).collect())
+}
+
+/// Displacements, one for each control step: translation in metres, then rotation vector in radians.
+pub(crate) fn displacements(what: &str, table: &Table<'_>) -> PyResult<Vec<Displacement>> {
+    let rows = rows::<6>(what, table)?;
+    match rows.iter().flatten().position(|number| !number.is_finite()) {
+        None => Ok(rows.into_iter().map(Displacement::from).collect()),
+        Some(at) => Err(PyValueError::new_err(format!(
+            "{what}[{}, {}] is {}, but displacements are finite",
+            at / 6,
+            at % 6,
+            rows[at / 6][at % 6]
+        ))),
+    }
+}
+
+/// A pose from x, y, z in metres and a unit quaternion w, x, y, z.
+pub(crate) fn pose(what: &str, numbers: &Numbers<'_>) -> PyResult<Pose> {
+    let [x, y, z, qw, qx, qy, qz] = row::<7>(what, numbers)?;
+    let orientation = Quaternion::new(qw, qx, qy, qz);
+    let norm = orientation.norm();
+    if !(x + y + z).is_finite() || (norm - 1.0).abs() > 1e-6 || norm.is_nan() {
+        return Err(PyValueError::new_err(format!(
+            "{what} is [{x}, {y}, {z}, {qw}, {qx}, {qy}, {qz}], but it must be x, y, z in metres and a unit quaternion w, x, y, z"
+        )));
+    }
+    let orientation = renormalised(UnitQuaternion::new_unchecked(orientation));
+    Ok(Pose { position_m: [x, y, z].into(), orientation })
+}
+
+/// x, y, z, qw, qx, qy, qz.
+pub(crate) fn of_pose(pose: &Pose) -> [f64; 7] {
+    let (p, q) = (pose.position_m, pose.orientation);
+    [p.x, p.y, p.z, q.w, q.i, q.j, q.k]
+}
+
+/// A row as an array.
+pub(crate) fn array<'py>(py: Python<'py>, row: &[f64]) -> Bound<'py, PyArray1<f64>> {
+    PyArray1::from_slice(py, row)
+}
+
+/// Rows as a table; the memory goes over to Python.
+pub(crate) fn table<'py, const N: usize>(py: Python<'py>, rows: Vec<[f64; N]>) -> Bound<'py, PyArray2<f64>> {
+    let count = rows.len();
+    let flat = rows.into_flattened().into_pyarray(py);
+    flat.reshape([count, N]).expect("as many numbers as before")
+}
+
+/// Frames of rows as an array of three dimensions; the memory goes over to Python.
+pub(crate) fn frames<'py>(py: Python<'py>, rows: Vec<[f32; 3]>, frames: usize) -> Bound<'py, PyArray3<f32>> {
+    let each = rows.len().checked_div(frames).unwrap_or(0);
+    let flat = rows.into_flattened().into_pyarray(py);
+    flat.reshape([frames, each, 3]).expect("as many numbers as before")
+}
+
+/// Rows of 32 bits as a table; the memory goes over to Python.
+pub(crate) fn grains<'py>(py: Python<'py>, rows: Vec<[f32; 3]>) -> Bound<'py, PyArray2<f32>> {
+    let count = rows.len();
+    rows.into_flattened().into_pyarray(py).reshape([count, 3]).expect("as many numbers as before")
+}

@@ -1,0 +1,137 @@
+//! A motion that is made piece by piece.
+
+use std::sync::{Mutex, PoisonError};
+
+use numpy::{PyArray1, PyArray2};
+use powderline_shared::{displacement::Displacement, pose::Pose};
+use powderline_simulator::rollout::{Evaluation as Found, RolloutError, RolloutState};
+use pyo3::{exceptions::PyRuntimeError, prelude::*};
+
+use crate::arrays::{self, Table};
+use crate::evaluation::Evaluation;
+use crate::simulator::{AnySimulator, Simulator};
+
+/// Powder and tool in the one precision or the other.
+pub(crate) enum AnyState {
+    F32(Box<RolloutState<f32>>),
+    F64(Box<RolloutState<f64>>),
+}
+
+impl AnyState {
+    fn tool(&self) -> &Pose {
+        match self {
+            Self::F32(state) => state.tool(),
+            Self::F64(state) => state.tool(),
+        }
+    }
+
+    fn positions_m(&self) -> Vec<[f32; 3]> {
+        match self {
+            Self::F32(state) => state.positions_m(),
+            Self::F64(state) => state.positions_m(),
+        }
+    }
+
+    fn velocities_m_s(&self) -> Vec<[f32; 3]> {
+        match self {
+            Self::F32(state) => state.velocities_m_s(),
+            Self::F64(state) => state.velocities_m_s(),
+        }
+    }
+}
+
+impl AnySimulator {
+    pub(crate) fn begin(&mut self, anchor: &Pose) -> Result<AnyState, RolloutError> {
+        Ok(match self {
+            Self::F32(simulator) => AnyState::F32(Box::new(simulator.begin(anchor)?)),
+            Self::F64(simulator) => AnyState::F64(Box::new(simulator.begin(anchor)?)),
+        })
+    }
+
+    fn advance(&mut self, state: &mut AnyState, controls: &[Displacement]) -> Result<Found, RolloutError> {
+        match (self, state) {
+            (Self::F32(simulator), AnyState::F32(state)) => {
+                simulator.advance(state, controls).map(|()| simulator.judge(state))
+            }
+            (Self::F64(simulator), AnyState::F64(state)) => {
+                simulator.advance(state, controls).map(|()| simulator.judge(state))
+            }
+            _ => unreachable!("an episode keeps the simulator that it came from"),
+        }
+    }
+}
+
+/// A motion that is made piece by piece, by `Simulator.episode`. In pieces it comes to the same bits as whole. A simulator may have
+/// several; each keeps its own powder.
+#[pyclass(frozen, module = "powderline")]
+pub(crate) struct Episode {
+    simulator: Py<Simulator>,
+    now: Mutex<Now>,
+}
+
+struct Now {
+    state: AnyState,
+    steps: usize,
+}
+
+impl Episode {
+    pub(crate) fn new(simulator: Py<Simulator>, state: AnyState) -> Self {
+        Self { simulator, now: Mutex::new(Now { state, steps: 0 }) }
+    }
+
+    /// What is known now; a step that is being made elsewhere is not waited for.
+    fn now<R>(&self, look: impl FnOnce(&mut Now) -> R) -> PyResult<R> {
+        let busy = |_| PyRuntimeError::new_err("this episode is making a step in another thread");
+        let mut now = match self.now.try_lock() {
+            Err(std::sync::TryLockError::Poisoned(now)) => PoisonError::into_inner(now),
+            other => other.map_err(busy)?,
+        };
+        Ok(look(&mut now))
+    }
+}
+
+#[pymethods]
+impl Episode {
+    /// Makes control steps, and says what has been achieved by then: an Evaluation, as if the motion ended there.
+    ///
+    /// displacements: as for `Simulator.motion`; shape (steps, 6). Where it raises, the powder is where it was.
+    fn step(&self, py: Python<'_>, displacements: Table<'_>) -> PyResult<Evaluation> {
+        let controls = arrays::displacements("displacements", &displacements)?;
+        let simulator = self.simulator.get();
+        let found = self.now(|now| {
+            let state = &mut now.state;
+            let found = simulator.simulated(py, |s, _| s.advance(state, &controls))?;
+            now.steps += controls.len();
+            Ok::<_, PyErr>(found)
+        })??;
+        Ok(simulator.evaluation(&found))
+    }
+
+    /// Time since the motion began, seconds.
+    #[getter]
+    fn time_s(&self) -> PyResult<f64> {
+        self.now(|now| now.steps as f64 * self.simulator.get().period_s())
+    }
+
+    /// The tool: x, y, z in metres, and the unit quaternion w, x, y, z; shape (7,).
+    #[getter]
+    fn tool<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray1<f64>>> {
+        Ok(arrays::array(py, &self.now(|now| arrays::of_pose(now.state.tool()))?))
+    }
+
+    /// Particles in the order of the packing, metres; shape (particles, 3), 32 bits.
+    #[getter]
+    fn positions_m<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        Ok(arrays::grains(py, self.now(|now| now.state.positions_m())?))
+    }
+
+    /// Their velocities, m/s; the same shape.
+    #[getter]
+    fn velocities_m_s<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        Ok(arrays::grains(py, self.now(|now| now.state.velocities_m_s())?))
+    }
+
+    fn __repr__(&self) -> PyResult<String> {
+        Ok(format!("Episode({:.3} s)", self.time_s()?))
+    }
+}

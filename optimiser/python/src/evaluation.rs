@@ -1,0 +1,84 @@
+//! What a motion achieves.
+
+use powderline_optimiser::report::{
+    amounts::{Amounts, percent},
+    finding::Outcome,
+};
+use powderline_simulator::{rollout, scene, scene::figures::mass};
+use pyo3::prelude::*;
+
+use crate::json;
+
+/// What a motion achieves: how much powder it brings into the target container, and the loss.
+#[pyclass(frozen, module = "powderline")]
+pub(crate) struct Evaluation {
+    amounts: Amounts,
+    outcome: Outcome,
+    /// Target count minus the particles in the target container at the end.
+    #[pyo3(get)]
+    indicator: i64,
+}
+
+impl Evaluation {
+    pub(crate) fn new(scene: &scene::Scene, found: &rollout::Evaluation) -> Self {
+        let amounts = Amounts::from(scene);
+        Self { outcome: Outcome::of_evaluation(&amounts, found), amounts, indicator: found.indicator }
+    }
+}
+
+#[pymethods]
+impl Evaluation {
+    /// Loss of the scene's objective, metres.
+    #[getter]
+    fn loss(&self) -> f64 {
+        self.outcome.loss_m
+    }
+
+    /// What is in the target container at the end, kilogram.
+    #[getter]
+    fn mass_kg(&self) -> f64 {
+        self.outcome.mass_kg
+    }
+
+    /// What is wanted there, kilogram.
+    #[getter]
+    fn wanted_kg(&self) -> f64 {
+        self.amounts.wanted_kg
+    }
+
+    /// How far `mass_kg` is off `wanted_kg`, relative: negative where powder is missing.
+    #[getter]
+    fn miss(&self) -> f64 {
+        self.outcome.miss
+    }
+
+    /// Whether the miss is within the scene's tolerance; None where as much as can be had is wanted.
+    #[getter]
+    fn met(&self) -> Option<bool> {
+        self.amounts.is_met(self.outcome.census.target)
+    }
+
+    /// What is on rims, spilled or in flight at the end, kilogram.
+    #[getter]
+    fn lost_kg(&self) -> f64 {
+        self.outcome.lost_kg
+    }
+
+    /// Particles by where they are at the end: source, target, rims, tool, spilled, in_flight.
+    #[getter]
+    fn census<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        json::to_python(py, &self.outcome.census)
+    }
+
+    fn __repr__(&self) -> String {
+        let Outcome { mass_kg, miss, lost_kg, loss_m, .. } = self.outcome;
+        let sign = if miss > 0.0 { "+" } else { "" };
+        format!(
+            "Evaluation({} of {} ({sign}{}), {} lost, loss {loss_m:.3} m)",
+            mass(mass_kg),
+            mass(self.amounts.wanted_kg),
+            percent(miss),
+            mass(lost_kg),
+        )
+    }
+}

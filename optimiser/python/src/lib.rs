@@ -1,0 +1,53 @@
+//! The Python package `powderline`: scenes, the simulator, plans and the search of the Rust crates, under Python's names.
+//!
+//! | Python | here | Rust |
+//! |---|---|---|
+//! | `Scene` | `scene.rs` | `powderline_simulator::scene` |
+//! | `Simulator`, `Episode` | `simulator.rs`, `episode.rs` | `powderline_simulator::rollout` |
+//! | `Evaluation`, `Motion` | `evaluation.rs`, `motion.rs` | the same |
+//! | `Plan` | `plan.rs` | `powderline_shared::plan` |
+//! | `optimise` | `search.rs` | `powderline_optimiser::cli`, as `optimise run` |
+//!
+//! What is typed for Python, with shapes and units, stands in `python/powderline/_native.pyi`; docstrings are those of this crate.
+
+mod arrays;
+mod episode;
+mod errors;
+mod evaluation;
+mod json;
+mod motion;
+mod plan;
+mod scene;
+mod search;
+mod simulator;
+mod watched;
+
+use pyo3::prelude::*;
+
+/// What is written in Rust; import `powderline`.
+#[pymodule]
+mod _native {
+    use pyo3::prelude::*;
+
+    #[pymodule_export]
+    use crate::episode::Episode;
+    #[pymodule_export]
+    use crate::errors::{PlanError, SceneError, SimulationError, SkillError};
+    #[pymodule_export]
+    use crate::evaluation::Evaluation;
+    #[pymodule_export]
+    use crate::motion::Motion;
+    #[pymodule_export]
+    use crate::plan::Plan;
+    #[pymodule_export]
+    use crate::scene::Scene;
+    #[pymodule_export]
+    use crate::search::{main, optimise};
+    #[pymodule_export]
+    use crate::simulator::Simulator;
+
+    #[pymodule_init]
+    fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {
+        module.add("__version__", env!("CARGO_PKG_VERSION"))
+    }
+}

@@ -1,0 +1,305 @@
+//! Plans.
+
+use std::path::{Path, PathBuf};
+
+use numpy::{PyArray1, PyArray2};
+use powderline_optimiser::{cli::scene_of_plan, report::plan::PlanParts};
+use powderline_shared::{
+    displacement::{Displacement, pose_at},
+    plan::{
+        Mounting, PlanHeader, PlanReader, Precision, SkillParameter,
+        file::{check_plan, read_plan_file},
+    },
+    pose::Pose,
+};
+use powderline_simulator::{
+    arm::{self, ArmMotion, CYCLE_US, Mount, Surroundings, ToolPath},
+    rollout, scene,
+    scene::figures::mass,
+    skill::{QuantisedControls, SkillMap, Theta, collision, controls_of},
+};
+use pyo3::{prelude::*, types::PyDict};
+
+use crate::arrays;
+use crate::errors::{self, PlanError};
+use crate::scene::Scene;
+
+/// A motion for an arm, as `execute` plays it: made by `optimise` or `Simulator.plan`.
+#[pyclass(frozen, module = "powderline")]
+pub(crate) struct Plan {
+    bytes: Vec<u8>,
+    header: PlanHeader,
+    /// After each control step, the start first.
+    poses: Vec<Pose>,
+    controls: Vec<Displacement>,
+    /// The bench that it was made for, where that is known.
+    scene: Option<scene::Scene>,
+}
+
+/// What makes a plan again, and of what.
+type Pickled<'py> = (Bound<'py, PyAny>, (Vec<u8>, Option<Scene>));
+
+#[pymethods]
+impl Plan {
+    /// Reads a plan file; its bytes, its numbers and its limits are checked.
+    ///
+    /// Raises PlanError, which says what is wrong with it.
+    #[staticmethod]
+    fn load(path: PathBuf) -> PyResult<Self> {
+        let bytes = read_plan_file(&path).map_err(errors::of_file)?;
+        let plan = check_plan(&path, &bytes).map_err(errors::of_file)?;
+        let scene = scene_of_plan(&path, plan.header());
+        Ok(Self::new(&plan, &bytes, scene))
+    }
+
+    /// Writes the plan to a file; the same plan is the same bytes.
+    fn save(&self, path: PathBuf) -> PyResult<()> {
+        std::fs::write(&path, &self.bytes).map_err(|error| {
+            pyo3::exceptions::PyOSError::new_err(format!("{}: cannot be written: {error}", path.display()))
+        })
+    }
+
+    /// The file's bytes.
+    fn to_bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+
+    /// The skill, each parameter from -1 to 1; shape (5,).
+    #[getter]
+    fn theta<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        arrays::array(py, &self.header.theta)
+    }
+
+    /// The same in metres and radians, by name.
+    #[getter]
+    fn parameters<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let parameters = PyDict::new(py);
+        for parameter in SkillParameter::ALL {
+            let name = format!("{}_{}", parameter.name().replace(' ', "_"), parameter.unit());
+            parameters.set_item(name, self.header.skill_parameters[parameter.index()])?;
+        }
+        Ok(parameters)
+    }
+
+    /// Seed of the packing that it was made with.
+    #[getter]
+    fn seed(&self) -> u64 {
+        self.header.seed
+    }
+
+    /// From one control step to the next, seconds.
+    #[getter]
+    fn control_period_s(&self) -> f64 {
+        f64::from(self.header.control_period_us) * 1e-6
+    }
+
+    /// Displacements in whole counts, one for each control step, as `Simulator.motion` takes them; shape (steps, 6).
+    #[getter]
+    fn displacements<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
+        arrays::table(py, self.controls.iter().map(Displacement::components).collect())
+    }
+
+    /// The tool at the beginning and after each control step: x, y, z in metres, and the unit quaternion w, x, y, z; shape
+    /// (steps + 1, 7).
+    #[getter]
+    fn poses<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray2<f64>> {
+        arrays::table(py, self.poses.iter().map(arrays::of_pose).collect())
+    }
+
+    /// When `poses` are, seconds; shape (steps + 1,).
+    #[getter]
+    fn times_s<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        let times: Vec<f64> = (0..self.poses.len() as u64)
+            .map(|tick| (tick * u64::from(self.header.control_period_us)) as f64 / 1e6)
+            .collect();
+        arrays::array(py, &times)
+    }
+
+    /// What it brings, simulated as shipped, kilogram.
+    #[getter]
+    fn mass_kg(&self) -> f64 {
+        self.header.predicted.arrives_kg()
+    }
+
+    /// What was wanted, kilogram.
+    #[getter]
+    fn wanted_kg(&self) -> f64 {
+        self.header.predicted.wanted_kg
+    }
+
+    /// Loss of the motion as shipped, metres.
+    #[getter]
+    fn loss(&self) -> f64 {
+        self.header.predicted.loss_m
+    }
+
+    /// The arm that can make it; None if nobody looked.
+    #[getter]
+    fn arm(&self) -> Option<&'static str> {
+        self.header.arm.map(|arm| arm.kind.name())
+    }
+
+    /// The scene that it was made for, if that stood beside the file or comes with the package.
+    #[getter]
+    fn scene(&self) -> Option<Scene> {
+        self.scene.clone().map(Scene)
+    }
+
+    /// Joint angles of the plan's arm at each of `times_s`, radians; shape (steps + 1, 6).
+    ///
+    /// scene: what the arm is kept clear of, if `self.scene` is None. Raises PlanError where there is no arm, or where it cannot make
+    /// the motion.
+    #[pyo3(signature = (*, scene = None))]
+    fn to_joint_angles<'py>(
+        &self,
+        py: Python<'py>,
+        scene: Option<&Bound<'py, Scene>>,
+    ) -> PyResult<Bound<'py, PyArray2<f64>>> {
+        let scene = match scene {
+            Some(given) => &given.get().0,
+            None => self.scene.as_ref().ok_or_else(|| {
+                PlanError::new_err("the plan's scene is not known: give it as scene=Scene.load(..)")
+            })?,
+        };
+        if scene.digest() != self.header.scene_digest {
+            return Err(PlanError::new_err(format!(
+                "the plan was made for another scene than {:?}",
+                scene.name
+            )));
+        }
+        let joints = self.joints(scene).map_err(PlanError::new_err)?;
+        Ok(arrays::table(py, joints))
+    }
+
+    fn __repr__(&self) -> String {
+        let PlanHeader { predicted, .. } = self.header;
+        format!(
+            "Plan({} of {} wanted, {:.2} s{})",
+            mass(predicted.arrives_kg()),
+            mass(predicted.wanted_kg),
+            self.controls.len() as f64 * self.control_period_s(),
+            self.arm().map_or(String::new(), |arm| format!(", {arm}"))
+        )
+    }
+
+    /// What a notebook shows.
+    fn _repr_html_(&self) -> String {
+        let amounts_of = |kg: f64| mass(kg);
+        let row = |name: &str, value: String| {
+            format!("<tr><th style=\"text-align:left\">{name}</th><td>{value}</td></tr>")
+        };
+        let mut rows = vec![
+            row(
+                "arrives",
+                format!("{} of {} wanted", amounts_of(self.mass_kg()), amounts_of(self.wanted_kg())),
+            ),
+            row("loss", format!("{:.3} m", self.loss())),
+            row("lasts", format!("{:.2} s", self.controls.len() as f64 * self.control_period_s())),
+        ];
+        for parameter in SkillParameter::ALL {
+            let value = self.header.skill_parameters[parameter.index()];
+            let words = if parameter.is_angle() {
+                format!("{:.1} deg", value.to_degrees())
+            } else {
+                format!("{:.2} mm", 1e3 * value)
+            };
+            rows.push(row(parameter.name(), words));
+        }
+        rows.push(row("arm", self.arm().unwrap_or("none looked at").into()));
+        format!("<table>{}</table>", rows.concat())
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<Pickled<'py>> {
+        let plan = slf.get();
+        Ok((slf.get_type().getattr("_from_bytes")?, (plan.bytes.clone(), plan.scene())))
+    }
+
+    #[staticmethod]
+    fn _from_bytes(bytes: Vec<u8>, scene: Option<&Bound<'_, Scene>>) -> PyResult<Self> {
+        Self::from_bytes(&bytes, scene.map(|scene| scene.get().0.clone()))
+    }
+}
+
+impl Plan {
+    fn new(plan: &PlanReader<'_>, bytes: &[u8], scene: Option<scene::Scene>) -> Self {
+        let header = *plan.header();
+        let start = header.start_pose();
+        let setpoints: Vec<_> = plan.setpoints().collect();
+        let after = setpoints.iter().map(|setpoint| pose_at(&start, *setpoint, header.lsb));
+        Self {
+            bytes: bytes.to_vec(),
+            poses: std::iter::once(start).chain(after).collect(),
+            controls: controls_of(&setpoints, header.lsb),
+            header,
+            scene,
+        }
+    }
+
+    fn from_bytes(bytes: &[u8], scene: Option<scene::Scene>) -> PyResult<Self> {
+        let plan = check_plan(Path::new("the plan"), bytes).map_err(errors::of_file)?;
+        Ok(Self::new(&plan, bytes, scene))
+    }
+
+    /// Joints at each tick, radians.
+    fn joints(&self, scene: &scene::Scene) -> Result<Vec<[f64; 6]>, String> {
+        let PlanHeader { arm, control_period_us, lsb, limits, .. } = self.header;
+        let arm = arm.ok_or("the plan has no arm: the scene it was made for has no [arm]")?;
+        let of_scene = scene.arm.as_ref();
+        let mount = Mount {
+            kind: arm.kind,
+            world_from_base: arm.world_from_base.pose(),
+            flange_from_tool: arm.flange_from_tool.pose(),
+            posture: Some(arm.posture),
+            near: None,
+            clearance_m: of_scene.map(|arm| arm.clearance_m),
+        };
+        let path = ToolPath { period_us: control_period_us, lsb, limits, poses: self.poses.clone() };
+        let table_m = of_scene.map_or(f64::NEG_INFINITY, |arm| arm.table_height_m);
+        let around = Surroundings::of_scene(scene, table_m);
+        let made = ArmMotion::new(&path, &mount, &around, CYCLE_US).map_err(|refusal| refusal.to_string())?;
+        Ok(made.joints)
+    }
+}
+
+/// A plan that is checked, but not simulated yet.
+pub(crate) struct Unevaluated {
+    theta: Theta,
+    map: SkillMap,
+    quantised: QuantisedControls,
+    arm: Option<Mounting>,
+}
+
+impl Unevaluated {
+    pub(crate) fn new(scene: &scene::Scene, theta: &Theta) -> PyResult<Self> {
+        let map = SkillMap::new(scene);
+        let quantised = map.quantise(theta).map_err(errors::of_skill)?;
+        map.check_limits(&quantised).map_err(errors::of_skill)?;
+        if let Some(collision) = collision(scene, map.start_pose(), &quantised.controls) {
+            return Err(errors::SkillError::new_err(collision.to_string()));
+        }
+        let arm = arm::arm_motion(scene, &map, &quantised).map_err(|refusal| {
+            PlanError::new_err(format!("the arm cannot make the plan's motion: {refusal}"))
+        })?;
+        let arm = arm.as_ref().map(|arm| Mounting::from(&arm.model));
+        Ok(Self { theta: *theta, map, quantised, arm })
+    }
+
+    pub(crate) fn controls(&self) -> &[Displacement] {
+        &self.quantised.controls
+    }
+
+    pub(crate) fn plan(
+        &self,
+        scene: &scene::Scene,
+        seed: u64,
+        precision: &str,
+        evaluation: &rollout::Evaluation,
+    ) -> PyResult<Plan> {
+        let precision = if precision == "f64" { Precision::F64 } else { Precision::F32 };
+        let Self { theta, map, quantised, arm } = self;
+        let parts = PlanParts { scene, map, seed, precision, theta, quantised, evaluation, arm: *arm };
+        let bytes =
+            parts.to_bytes().map_err(|error| PlanError::new_err(format!("no plan can be made: {error}")))?;
+        Plan::from_bytes(&bytes, Some(scene.clone()))
+    }
+}

@@ -1,0 +1,114 @@
+//! `optimise run` from Python, and the whole program.
+
+use std::io::{self, Write};
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError, mpsc};
+
+use powderline_optimiser::cli::{
+    self, CliError, Context, Interrupt, Memory, PrecisionArg, Resources, RunArgs, Stream,
+};
+use pyo3::{exceptions::PyValueError, prelude::*};
+
+use crate::scene::Scene;
+use crate::watched::meanwhile;
+use crate::{errors, json};
+
+/// What the search says, until Python prints it.
+#[derive(Clone, Default)]
+struct Said(Arc<Mutex<Vec<u8>>>);
+
+impl Said {
+    fn take(&self) -> String {
+        let bytes = std::mem::take(&mut *self.0.lock().unwrap_or_else(PoisonError::into_inner));
+        String::from_utf8_lossy(&bytes).into_owned()
+    }
+}
+
+impl Write for Said {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).write(bytes)
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// As `optimise run`; the Python package makes a `Run` of what this returns. `on_epoch` gets each line of `metrics.jsonl`, `say` what
+/// the program says.
+#[pyfunction]
+#[pyo3(signature = (scene, *, seed, epochs, precision, threads, memory, out, resume, on_epoch, say))]
+#[expect(clippy::too_many_arguments, reason = "keywords")]
+pub(crate) fn optimise<'py>(
+    py: Python<'py>,
+    scene: Option<Bound<'py, Scene>>,
+    seed: Option<u64>,
+    epochs: Option<u32>,
+    precision: Option<&str>,
+    threads: Option<u16>,
+    memory: &str,
+    out: Option<PathBuf>,
+    resume: Option<PathBuf>,
+    on_epoch: &Bound<'py, PyAny>,
+    say: &Bound<'py, PyAny>,
+) -> PyResult<Bound<'py, PyAny>> {
+    let precision = match precision {
+        None => None,
+        Some("f32") => Some(PrecisionArg::F32),
+        Some("f64") => Some(PrecisionArg::F64),
+        Some(other) => {
+            return Err(PyValueError::new_err(format!(
+                "precision is {other:?}, but it must be \"f32\" or \"f64\""
+            )));
+        }
+    };
+    if !threads.is_none_or(|threads| (1..=1024).contains(&threads)) {
+        return Err(PyValueError::new_err("threads must be from 1 to 1024, or None"));
+    }
+    let memory =
+        cli::parse_size(memory).map_err(|error| PyValueError::new_err(format!("memory: {error}")))?;
+    let resources = Resources { threads, memory: Memory::Bytes(memory) };
+    let arguments = RunArgs { scene: None, seed, epochs, precision, resources, out, resume, json: true };
+    let scene = scene.map(|scene| scene.get().0.clone());
+    let (said, interrupt, mut found) = (Said::default(), Interrupt::default(), Vec::new());
+    let (tell, told) = mpsc::channel::<String>();
+    let told = Mutex::new(told);
+    let stop = interrupt.clone();
+    let (on_epoch, say) = (on_epoch.clone().unbind(), say.clone().unbind());
+    let look = |py: Python<'_>| {
+        let text = said.take();
+        if !text.is_empty() {
+            say.call1(py, (text,))?;
+        }
+        for line in told.lock().unwrap_or_else(PoisonError::into_inner).try_iter() {
+            on_epoch.call1(py, (line,))?;
+        }
+        Ok(())
+    };
+    let job = || {
+        let mut context = Context {
+            factory: &|scene, setup| setup.simulator(scene),
+            interrupt: interrupt.clone(),
+            out: &mut found,
+            err: Stream::new(said.clone()),
+            live: false,
+        };
+        // Nobody hears it where Python has raised something.
+        cli::run(&arguments, scene.as_ref(), &|line| drop(tell.send(line.to_owned())), &mut context)
+    };
+    let result = meanwhile(py, job, || stop.request(), look)?;
+    look(py)?;
+    match result {
+        // A plan that misses is a result; it says so itself.
+        Ok(()) | Err(CliError::Missed(_)) => {}
+        Err(error) => return Err(errors::of_command(error)),
+    }
+    let found: serde_json::Value = serde_json::from_slice(&found).expect("`--json` prints one object");
+    json::to_python(py, &found)
+}
+
+/// The program `optimise`, with these arguments, its name first; returns its exit code.
+#[pyfunction]
+pub(crate) fn main(py: Python<'_>, arguments: Vec<String>) -> u8 {
+    py.detach(|| cli::program(arguments))
+}

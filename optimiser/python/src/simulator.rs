@@ -1,0 +1,369 @@
+//! The simulator of one scene.
+
+use std::ops::ControlFlow;
+use std::sync::Mutex;
+
+use numpy::{PyArray1, PyArray2, PyReadonlyArray2};
+use powderline_optimiser::cli::parse_size;
+use powderline_shared::{displacement::Displacement, pose::Pose};
+use powderline_simulator::{
+    rollout::{
+        self, DisplacementGradient, Recording, RolloutError, Simulate, SimulatorSettings, Snapshot,
+        restart::Restarts,
+    },
+    skill::{SkillMap, SkillParameter, Theta, ThetaGradient},
+};
+use pyo3::{exceptions::PyValueError, prelude::*};
+
+use crate::arrays::{self, Numbers, Table};
+use crate::episode::Episode;
+use crate::evaluation::Evaluation;
+use crate::motion::Motion;
+use crate::plan::Plan;
+use crate::scene::Scene;
+use crate::watched::{Link, simulated};
+use crate::{errors, plan};
+
+/// The simulator in the one precision or the other.
+pub(crate) enum AnySimulator {
+    F32(Box<rollout::Simulator<f32>>),
+    F64(Box<rollout::Simulator<f64>>),
+}
+
+impl AnySimulator {
+    pub(crate) fn as_mut(&mut self) -> &mut dyn Simulate {
+        match self {
+            Self::F32(simulator) => simulator.as_mut(),
+            Self::F64(simulator) => simulator.as_mut(),
+        }
+    }
+}
+
+/// How a gradient is computed.
+#[derive(Clone, Copy, PartialEq)]
+enum Kind {
+    Adjoint,
+    Restarted,
+    Differences,
+}
+
+impl Kind {
+    fn of(name: &str) -> PyResult<Self> {
+        match name {
+            "adjoint" => Ok(Self::Adjoint),
+            "restarted" => Ok(Self::Restarted),
+            "differences" => Ok(Self::Differences),
+            _ => Err(PyValueError::new_err(format!(
+                "kind is {name:?}, but it must be \"adjoint\", \"restarted\" or \"differences\""
+            ))),
+        }
+    }
+}
+
+/// Simulates motions of a scene's tool, and what the powder makes of them.
+///
+/// seed: of the packing. precision: "f32" or "f64". threads: as many as the machine has processors, if None. memory: the most that
+/// gradients may take, such as "2GiB" or a number of bytes. progress: called with the share of the present call that is done, from 0
+/// to 1, now and then; what it raises ends the call. Neither threads nor memory change a bit of any result.
+///
+/// Calls release Python's lock; Ctrl-C ends them. A simulator does one thing at a time: threads need one each.
+#[pyclass(frozen, module = "powderline")]
+pub(crate) struct Simulator {
+    #[pyo3(get)]
+    scene: Py<Scene>,
+    /// Seed of the packing.
+    #[pyo3(get)]
+    seed: u64,
+    /// "f32" or "f64".
+    #[pyo3(get)]
+    precision: &'static str,
+    progress: Option<Py<PyAny>>,
+    inner: Mutex<AnySimulator>,
+}
+
+/// As much memory as is said: a size in words, or bytes.
+fn memory_bytes(memory: &Bound<'_, PyAny>) -> PyResult<u64> {
+    match memory.extract::<String>() {
+        Ok(text) => parse_size(&text).map_err(|error| PyValueError::new_err(format!("memory: {error}"))),
+        Err(_) => memory.extract(),
+    }
+}
+
+#[pymethods]
+impl Simulator {
+    #[new]
+    #[pyo3(signature = (scene, *, seed = 1, precision = "f32", threads = None, memory = None, progress = None))]
+    fn new(
+        scene: Py<Scene>,
+        seed: u64,
+        precision: &str,
+        threads: Option<usize>,
+        memory: Option<&Bound<'_, PyAny>>,
+        progress: Option<Py<PyAny>>,
+    ) -> PyResult<Self> {
+        if threads == Some(0) {
+            return Err(PyValueError::new_err("threads is 0, but it must be at least 1, or None"));
+        }
+        let usual = SimulatorSettings::default();
+        let memory_bytes = memory.map_or(Ok(usual.memory_bytes), memory_bytes)?;
+        let settings = SimulatorSettings { seed, threads, memory_bytes };
+        let of = &scene.get().0;
+        let (precision, inner) = match precision {
+            "f32" => ("f32", rollout::Simulator::new(of, &settings).map(|s| AnySimulator::F32(Box::new(s)))),
+            "f64" => ("f64", rollout::Simulator::new(of, &settings).map(|s| AnySimulator::F64(Box::new(s)))),
+            _ => {
+                return Err(PyValueError::new_err(format!(
+                    "precision is {precision:?}, but it must be \"f32\" or \"f64\""
+                )));
+            }
+        };
+        let inner = Mutex::new(inner.map_err(errors::of_rollout)?);
+        Ok(Self { scene, seed, precision, progress, inner })
+    }
+
+    /// What a skill achieves: an Evaluation.
+    ///
+    /// theta: depth, scooping angle, lift, transport, pouring angle, each from -1 to 1 within the scene's bounds; shape (5,).
+    fn rollout(&self, py: Python<'_>, theta: Numbers<'_>) -> PyResult<Evaluation> {
+        let theta = arrays::theta(&theta)?;
+        let found = self.simulated(py, |s, _| s.as_mut().evaluate(&theta))?;
+        Ok(self.evaluation(&found))
+    }
+
+    /// What skills achieve, simulated side by side by all threads: a list of Evaluations.
+    ///
+    /// thetas: shape (n, 5).
+    fn rollouts(&self, py: Python<'_>, thetas: Table<'_>) -> PyResult<Vec<Evaluation>> {
+        let rows = arrays::rows::<5>("thetas", &thetas)?;
+        let thetas: Vec<Theta> =
+            rows.into_iter().map(Theta::new).collect::<Result<_, _>>().map_err(errors::of_theta)?;
+        let found = self.simulated(py, |s, _| s.as_mut().evaluate_all(&thetas))?;
+        Ok(found.iter().map(|found| self.evaluation(found)).collect())
+    }
+
+    /// What a skill achieves, and the gradient of its loss with respect to theta: an Evaluation and an array of shape (5,), metres.
+    ///
+    /// kind: "adjoint", the exact derivative of what is computed, which over a whole motion says little, for single grains are
+    /// chaotic; "restarted", the adjoint that forgets what single grains do, and holds over larger steps; "differences", central
+    /// ones over `half_step` of theta, at most up to the ends of its range.
+    #[pyo3(signature = (theta, *, kind = "restarted", half_step = 0.1))]
+    fn gradient<'py>(
+        &self,
+        py: Python<'py>,
+        theta: Numbers<'py>,
+        kind: &str,
+        half_step: f64,
+    ) -> PyResult<(Evaluation, Bound<'py, PyArray1<f64>>)> {
+        let theta = arrays::theta(&theta)?;
+        let kind = Kind::of(kind)?;
+        if !(1e-9..=1.0).contains(&half_step) {
+            return Err(PyValueError::new_err(format!(
+                "half_step is {half_step}, but it must be from 1e-9 to 1, in units of theta"
+            )));
+        }
+        let scene = &self.scene.get().0;
+        let map = SkillMap::new(scene);
+        let (found, gradient) = self.simulated(py, |s, _| match kind {
+            Kind::Differences => differences(s.as_mut(), &theta, half_step),
+            Kind::Adjoint => {
+                let linear = map.linearise(&theta)?;
+                let (found, gradient) = s.as_mut().simulate_with_gradient(&linear.controls)?;
+                Ok((found, linear.pull_back(&gradient)))
+            }
+            Kind::Restarted => {
+                map.controls(&theta)?;
+                let restarts = Restarts::of_skill(scene, &map, &theta);
+                let found = s.as_mut().evaluate_restarted(&theta, &restarts)?;
+                Ok((found.evaluation, found.gradient))
+            }
+        })?;
+        Ok((self.evaluation(&found), arrays::array(py, &gradient)))
+    }
+
+    /// What any motion of the tool achieves, and the powder on its way: a Motion.
+    ///
+    /// displacements: one for each control step, translation in metres, then rotation vector in radians, both along the world's axes;
+    /// shape (steps, 6). every: control steps from one frame to the next; the first frame is the settled powder. start: where the tool
+    /// begins, as `Scene.start_pose`, which it is if None. Neither limits nor walls in the tool's way are looked at.
+    #[pyo3(signature = (displacements, *, every = 10, start = None))]
+    fn motion(
+        &self,
+        py: Python<'_>,
+        displacements: Table<'_>,
+        every: usize,
+        start: Option<Numbers<'_>>,
+    ) -> PyResult<Motion> {
+        if every == 0 {
+            return Err(PyValueError::new_err("every is 0, but it must be at least 1"));
+        }
+        let controls = arrays::displacements("displacements", &displacements)?;
+        let anchor = self.anchor(start.as_ref())?;
+        let period_s = self.scene.get().0.time.control_period_s();
+        let mut frames = Frames::default();
+        let (found, destinations) = self.simulated(py, |s, _| {
+            let recording = Recording { anchor: &anchor, controls: &controls, every };
+            s.as_mut().record(&recording, &mut |snapshot| frames.take(snapshot))
+        })?;
+        let Frames { steps, tool, positions_m, velocities_m_s } = frames;
+        let times_s: Vec<f64> = steps.iter().map(|step| *step as f64 * period_s).collect();
+        Ok(Motion {
+            evaluation: Py::new(py, self.evaluation(&found))?,
+            times_s: arrays::array(py, &times_s).unbind(),
+            tool: arrays::table(py, tool).unbind(),
+            positions_m: arrays::frames(py, positions_m, steps.len()).unbind(),
+            velocities_m_s: arrays::frames(py, velocities_m_s, steps.len()).unbind(),
+            destinations,
+        })
+    }
+
+    /// The loss of any motion, and its derivative with respect to each displacement, the others held: a number and an array of shape
+    /// (steps, 6), per metre and per radian.
+    ///
+    /// displacements: as for `motion`. loss: None for the scene's; or a function of the particles' positions at the end, metres, shape
+    /// (particles, 3), that returns a number and its derivative by each position, of the same shape. By the exact adjoint.
+    #[pyo3(signature = (displacements, *, loss = None))]
+    fn motion_gradient<'py>(
+        &self,
+        py: Python<'py>,
+        displacements: Table<'py>,
+        loss: Option<&Bound<'py, PyAny>>,
+    ) -> PyResult<(f64, Bound<'py, PyArray2<f64>>)> {
+        let controls = arrays::displacements("displacements", &displacements)?;
+        let (value, gradient) = match loss {
+            None => self.simulated(py, |s, _| {
+                let (found, gradient) = s.as_mut().simulate_with_gradient(&controls)?;
+                Ok((found.loss, gradient))
+            })?,
+            Some(loss) => self.gradient_of(py, &controls, &loss.clone().unbind())?,
+        };
+        Ok((value, arrays::table(py, gradient.iter().map(DisplacementGradient::components).collect())))
+    }
+
+    /// A motion that is made piece by piece, so that what comes next may depend on what the powder does: an Episode, at whose beginning
+    /// the powder has settled.
+    ///
+    /// start: as for `motion`.
+    #[pyo3(signature = (*, start = None))]
+    fn episode(slf: &Bound<'_, Self>, start: Option<Numbers<'_>>) -> PyResult<Episode> {
+        let anchor = slf.get().anchor(start.as_ref())?;
+        let state = slf.get().simulated(slf.py(), |s, _| s.begin(&anchor))?;
+        Ok(Episode::new(slf.clone().unbind(), state))
+    }
+
+    /// The plan of a skill: its motion in whole counts, checked against limits, walls and the scene's arm, and simulated as shipped.
+    ///
+    /// theta: as for `rollout`. Raises SkillError or PlanError where the arm may not or cannot make the motion.
+    fn plan(&self, py: Python<'_>, theta: Numbers<'_>) -> PyResult<Plan> {
+        let theta = arrays::theta(&theta)?;
+        let scene = &self.scene.get().0;
+        let unevaluated = plan::Unevaluated::new(scene, &theta)?;
+        let found = self.simulated(py, |s, _| s.as_mut().simulate(unevaluated.controls()))?;
+        unevaluated.plan(scene, self.seed, self.precision, &found)
+    }
+
+    fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
+        let scene: String = self.scene.bind(py).as_any().repr()?.extract()?;
+        Ok(format!("Simulator({scene}, seed={}, precision={:?})", self.seed, self.precision))
+    }
+}
+
+impl Simulator {
+    pub(crate) fn simulated<R: Send>(
+        &self,
+        py: Python<'_>,
+        job: impl FnOnce(&mut AnySimulator, &Link) -> Result<R, RolloutError> + Send,
+    ) -> PyResult<R> {
+        simulated(py, &self.inner, self.progress.as_ref(), job)
+    }
+
+    pub(crate) fn evaluation(&self, found: &rollout::Evaluation) -> Evaluation {
+        Evaluation::new(&self.scene.get().0, found)
+    }
+
+    pub(crate) fn period_s(&self) -> f64 {
+        self.scene.get().0.time.control_period_s()
+    }
+
+    fn anchor(&self, start: Option<&Numbers<'_>>) -> PyResult<Pose> {
+        let usual = || Ok(*SkillMap::new(&self.scene.get().0).start_pose());
+        start.map_or_else(usual, |start| arrays::pose("start", start))
+    }
+
+    /// The gradient of a loss that Python computes.
+    fn gradient_of(
+        &self,
+        py: Python<'_>,
+        controls: &[Displacement],
+        loss: &Py<PyAny>,
+    ) -> PyResult<(f64, Vec<DisplacementGradient>)> {
+        let raised = Mutex::new(None);
+        let found = self.simulated(py, |s, link| {
+            let custom = |positions_m: &[[f64; 3]], slopes: &mut [[f64; 3]]| {
+                Python::attach(|py| ask(py, loss, positions_m, slopes)).unwrap_or_else(|error| {
+                    *raised.lock().unwrap_or_else(|poison| poison.into_inner()) = Some(error);
+                    link.stop();
+                    0.0
+                })
+            };
+            s.as_mut().gradient_of_custom_loss(controls, &custom)
+        });
+        match raised.into_inner() {
+            Ok(Some(error)) => Err(error),
+            _ => found,
+        }
+    }
+}
+
+/// Calls a loss of Python's.
+fn ask(py: Python<'_>, loss: &Py<PyAny>, positions_m: &[[f64; 3]], slopes: &mut [[f64; 3]]) -> PyResult<f64> {
+    let answer = loss.bind(py).call1((arrays::table(py, positions_m.to_vec()),))?;
+    let (value, found): (f64, PyReadonlyArray2<'_, f64>) = answer.extract()?;
+    let found = found.as_array();
+    if found.shape() != [slopes.len(), 3] {
+        return Err(PyValueError::new_err(format!(
+            "the loss returned a derivative of shape {:?}, but it must be ({}, 3), as the positions are",
+            found.shape(),
+            slopes.len()
+        )));
+    }
+    for (slope, row) in slopes.iter_mut().zip(found.rows()) {
+        *slope = std::array::from_fn(|k| row[k]);
+    }
+    Ok(value)
+}
+
+/// Central differences, at the ends of the range over what is left of it.
+fn differences(
+    simulator: &mut dyn Simulate,
+    theta: &Theta,
+    half_step: f64,
+) -> Result<(rollout::Evaluation, ThetaGradient), RolloutError> {
+    let both_ways = |which| [theta.moved(which, half_step), theta.moved(which, -half_step)];
+    let all: Vec<Theta> =
+        std::iter::once(*theta).chain(SkillParameter::ALL.into_iter().flat_map(both_ways)).collect();
+    let found = simulator.evaluate_all(&all)?;
+    let slope = |which: SkillParameter| {
+        let [up, down] = [1, 2].map(|k| 2 * which.index() + k);
+        (found[up].loss - found[down].loss) / (all[up][which] - all[down][which])
+    };
+    Ok((found[0], SkillParameter::ALL.map(slope)))
+}
+
+/// Snapshots, one after another.
+#[derive(Default)]
+struct Frames {
+    steps: Vec<usize>,
+    tool: Vec<[f64; 7]>,
+    positions_m: Vec<[f32; 3]>,
+    velocities_m_s: Vec<[f32; 3]>,
+}
+
+impl Frames {
+    fn take(&mut self, snapshot: &Snapshot<'_>) -> ControlFlow<()> {
+        self.steps.push(snapshot.step);
+        self.tool.push(arrays::of_pose(&snapshot.tool));
+        self.positions_m.extend_from_slice(snapshot.positions_m);
+        self.velocities_m_s.extend_from_slice(snapshot.velocities_m_s);
+        ControlFlow::Continue(())
+    }
+}

@@ -1,0 +1,65 @@
+"""PyTorch and Gymnasium."""
+
+import numpy as np
+import pytest
+
+import powderline as pl
+
+THETA = [0.3, 0.0, 0.0, 0.0, 0.3]
+
+
+def test_torch_goes_back_through_a_rollout():
+    torch = pytest.importorskip("torch")
+    from powderline.torch import loss
+
+    simulator = pl.Simulator(pl.Scene.load("bench-small"))
+    theta = torch.tensor([THETA, [0.5, 0.0, 0.0, 0.0, 0.3]], dtype=torch.float64, requires_grad=True)
+    losses = loss(simulator, theta)
+    assert losses.shape == (2,)
+    (3.0 * losses[0] - losses[1]).backward()
+    found, gradient = simulator.gradient(THETA)
+    assert losses[0].item() == found.loss
+    np.testing.assert_array_equal(theta.grad[0].numpy(), 3.0 * gradient)
+    _, other = simulator.gradient(theta.detach()[1].numpy())
+    np.testing.assert_array_equal(theta.grad[1].numpy(), -other)
+    with torch.no_grad():
+        assert loss(simulator, theta[0]).item() == found.loss
+
+
+@pytest.mark.parametrize("name", ["powderline/Skill-v0", "powderline/Motion-v0"])
+def test_gymnasium_approves_of_the_environments(name):
+    gymnasium = pytest.importorskip("gymnasium")
+    import warnings
+
+    from gymnasium.utils.env_checker import check_env
+
+    import powderline.gym  # noqa: F401
+
+    env = gymnasium.make(name, scene="bench-small")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        # The observation is a constant, or has no bounds, on purpose; the checker says so in a warning.
+        warnings.filterwarnings("ignore", message=".*(infinity|different from|render).*")
+        check_env(env.unwrapped, skip_render_check=True)
+
+
+def test_the_stepwise_environment_scoops_when_told_to():
+    pytest.importorskip("gymnasium")
+    from powderline.gym import MotionEnv
+
+    env = MotionEnv("bench-small")
+    first, _ = env.reset()
+    assert first["heights_m"].shape == (44, 16)
+    assert first["heights_m"].max() == pytest.approx(0.018, abs=0.002)
+    assert first["tool"].tolist() == [0.0] * 6
+    total, length = 0.0, 0
+    while True:
+        seen, reward, terminated, truncated, info = env.step(np.array([0.0, -0.3, 0.0], np.float32))
+        assert env.observation_space.contains(seen)
+        total, length = total + reward, length + 1
+        if terminated or truncated:
+            break
+    assert length == 66
+    # Down to the workspace's end, and no powder in the target.
+    assert seen["tool"][1] == pytest.approx(0.016 - 0.047, abs=0.003)
+    assert total <= 0.0 and info["mass_kg"] == 0.0

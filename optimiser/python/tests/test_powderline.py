@@ -1,0 +1,293 @@
+"""The package as its users have it. What is simulated is tested in Rust; here, that it comes through."""
+
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+
+import powderline as pl
+
+THETA = [0.3, 0.0, 0.0, 0.0, 0.3]
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return pl.Scene.load("bench-small")
+
+
+@pytest.fixture(scope="module")
+def simulator(scene):
+    return pl.Simulator(scene, threads=2)
+
+
+@pytest.fixture(scope="module")
+def found(simulator):
+    return simulator.rollout(THETA)
+
+
+def test_scenes_come_and_go_as_dictionaries_files_and_pickles(scene, tmp_path):
+    assert "bench" in pl.Scene.names()
+    assert "[powder]" in pl.Scene.text()
+    assert pl.Scene.from_dict(scene.to_dict()) == scene
+    file = tmp_path / "mine.toml"
+    file.write_text(scene.to_toml())
+    assert pl.Scene.load(str(file)).digest == scene.digest
+    assert pickle.loads(pickle.dumps(scene)) == scene
+    assert scene.displacements(THETA).shape == (330, 6)
+    assert scene.start_pose.shape == (7,)
+    depth_m = scene.parameters([1.0, 0.0, 0.0, 0.0, 0.0])[0]
+    assert depth_m == scene.to_dict()["skill"]["scooping_depth_m"][1]
+
+
+def test_replace_changes_what_is_named_and_nothing_else(scene):
+    changed = scene.replace(powder={"friction_angle_deg": 32.0}, container={"target": {"friction": 0.3}})
+    before, after = scene.to_dict(), changed.to_dict()
+    assert after["powder"].pop("friction_angle_deg") == 32.0
+    assert before["powder"].pop("friction_angle_deg") == 35.0
+    assert after["container"][1].pop("friction") == 0.3
+    assert before["container"][1].pop("friction") == 0.4
+    assert after == before
+    cylinder = {"kind": "cylinder", "inner_radius_m": 0.018, "inner_height_m": 0.028}
+    other = scene.replace(container={"target": {"shape": cylinder}})
+    assert other.to_dict()["container"][1]["shape"] == cylinder
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ({"powder": {"density_kg_m3": -1.0}}, "powder.density_kg_m3 is -1, but it must be from 10 to 25000"),
+        ({"powder": {"densty": 1.0}}, "densty"),
+        ({"container": {"goal": {"yaw_deg": 1.0}}}, "there is no container called goal; there are source, target"),
+        ({"powder": 3}, "powder"),
+    ],
+)
+def test_a_wrong_scene_is_a_sentence(scene, change, sentence):
+    with pytest.raises(pl.SceneError) as error:
+        scene.replace(**change)
+    assert sentence in str(error.value)
+    assert " line " not in str(error.value)
+    assert isinstance(error.value, ValueError)
+
+
+def test_an_unknown_scene_is_a_sentence():
+    with pytest.raises(pl.SceneError, match="bench"):
+        pl.Scene.load("bensh")
+
+
+def test_a_rollout_is_what_the_program_finds(scene, simulator, found):
+    program = subprocess.run(
+        [sys.executable, "-m", "powderline", "simulate", "bench-small", "--theta=0.3,0,0,0,0.3", "--json"],
+        check=True, capture_output=True, text=True,
+    )
+    import json
+
+    said = json.loads(program.stdout)
+    assert said["loss_m"] == found.loss
+    assert said["mass_kg"] == found.mass_kg
+    assert said["census"] == found.census
+    assert sum(found.census.values()) == scene.particles
+    assert found.met is False and found.wanted_kg == scene.wanted_kg
+    assert "wanted" not in repr(found) and "loss" in repr(found)
+
+
+def test_rollouts_side_by_side_are_the_same_as_alone(simulator, found):
+    thetas = np.array([THETA, [0.5, 0.0, 0.0, 0.0, 0.3]])
+    both = simulator.rollouts(thetas)
+    assert both[0].loss == found.loss
+    assert both[1].loss == simulator.rollout(thetas[1]).loss != found.loss
+    assert simulator.rollouts(np.empty((0, 5))) == []
+
+
+def test_gradients_of_every_kind(simulator, found):
+    slopes = {}
+    for kind in ["adjoint", "restarted", "differences"]:
+        evaluation, gradient = simulator.gradient(THETA, kind=kind)
+        assert evaluation.loss == found.loss
+        assert gradient.shape == (5,) and np.isfinite(gradient).all()
+        slopes[kind] = gradient
+    differences, restarted = slopes["differences"], slopes["restarted"]
+    cosine = differences @ restarted / np.linalg.norm(differences) / np.linalg.norm(restarted)
+    assert cosine > 0.9
+    assert (slopes["adjoint"] != restarted).any()
+
+
+def test_a_motion_and_its_frames(scene, simulator, found):
+    displacements = scene.displacements(THETA)
+    motion = simulator.motion(displacements, every=100)
+    assert motion.evaluation.loss == found.loss
+    assert motion.positions_m.shape == (4, scene.particles, 3)
+    assert motion.positions_m.dtype == np.float32
+    assert motion.velocities_m_s.shape == motion.positions_m.shape
+    assert motion.tool.shape == (4, 7)
+    np.testing.assert_array_equal(motion.tool[0], scene.start_pose)
+    np.testing.assert_allclose(motion.times_s, [0.0, 1.0, 2.0, 3.0])
+    assert motion.destinations.count("target") == found.census["target"]
+    # Without copies: the arrays are contiguous views of memory that Rust has handed over.
+    assert motion.positions_m.flags.c_contiguous
+    elsewhere = scene.start_pose + np.array([0, 0, 0.01, 0, 0, 0, 0])
+    assert simulator.motion(displacements[:10], every=10, start=elsewhere).tool[0, 2] == elsewhere[2]
+
+
+def test_a_motion_in_pieces_is_the_same_as_whole(scene, simulator, found):
+    displacements = scene.displacements(THETA)
+    episode = simulator.episode()
+    episode.step(displacements[:100])
+    assert episode.time_s == pytest.approx(1.0)
+    whole = simulator.motion(displacements, every=100)
+    np.testing.assert_array_equal(episode.positions_m, whole.positions_m[1])
+    np.testing.assert_array_equal(episode.velocities_m_s, whole.velocities_m_s[1])
+    np.testing.assert_array_equal(episode.tool, whole.tool[1])
+    assert episode.step(displacements[100:]).loss == found.loss
+
+
+def test_a_loss_of_ones_own_is_differentiated(scene, simulator):
+    displacements = scene.displacements(THETA)[:60]
+
+    def mean_height(positions_m):
+        slopes = np.zeros_like(positions_m)
+        slopes[:, 2] = 1.0 / len(positions_m)
+        return positions_m[:, 2].mean(), slopes
+
+    height_m, gradient = simulator.motion_gradient(displacements, loss=mean_height)
+    positions_m = simulator.motion(displacements, every=60).positions_m[-1]
+    assert height_m == pytest.approx(positions_m[:, 2].mean(), rel=1e-5)
+    assert gradient.shape == displacements.shape and (gradient != 0.0).any()
+    loss, gradient = simulator.motion_gradient(displacements)
+    assert loss > 0.0 and gradient.shape == displacements.shape
+
+    def broken(positions_m):
+        raise KeyError("of mine")
+
+    with pytest.raises(KeyError, match="of mine"):
+        simulator.motion_gradient(displacements, loss=broken)
+    with pytest.raises(ValueError, match="shape"):
+        simulator.motion_gradient(displacements, loss=lambda positions_m: (0.0, np.zeros((2, 3))))
+
+
+@pytest.mark.parametrize(
+    ("call", "sentence"),
+    [
+        (lambda s: s.rollout([0.0, 0.0]), r"theta has the shape \[2\], but it must be \(5,\)"),
+        (lambda s: s.rollout([0.0, 0.0, 2.0, 0.0, 0.0]), r"theta's component 2 \(lift height\) is 2, outside \[-1, 1\]"),
+        (lambda s: s.rollouts([[0.0, 0.0]]), r"thetas has the shape \[1, 2\], but it must be \(n, 5\)"),
+        (lambda s: s.motion([[0.0] * 5 + [float("nan")]]), r"displacements\[0, 5\] is NaN"),
+        (lambda s: s.motion(np.zeros((1, 6)), every=0), "every is 0"),
+        (lambda s: s.motion(np.zeros((1, 6)), start=[0.0] * 7), "unit quaternion"),
+        (lambda s: s.gradient(THETA, kind="exact"), '"adjoint", "restarted" or "differences"'),
+        (lambda s: s.gradient(THETA, kind="differences", half_step=0.0), "half_step is 0"),
+        (lambda s: pl.Simulator(s.scene, precision="f16"), '"f32" or "f64"'),
+        (lambda s: pl.Simulator(s.scene, threads=0), "threads is 0"),
+        (lambda s: pl.Simulator(s.scene, memory="3 potatoes"), "memory: .*potatoes"),
+    ],
+)
+def test_what_makes_no_sense_is_a_sentence(simulator, call, sentence):
+    with pytest.raises(ValueError, match=sentence):
+        call(simulator)
+
+
+def test_plans_are_made_saved_loaded_and_turned_into_joints(scene, simulator, tmp_path):
+    plan = simulator.plan(THETA)
+    file = tmp_path / "skill.plan"
+    plan.save(file)
+    again = pl.Plan.load(file)
+    assert again.to_bytes() == plan.to_bytes() == file.read_bytes()
+    assert again.scene == scene
+    assert pickle.loads(pickle.dumps(plan)).to_bytes() == plan.to_bytes()
+    np.testing.assert_array_equal(again.theta, THETA)
+    assert simulator.motion(again.displacements, every=330).evaluation.loss == again.loss
+    assert again.poses.shape == (331, 7) and again.times_s[-1] == pytest.approx(3.3)
+    joints = again.to_joint_angles()
+    assert joints.shape == (331, 6) and np.abs(np.diff(joints, axis=0)).max() < 0.1
+    assert again.arm == "ur3e"
+    assert again.parameters["scooping_depth_m"] == scene.parameters(THETA)[0]
+    assert "<table>" in again._repr_html_()
+    with pytest.raises(pl.PlanError, match="another scene"):
+        again.to_joint_angles(scene=pl.Scene.load("vial"))
+    file.write_bytes(b"nonsense")
+    with pytest.raises(pl.PlanError, match="skill.plan"):
+        pl.Plan.load(file)
+    with pytest.raises(pl.PlanError, match="no such file"):
+        pl.Plan.load(tmp_path / "nowhere.plan")
+    with pytest.raises(OSError, match="cannot be written"):
+        plan.save(tmp_path / "no" / "folder.plan")
+
+
+def test_a_search_is_the_programs(scene, tmp_path, capsys):
+    told = []
+    run = pl.optimise(scene, epochs=1, out=tmp_path / "run", callback=told.append)
+    assert [epoch["epoch"] for epoch in told] == [0, 1]
+    # Which epoch becomes the plan is known in the end.
+    assert [{**epoch, "shipped": None} for epoch in told] == [{**epoch, "shipped": None} for epoch in run.epochs]
+    assert [epoch["shipped"] for epoch in run.epochs] == [False, True]
+    assert run.plan is not None and run.miss is not None
+    assert "epoch   1/1" in capsys.readouterr().err
+    subprocess.run(
+        [sys.executable, "-m", "powderline", "bench-small", "--epochs", "1", "--out", str(tmp_path / "program")],
+        capture_output=True,
+    )
+    for file in ["skill.plan", "state", "scene.toml"]:
+        assert (tmp_path / "run" / file).read_bytes() == (tmp_path / "program" / file).read_bytes(), file
+    assert "<svg" in run._repr_html_()
+    assert run.scene == scene
+    with pytest.raises(ValueError, match="run"):
+        pl.optimise(scene, out=tmp_path / "run")
+    with pytest.raises(ValueError, match="not both"):
+        pl.optimise(scene, resume=tmp_path / "run")
+
+
+def test_what_a_callback_raises_stops_the_search_and_the_run_stays_resumable(scene, tmp_path):
+    def enough(epoch):
+        raise RuntimeError("enough")
+
+    with pytest.raises(RuntimeError, match="enough"):
+        pl.optimise(scene, epochs=2, out=tmp_path / "run", callback=enough, verbose=False)
+    assert len(pl.Run(tmp_path / "run").epochs) >= 1
+    assert pl.Run(tmp_path / "run").plan is None
+
+
+def test_ctrl_c_ends_a_rollout(scene):
+    simulator = pl.Simulator(pl.Scene.load("bench"), threads=1)
+    timer = threading.Timer(1.0, lambda: os.kill(os.getpid(), signal.SIGINT))
+    timer.start()
+    began = time.monotonic()
+    with pytest.raises(KeyboardInterrupt):
+        simulator.gradient(THETA, kind="differences")
+    assert time.monotonic() - began < 20.0
+    # And it goes on.
+    assert simulator.rollout([0.0] * 5).loss > 0.0
+
+
+def test_progress_is_told_and_can_stop(scene):
+    shares = []
+    pl.Simulator(scene, progress=shares.append).rollout(THETA)
+    assert shares == sorted(shares) and shares[-1] > 0.5
+
+    def stop(share):
+        raise StopIteration
+
+    with pytest.raises(StopIteration):
+        pl.Simulator(scene, progress=stop).rollout(THETA)
+
+
+def test_other_threads_of_python_run_meanwhile(scene):
+    simulator = pl.Simulator(scene, threads=1)
+    busy = []
+
+    def second():
+        time.sleep(0.3)
+        try:
+            simulator.rollout(THETA)
+        except RuntimeError as error:
+            busy.append(str(error))
+
+    other = threading.Thread(target=second)
+    other.start()
+    simulator.rollout(THETA)
+    other.join()
+    assert len(busy) == 1 and "another thread" in busy[0]
