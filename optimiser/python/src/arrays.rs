@@ -2,26 +2,35 @@
 
 use nalgebra::{Quaternion, UnitQuaternion};
 use numpy::{
-    AllowTypeChange, IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayLike1, PyArrayLike2, PyArrayMethods,
-    ndarray::ArrayView1,
+    AllowTypeChange, IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayLikeDyn, PyArrayMethods,
+    ndarray::{ArrayView1, Ix1, Ix2},
 };
 use powderline_shared::{
     displacement::Displacement,
     pose::{Pose, renormalised},
 };
-use powderline_simulator::skill::Theta;
+use powderline_simulator::skill::{Theta, ThetaError};
 use pyo3::{exceptions::PyValueError, prelude::*};
 
-use crate::errors;
+use crate::errors::{self, SkillError};
 
-/// A list or an array of numbers.
-pub(crate) type Numbers<'py> = PyArrayLike1<'py, f64, AllowTypeChange>;
+/// A list or an array of numbers, of whatever shape: what would be right is said here, not by NumPy.
+pub(crate) type Numbers<'py> = PyArrayLikeDyn<'py, f64, AllowTypeChange>;
 
 /// A list of lists, or a table.
-pub(crate) type Table<'py> = PyArrayLike2<'py, f64, AllowTypeChange>;
+pub(crate) type Table<'py> = Numbers<'py>;
 
-fn refused<T>(what: &str, shape: &str, found: impl std::fmt::Debug) -> PyResult<T> {
-    Err(PyValueError::new_err(format!("{what} has the shape {found:?}, but it must be {shape}")))
+/// As Python writes it.
+fn shown(shape: &[usize]) -> String {
+    match shape {
+        [one] => format!("({one},)"),
+        more => format!("({})", more.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")),
+    }
+}
+
+fn refused<T>(what: &str, shape: &str, found: &[usize]) -> PyResult<T> {
+    let found = shown(found);
+    Err(PyValueError::new_err(format!("{what} has the shape {found}, but it must be {shape}")))
 }
 
 fn fixed<const N: usize>(row: ArrayView1<'_, f64>) -> [f64; N] {
@@ -30,8 +39,10 @@ fn fixed<const N: usize>(row: ArrayView1<'_, f64>) -> [f64; N] {
 
 /// `N` numbers.
 pub(crate) fn row<const N: usize>(what: &str, numbers: &Numbers<'_>) -> PyResult<[f64; N]> {
-    let numbers = numbers.as_array();
-    if numbers.len() == N { Ok(fixed(numbers)) } else { refused(what, &format!("({N},)"), numbers.shape()) }
+    match numbers.as_array().into_dimensionality::<Ix1>() {
+        Ok(row) if row.len() == N => Ok(fixed(row)),
+        _ => refused(what, &format!("({N},)"), numbers.as_array().shape()),
+    }
 }
 
 /// A skill.
@@ -43,13 +54,29 @@ pub(crate) fn theta(numbers: &Numbers<'_>) -> PyResult<Theta> {
 pub(crate) fn rows<const N: usize>(what: &str, table: &Table<'_>) -> PyResult<Vec<[f64; N]>> {
     let table = table.as_array();
     // Nothing at all has no width.
-    if table.is_empty() && table.nrows() == 0 {
+    if table.shape()[..] == [0] {
         return Ok(Vec::new());
     }
-    if table.ncols() != N {
-        return refused(what, &format!("(n, {N})"), table.shape());
+    let shape = table.shape().to_vec();
+    match table.into_dimensionality::<Ix2>() {
+        Ok(table) if table.ncols() == N => Ok(table.rows().into_iter().map(fixed).collect()),
+        _ => refused(what, &format!("(n, {N})"), &shape),
     }
-    Ok(table.rows().into_iter().map(fixed).collect())
+}
+
+/// Skills.
+pub(crate) fn thetas(table: &Table<'_>) -> PyResult<Vec<Theta>> {
+    let named = |(index, row)| {
+        Theta::new(row).map_err(|error| {
+            let ThetaError { parameter, value, .. } = error;
+            SkillError::new_err(format!(
+                "thetas[{index}, {}] ({}) is {value}, outside [-1, 1]",
+                parameter.index(),
+                parameter.name()
+            ))
+        })
+    };
+    rows::<5>("thetas", table)?.into_iter().enumerate().map(named).collect()
 }
 
 /// Displacements, one for each control step: translation in metres, then rotation vector in radians.
@@ -73,7 +100,8 @@ pub(crate) fn pose(what: &str, numbers: &Numbers<'_>) -> PyResult<Pose> {
     let norm = orientation.norm();
     if !(x + y + z).is_finite() || (norm - 1.0).abs() > 1e-6 || norm.is_nan() {
         return Err(PyValueError::new_err(format!(
-            "{what} is [{x}, {y}, {z}, {qw}, {qx}, {qy}, {qz}], but it must be x, y, z in metres and a unit quaternion w, x, y, z"
+            "{what} is [{x}, {y}, {z}, {qw}, {qx}, {qy}, {qz}], whose last four have the norm {norm}, but it must be x, y, z in \
+             metres and a unit quaternion w, x, y, z"
         )));
     }
     let orientation = renormalised(UnitQuaternion::new_unchecked(orientation));

@@ -14,7 +14,7 @@ use crate::json;
 pub(crate) struct Evaluation {
     amounts: Amounts,
     outcome: Outcome,
-    /// Target count minus the particles in the target container at the end.
+    /// Particles that are missing in the target container at the end; negative where there are too many.
     #[pyo3(get)]
     indicator: i64,
 }
@@ -28,7 +28,9 @@ impl Evaluation {
 
 #[pymethods]
 impl Evaluation {
-    /// Loss of the scene's objective, metres.
+    /// Loss of the scene's objective, metres: what a search makes small. A sum over particles of how far each is from where it should be
+    /// at the end, so that it grows with their number: with `objective.aim = "amount"` over those that are missing in the target,
+    /// or are too many there, with "all" over all of them; and with `lost_weight` over those that are lost.
     #[getter]
     fn loss(&self) -> f64 {
         self.outcome.loss_m
@@ -58,7 +60,7 @@ impl Evaluation {
         self.amounts.is_met(self.outcome.census.target)
     }
 
-    /// What is on rims, spilled or in flight at the end, kilogram.
+    /// What is on rims, spilled or in flight at the end, kilogram; what stays in the source or on the tool is not lost.
     #[getter]
     fn lost_kg(&self) -> f64 {
         self.outcome.lost_kg

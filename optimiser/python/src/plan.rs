@@ -7,7 +7,7 @@ use powderline_optimiser::{cli::scene_of_plan, report::plan::PlanParts};
 use powderline_shared::{
     displacement::{Displacement, pose_at},
     plan::{
-        Mounting, PlanHeader, PlanReader, Precision, SkillParameter,
+        Fnv1a64, Mounting, PlanHeader, PlanReader, Precision, SkillParameter,
         file::{check_plan, read_plan_file},
     },
     pose::Pose,
@@ -52,11 +52,34 @@ impl Plan {
         Ok(Self::new(&plan, &bytes, scene))
     }
 
-    /// Writes the plan to a file; the same plan is the same bytes.
+    /// Writes the plan to a file; the same plan is the same bytes. `load` knows the scene again if that comes with the package, or
+    /// stands beside the file: `Path("scene.toml").write_text(scene.to_toml())`.
+    ///
+    /// Raises OSError.
     fn save(&self, path: PathBuf) -> PyResult<()> {
         std::fs::write(&path, &self.bytes).map_err(|error| {
-            pyo3::exceptions::PyOSError::new_err(format!("{}: cannot be written: {error}", path.display()))
+            std::io::Error::new(error.kind(), format!("{}: cannot be written: {error}", path.display()))
+                .into()
         })
+    }
+
+    /// A plan from a file's bytes, and the scene that it was made for, if that is known.
+    ///
+    /// Raises PlanError, which says what is wrong with it.
+    #[staticmethod]
+    #[pyo3(signature = (bytes, scene = None))]
+    fn from_bytes(bytes: &[u8], scene: Option<&Bound<'_, Scene>>) -> PyResult<Self> {
+        Self::of_bytes(bytes, scene.map(|scene| scene.get().0.clone()))
+    }
+
+    fn __eq__(&self, other: &Bound<'_, PyAny>) -> bool {
+        other.cast::<Self>().is_ok_and(|other| other.get().bytes == self.bytes)
+    }
+
+    fn __hash__(&self) -> u64 {
+        let mut hash = Fnv1a64::default();
+        hash.update(&self.bytes);
+        hash.value()
     }
 
     /// The file's bytes.
@@ -127,7 +150,7 @@ impl Plan {
         self.header.predicted.wanted_kg
     }
 
-    /// Loss of the motion as shipped, metres.
+    /// Loss of the motion as shipped, metres: in whole counts (of 100 nm and 100 nrad), which move it a little.
     #[getter]
     fn loss(&self) -> f64 {
         self.header.predicted.loss_m
@@ -139,7 +162,7 @@ impl Plan {
         self.header.arm.map(|arm| arm.kind.name())
     }
 
-    /// The scene that it was made for, if that stood beside the file or comes with the package.
+    /// The scene that it was made for, if that stood as scene.toml beside the file or comes with the package.
     #[getter]
     fn scene(&self) -> Option<Scene> {
         self.scene.clone().map(Scene)
@@ -158,12 +181,14 @@ impl Plan {
         let scene = match scene {
             Some(given) => &given.get().0,
             None => self.scene.as_ref().ok_or_else(|| {
-                PlanError::new_err("the plan's scene is not known: give it as scene=Scene.load(..)")
+                PlanError::new_err("the plan's scene is not known: give the one that it was made for as scene=.., or write it as scene.toml beside the plan's file")
             })?,
         };
         if scene.digest() != self.header.scene_digest {
+            let [wanted, found] = [self.header.scene_digest, scene.digest()]
+                .map(|digest| digest[..4].iter().map(|byte| format!("{byte:02x}")).collect::<String>());
             return Err(PlanError::new_err(format!(
-                "the plan was made for another scene than {:?}",
+                "the plan was made for a scene of digest {wanted}.., but {:?} has {found}..: give the very one, with its changes",
                 scene.name
             )));
         }
@@ -211,12 +236,7 @@ impl Plan {
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<Pickled<'py>> {
         let plan = slf.get();
-        Ok((slf.get_type().getattr("_from_bytes")?, (plan.bytes.clone(), plan.scene())))
-    }
-
-    #[staticmethod]
-    fn _from_bytes(bytes: Vec<u8>, scene: Option<&Bound<'_, Scene>>) -> PyResult<Self> {
-        Self::from_bytes(&bytes, scene.map(|scene| scene.get().0.clone()))
+        Ok((slf.get_type().getattr("from_bytes")?, (plan.bytes.clone(), plan.scene())))
     }
 }
 
@@ -235,7 +255,7 @@ impl Plan {
         }
     }
 
-    fn from_bytes(bytes: &[u8], scene: Option<scene::Scene>) -> PyResult<Self> {
+    fn of_bytes(bytes: &[u8], scene: Option<scene::Scene>) -> PyResult<Self> {
         let plan = check_plan(Path::new("the plan"), bytes).map_err(errors::of_file)?;
         Ok(Self::new(&plan, bytes, scene))
     }
@@ -300,6 +320,6 @@ impl Unevaluated {
         let parts = PlanParts { scene, map, seed, precision, theta, quantised, evaluation, arm: *arm };
         let bytes =
             parts.to_bytes().map_err(|error| PlanError::new_err(format!("no plan can be made: {error}")))?;
-        Plan::from_bytes(&bytes, Some(scene.clone()))
+        Plan::of_bytes(&bytes, Some(scene.clone()))
     }
 }

@@ -1,5 +1,7 @@
 //! Benches.
 
+use std::path::PathBuf;
+
 use numpy::{PyArray1, PyArray2};
 use powderline_optimiser::report::amounts::Amounts;
 use powderline_simulator::{
@@ -28,12 +30,13 @@ impl Scene {
     ///
     /// Raises SceneError, which says what is wrong with the file.
     #[staticmethod]
-    #[pyo3(signature = (name_or_path = "bench"))]
-    fn load(name_or_path: &str) -> PyResult<Self> {
-        scene::Scene::load(name_or_path).map(Self).map_err(errors::of_scene)
+    #[pyo3(signature = (name_or_path = PathBuf::from("bench")))]
+    fn load(name_or_path: PathBuf) -> PyResult<Self> {
+        scene::Scene::load(&name_or_path.to_string_lossy()).map(Self).map_err(errors::of_scene)
     }
 
-    /// Names of the scenes that come with the package.
+    /// Names of the scenes that come with the package; what each is, the first lines of `Scene.text(name)` say. `bench-small` is the
+    /// quickest.
     #[staticmethod]
     fn names() -> Vec<&'static str> {
         EMBEDDED_SCENES.map(|(name, _)| name).to_vec()
@@ -55,12 +58,10 @@ impl Scene {
     /// Raises SceneError, which says what is wrong with it.
     #[staticmethod]
     fn from_dict(fields: &Bound<'_, PyDict>) -> PyResult<Self> {
-        let value: toml::Value = json::without_none(fields.as_any())?;
-        let text = toml::to_string(&value).map_err(|error| errors::SceneError::new_err(error.to_string()))?;
-        scene::Scene::from_toml("the dictionary", &text).map(Self).map_err(without_line)
+        Self::of_fields("the dictionary", fields)
     }
 
-    /// The fields, as `from_dict` takes them.
+    /// The fields, as `from_dict` takes them: `scene.to_dict()["powder"]["density_kg_m3"]`.
     fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         json::to_python(py, &self.0)
     }
@@ -70,13 +71,14 @@ impl Scene {
         self.0.to_toml()
     }
 
-    /// The same bench with changes, each table given by the keys that change:
+    /// The same bench with changes, each table given by the keys that change; the others stay. A None takes a key away. Give it a
+    /// name of its own, too:
     ///
-    ///     scene.replace(powder={"friction_angle_deg": 32.0}, objective={"amount": {"mass_kg": 0.002, "tolerance": 0.02}})
+    ///     scene.replace(name="mine", powder={"friction_angle_deg": 32.0}, objective={"amount": {"mass_kg": 0.002}})
     ///
-    /// Of lists of tables (`container`, `gate`) those change that are named:
+    /// Of lists of tables (`container`, `gate`) those change that are named; a list takes the place of all of them:
     ///
-    ///     scene.replace(container={"target": {"yaw_deg": 30.0}})
+    ///     scene.replace(container={"target": {"friction": 0.3}})
     ///
     /// Raises SceneError, which says what is wrong with the result.
     #[pyo3(signature = (**changes))]
@@ -85,7 +87,7 @@ impl Scene {
         if let Some(changes) = changes {
             merge(&fields, changes)?;
         }
-        Self::from_dict(&fields)
+        Self::of_fields(&format!("scene {:?}", self.0.name), &fields)
     }
 
     /// Its name.
@@ -183,6 +185,18 @@ impl Scene {
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, (Bound<'py, PyAny>,))> {
         let fields = slf.get().to_dict(slf.py())?;
         Ok((slf.get_type().getattr("from_dict")?, (fields,)))
+    }
+}
+
+impl Scene {
+    fn of_fields(called: &str, fields: &Bound<'_, PyDict>) -> PyResult<Self> {
+        if fields.is_empty() {
+            let begin = "the dictionary is empty; begin from Scene.load(\"bench\").to_dict()";
+            return Err(errors::SceneError::new_err(begin));
+        }
+        let value = json::from_python("", fields.as_any())?;
+        let text = toml::to_string(&value).map_err(|error| errors::SceneError::new_err(error.to_string()))?;
+        scene::Scene::from_toml(called, &text).map(Self).map_err(without_line)
     }
 }
 

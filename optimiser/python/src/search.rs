@@ -10,6 +10,7 @@ use powderline_optimiser::cli::{
 use pyo3::{exceptions::PyValueError, prelude::*};
 
 use crate::scene::Scene;
+use crate::simulator::{checked_seed, checked_threads};
 use crate::watched::meanwhile;
 use crate::{errors, json};
 
@@ -42,10 +43,10 @@ impl Write for Said {
 pub(crate) fn optimise<'py>(
     py: Python<'py>,
     scene: Option<Bound<'py, Scene>>,
-    seed: Option<u64>,
-    epochs: Option<u32>,
+    seed: Option<i128>,
+    epochs: Option<i64>,
     precision: Option<&str>,
-    threads: Option<u16>,
+    threads: Option<i64>,
     memory: &str,
     out: Option<PathBuf>,
     resume: Option<PathBuf>,
@@ -62,9 +63,10 @@ pub(crate) fn optimise<'py>(
             )));
         }
     };
-    if !threads.is_none_or(|threads| (1..=1024).contains(&threads)) {
-        return Err(PyValueError::new_err("threads must be from 1 to 1024, or None"));
-    }
+    let threads = checked_threads(threads)?;
+    let seed = seed.map(checked_seed).transpose()?;
+    let wrong = |count| PyValueError::new_err(format!("epochs is {count}, but it must be from 0 to 100000"));
+    let epochs = epochs.map(|count| u32::try_from(count).map_err(|_| wrong(count))).transpose()?;
     let memory =
         cli::parse_size(memory).map_err(|error| PyValueError::new_err(format!("memory: {error}")))?;
     let resources = Resources { threads, memory: Memory::Bytes(memory) };
@@ -75,7 +77,7 @@ pub(crate) fn optimise<'py>(
     let told = Mutex::new(told);
     let stop = interrupt.clone();
     let (on_epoch, say) = (on_epoch.clone().unbind(), say.clone().unbind());
-    let look = |py: Python<'_>| {
+    let look = |py: Python<'_>| -> PyResult<()> {
         let text = said.take();
         if !text.is_empty() {
             say.call1(py, (text,))?;
@@ -96,7 +98,12 @@ pub(crate) fn optimise<'py>(
         // Nobody hears it where Python has raised something.
         cli::run(&arguments, scene.as_ref(), &|line| drop(tell.send(line.to_owned())), &mut context)
     };
-    let result = meanwhile(py, job, || stop.request(), look)?;
+    let (result, raised) = meanwhile(py, job, || stop.request(), look);
+    if let (Err(error), Err(_)) = (&result, &raised) {
+        // How to go on.
+        say.call1(py, (format!("{error}\n"),))?;
+    }
+    raised?;
     look(py)?;
     match result {
         // A plan that misses is a result; it says so itself.

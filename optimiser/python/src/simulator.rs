@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 use std::sync::Mutex;
 
 use numpy::{PyArray1, PyArray2, PyReadonlyArray2};
-use powderline_optimiser::cli::parse_size;
+use powderline_optimiser::cli::{MAX_THREADS, parse_size};
 use powderline_shared::{displacement::Displacement, pose::Pose};
 use powderline_simulator::{
     rollout::{
@@ -13,7 +13,10 @@ use powderline_simulator::{
     },
     skill::{SkillMap, SkillParameter, Theta, ThetaGradient},
 };
-use pyo3::{exceptions::PyValueError, prelude::*};
+use pyo3::{
+    exceptions::{PyTypeError, PyValueError},
+    prelude::*,
+};
 
 use crate::arrays::{self, Numbers, Table};
 use crate::episode::Episode;
@@ -62,9 +65,10 @@ impl Kind {
 
 /// Simulates motions of a scene's tool, and what the powder makes of them.
 ///
-/// seed: of the packing. precision: "f32" or "f64". threads: as many as the machine has processors, if None. memory: the most that
-/// gradients may take, such as "2GiB" or a number of bytes. progress: called with the share of the present call that is done, from 0
-/// to 1, now and then; what it raises ends the call. Neither threads nor memory change a bit of any result.
+/// seed: of the packing; the scene's `powder.seed` is not looked at. precision: "f32" or "f64". threads: as many as the machine has
+/// processors, if None. memory: the most that the process may take in gradients, such as "2GiB" or a number of bytes; "1GiB" if None.
+/// progress: called with the share of the present call that is done, from 0 to 1, now and then, and with 1 at its end; what it raises
+/// ends the call. Neither threads nor memory change a bit of any result.
 ///
 /// Calls release Python's lock; Ctrl-C ends them. A simulator does one thing at a time: threads need one each.
 #[pyclass(frozen, module = "powderline")]
@@ -81,6 +85,22 @@ pub(crate) struct Simulator {
     inner: Mutex<AnySimulator>,
 }
 
+/// A seed.
+pub(crate) fn checked_seed(seed: i128) -> PyResult<u64> {
+    let wrong = |_| PyValueError::new_err(format!("seed is {seed}, but it must be from 0 to 2^64 - 1"));
+    u64::try_from(seed).map_err(wrong)
+}
+
+/// As many threads as the programs take, too.
+pub(crate) fn checked_threads(threads: Option<i64>) -> PyResult<Option<u16>> {
+    let refused = |count| format!("threads is {count}, but it must be from 1 to {MAX_THREADS}, or None");
+    let checked = |count: i64| {
+        let fits = u16::try_from(count).ok().filter(|count| (1..=MAX_THREADS).contains(count));
+        fits.ok_or_else(|| PyValueError::new_err(refused(count)))
+    };
+    threads.map(checked).transpose()
+}
+
 /// As much memory as is said: a size in words, or bytes.
 fn memory_bytes(memory: &Bound<'_, PyAny>) -> PyResult<u64> {
     match memory.extract::<String>() {
@@ -94,15 +114,22 @@ impl Simulator {
     #[new]
     #[pyo3(signature = (scene, *, seed = 1, precision = "f32", threads = None, memory = None, progress = None))]
     fn new(
-        scene: Py<Scene>,
-        seed: u64,
+        scene: Bound<'_, Scene>,
+        seed: i128,
         precision: &str,
-        threads: Option<usize>,
+        threads: Option<i64>,
         memory: Option<&Bound<'_, PyAny>>,
         progress: Option<Py<PyAny>>,
     ) -> PyResult<Self> {
-        if threads == Some(0) {
-            return Err(PyValueError::new_err("threads is 0, but it must be at least 1, or None"));
+        let seed = checked_seed(seed)?;
+        let threads = checked_threads(threads)?.map(usize::from);
+        if let Some(progress) =
+            progress.as_ref().map(|progress| progress.bind(scene.py())).filter(|p| !p.is_callable())
+        {
+            let given = progress.repr()?;
+            return Err(PyTypeError::new_err(format!(
+                "progress is {given}, but it must be a function, or None"
+            )));
         }
         let usual = SimulatorSettings::default();
         let memory_bytes = memory.map_or(Ok(usual.memory_bytes), memory_bytes)?;
@@ -118,7 +145,7 @@ impl Simulator {
             }
         };
         let inner = Mutex::new(inner.map_err(errors::of_rollout)?);
-        Ok(Self { scene, seed, precision, progress, inner })
+        Ok(Self { scene: scene.unbind(), seed, precision, progress, inner })
     }
 
     /// What a skill achieves: an Evaluation.
@@ -134,18 +161,24 @@ impl Simulator {
     ///
     /// thetas: shape (n, 5).
     fn rollouts(&self, py: Python<'_>, thetas: Table<'_>) -> PyResult<Vec<Evaluation>> {
-        let rows = arrays::rows::<5>("thetas", &thetas)?;
-        let thetas: Vec<Theta> =
-            rows.into_iter().map(Theta::new).collect::<Result<_, _>>().map_err(errors::of_theta)?;
+        let thetas = arrays::thetas(&thetas)?;
         let found = self.simulated(py, |s, _| s.as_mut().evaluate_all(&thetas))?;
         Ok(found.iter().map(|found| self.evaluation(found)).collect())
     }
 
-    /// What a skill achieves, and the gradient of its loss with respect to theta: an Evaluation and an array of shape (5,), metres.
+    /// What a skill achieves, and the gradient of its loss with respect to theta: an Evaluation and an array of shape (5,), metres of
+    /// loss per unit of theta. The loss falls along its negative; what a step may be, its length does not say:
     ///
-    /// kind: "adjoint", the exact derivative of what is computed, which over a whole motion says little, for single grains are
-    /// chaotic; "restarted", the adjoint that forgets what single grains do, and holds over larger steps; "differences", central
-    /// ones over `half_step` of theta, at most up to the ends of its range.
+    ///     theta = np.clip(theta - 0.1 * gradient / np.linalg.norm(gradient), -1.0, 1.0)
+    ///
+    /// kind, and what it costs beside a rollout:
+    ///
+    /// - "restarted", some 5 rollouts: an adjoint that begins anew at some moments of the motion, from what grains cost on average
+    ///   where they then are. It forgets what single grains do, and so holds over steps that a search takes; as a rule it points
+    ///   where differences do, which a scene that wants an amount can spoil near the edge of its tolerance.
+    /// - "differences", 11 rollouts, side by side: central ones over `half_step` of theta, at most up to the ends of its range.
+    /// - "adjoint", some 7 rollouts: the exact derivative of the numbers that are computed. Single grains are chaotic, so that over a
+    ///   whole motion it may point anywhere.
     #[pyo3(signature = (theta, *, kind = "restarted", half_step = 0.1))]
     fn gradient<'py>(
         &self,
@@ -183,19 +216,19 @@ impl Simulator {
     /// What any motion of the tool achieves, and the powder on its way: a Motion.
     ///
     /// displacements: one for each control step, translation in metres, then rotation vector in radians, both along the world's axes;
-    /// shape (steps, 6). every: control steps from one frame to the next; the first frame is the settled powder. start: where the tool
+    /// shape (steps, 6). every: control steps from one frame to the next; the first frame is the settled powder, the last one the motion's
+    /// end only if its steps are a multiple of `every`. start: where the tool
     /// begins, as `Scene.start_pose`, which it is if None. Neither limits nor walls in the tool's way are looked at.
     #[pyo3(signature = (displacements, *, every = 10, start = None))]
     fn motion(
         &self,
         py: Python<'_>,
         displacements: Table<'_>,
-        every: usize,
+        every: i64,
         start: Option<Numbers<'_>>,
     ) -> PyResult<Motion> {
-        if every == 0 {
-            return Err(PyValueError::new_err("every is 0, but it must be at least 1"));
-        }
+        let least = || PyValueError::new_err(format!("every is {every}, but it must be at least 1"));
+        let every = usize::try_from(every).ok().filter(|every| *every > 0).ok_or_else(least)?;
         let controls = arrays::displacements("displacements", &displacements)?;
         let anchor = self.anchor(start.as_ref())?;
         let period_s = self.scene.get().0.time.control_period_s();
@@ -317,7 +350,10 @@ impl Simulator {
 /// Calls a loss of Python's.
 fn ask(py: Python<'_>, loss: &Py<PyAny>, positions_m: &[[f64; 3]], slopes: &mut [[f64; 3]]) -> PyResult<f64> {
     let answer = loss.bind(py).call1((arrays::table(py, positions_m.to_vec()),))?;
-    let (value, found): (f64, PyReadonlyArray2<'_, f64>) = answer.extract()?;
+    let (value, found): (f64, PyReadonlyArray2<'_, f64>) = answer.extract().map_err(|_| {
+        let wanted = format!("a number and an array of shape ({}, 3), 64 bits", slopes.len());
+        PyTypeError::new_err(format!("the loss returned {answer}, but it must return {wanted}"))
+    })?;
     let found = found.as_array();
     if found.shape() != [slopes.len(), 3] {
         return Err(PyValueError::new_err(format!(

@@ -37,13 +37,13 @@ impl Link {
 }
 
 /// Does the job in another thread. Meanwhile this one listens to Ctrl-C, which only Python's first thread hears, and calls `look`
-/// now and then; what either raises ends the job by `stop`, and is raised when that is over.
+/// now and then; what either raises ends the job by `stop`, and comes back beside what the job found.
 pub(crate) fn meanwhile<R: Send>(
     py: Python<'_>,
     job: impl FnOnce() -> R + Send,
     stop: impl Fn() + Sync,
     look: impl Fn(Python<'_>) -> PyResult<()> + Sync,
-) -> PyResult<R> {
+) -> (R, PyResult<()>) {
     py.detach(|| {
         thread::scope(|scope| {
             let (done, is_done) = channel::<()>();
@@ -63,7 +63,7 @@ pub(crate) fn meanwhile<R: Send>(
                 }
             }
             let found = work.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
-            raised.map_or(Ok(found), Err)
+            (found, raised.map_or(Ok(()), Err))
         })
     })
 }
@@ -95,6 +95,11 @@ pub(crate) fn simulated<R: Send>(
         None => Ok(()),
     };
     let (working, linked) = (&mut *simulator, &link);
-    let found = meanwhile(py, move || job(working, linked), || link.stop(), look)?;
-    found.map_err(errors::of_rollout)
+    let (found, raised) = meanwhile(py, move || job(working, linked), || link.stop(), look);
+    raised?;
+    let found = found.map_err(errors::of_rollout)?;
+    if let Some(progress) = progress {
+        progress.call1(py, (1.0,))?;
+    }
+    Ok(found)
 }

@@ -40,7 +40,7 @@ pub use check::{CheckArgs, CheckReport, MemoryRow};
 pub use error::CliError;
 pub use interrupt::Interrupt;
 pub use motion::scene_of_plan;
-pub use options::{PrecisionArg, Resources, Setup};
+pub use options::{MAX_THREADS, PrecisionArg, Resources, Setup};
 pub use progress::{Progress, Stream, is_live};
 pub use run::{EpochFn, RunArgs, run};
 pub use size::{Memory, format_size, parse_size};

@@ -39,7 +39,8 @@ impl Place {
         let package =
             env::var_os("CARGO_PKG_NAME").filter(ours).and_then(|_| env::var_os("CARGO_MANIFEST_DIR"));
         Self {
-            program: env::current_exe().ok(),
+            // Python's own file says nothing: where its package is, the shell finds `optimise`.
+            program: env::current_exe().ok().filter(|file| !is_python(file)),
             folder: env::current_dir().ok(),
             path: env::var_os("PATH"),
             workspace: package.and_then(|package| Some(Path::new(&package).parent()?.to_owned())),
@@ -98,6 +99,10 @@ impl Place {
         let file = name.with_extension(EXE_SUFFIX.trim_start_matches('.'));
         env::split_paths(self.path.as_ref()?).map(|folder| folder.join(&file)).find(|file| file.is_file())
     }
+}
+
+fn is_python(program: &Path) -> bool {
+    program.file_stem().is_some_and(|name| name.to_string_lossy().starts_with("python"))
 }
 
 fn same_file(one: &Path, other: &Path) -> bool {

@@ -38,11 +38,14 @@ impl From<Precision> for PrecisionArg {
 /// Precision when none is given.
 pub(super) const DEFAULT_PRECISION: Precision = Precision::F32;
 
+/// Threads that may be asked for.
+pub const MAX_THREADS: u16 = 1024;
+
 /// Resources of the simulation; they do not change its results.
 #[derive(Clone, Copy, Debug, Args)]
 pub struct Resources {
     /// Threads; results are the same for any number [default: one per processor]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=i64::from(MAX_THREADS)))]
     pub threads: Option<u16>,
     /// Most memory that the process may hold, such as 128MiB, 2GiB or 500MB; `none` is as much as is useful, and never more
     /// than the machine has available. Results are the same for any

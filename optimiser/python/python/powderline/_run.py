@@ -28,8 +28,12 @@ class Run:
         """Reads a run's folder."""
         self.folder = Path(folder)
         metrics = self.folder / "metrics.jsonl"
+        if not self.folder.is_dir():
+            raise ValueError(f"{self.folder}: there is no such folder; give that of a run")
         if not metrics.is_file():
-            raise ValueError(f"{self.folder}: there is no metrics.jsonl in it; give the folder of a run")
+            begun = (self.folder / "state").is_file()
+            what = "no epoch of the run is finished yet" if begun else "there is no run in it"
+            raise ValueError(f"{self.folder}: {what}")
         self.epochs: list[Epoch] = [json.loads(line) for line in metrics.read_text(encoding="utf-8").splitlines()]
         plan = self.folder / "skill.plan"
         self.plan: Plan | None = Plan.load(plan) if plan.exists() else None
@@ -95,6 +99,10 @@ def optimise(
         raise ValueError("give a scene to begin with, or resume=.. to go on with a run, not both")
     if scene is None and resume is None:
         scene = Scene.load()
+    if callback is not None and not callable(callback):
+        raise TypeError(f"callback is {callback!r}, but it must be a function, or None")
+    if out is not None and Path(out).is_file():
+        raise ValueError(f"out is {fspath(out)!r}, which is a file; give a folder, new or without a run")
     found = _native.optimise(
         scene,
         seed=seed,

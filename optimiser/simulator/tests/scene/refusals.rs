@@ -306,6 +306,12 @@ const SINGLE_FIELDS: &[Case] = &[
         "density_kg_m3 = 0.0",
         ": powder.density_kg_m3 is 0, but it must be from 10 to 25000",
     ),
+    // No length, though its name ends like one's.
+    (
+        "density_kg_m3 = 1000.0",
+        "density_kg_m3 = 1e5",
+        ": powder.density_kg_m3 is 100000, but it must be from 10 to 25000",
+    ),
     (
         "friction_angle_deg = 35.0",
         "friction_angle_deg = 90.0",

@@ -43,8 +43,9 @@ impl Range {
 
     /// The question after a length that would be right if it was meant in millimetres.
     fn in_metres(&self, field: &str, value: f64) -> Option<String> {
-        let is_length =
-            field.trim_end_matches(|c: char| c == ']' || c.is_ascii_digit() || c == '[').ends_with("_m");
+        let name =
+            field.strip_suffix(']').and_then(|field| field.rsplit_once('[')).map_or(field, |(name, _)| name);
+        let is_length = name.ends_with("_m");
         let metres = 1e-3 * value;
         (is_length && value.abs() > self.high && self.contains(metres))
             .then(|| format!("; did you mean metres, that is {}?", about(metres, 6)))
