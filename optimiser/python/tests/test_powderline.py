@@ -65,7 +65,7 @@ def test_replace_changes_what_is_named_and_nothing_else(scene):
         ({"powder": {"densty": 1.0}}, "densty"),
         ({"container": {"goal": {"yaw_deg": 1.0}}}, "there is no container called goal; there are source, target"),
         ({"powder": 3}, "powder"),
-        ({"powder": {"density_kg_m3": float("nan")}}, "powder.density_kg_m3 is NaN, but it must be from 10 to 25000"),
+        ({"powder": {"density_kg_m3": float("nan")}}, "powder.density_kg_m3 is nan, but it must be from 10 to 25000"),
         ({"powder": {"density_kg_m3": 1e5}}, "powder.density_kg_m3 is 100000, but it must be from 10 to 25000"),
         ({"powder": {"density_kg_m3": object()}}, "powder.density_kg_m3 is a object, but it must be a number"),
     ],
