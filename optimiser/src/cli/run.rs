@@ -51,7 +51,7 @@ pub struct RunArgs {
     /// Threads and memory.
     #[command(flatten)]
     pub resources: Resources,
-    /// Folder to write into, new or without a run [default: runs/<scene>-seed<seed>, numbered if taken]
+    /// Folder to write into, new or without a run; by default `runs/<scene>-seed<seed>`, numbered if taken
     #[arg(long, value_name = "DIR", conflicts_with = "resume")]
     pub out: Option<PathBuf>,
     /// Go on with the run in this folder; with a larger --epochs also when it is finished
