@@ -1,9 +1,9 @@
-//! Seconds that a rollout, a restarted gradient and a motion of 1,000 frames take, for `optimiser/python/examples/overhead.py` to compare
+//! Processor seconds that a rollout, a restarted gradient and a motion of 1,000 frames take, for `optimiser/python/examples/overhead.py` to compare
 //! with Python: `cargo run --release -p powderline-simulator --example overhead`.
 
 use std::ops::ControlFlow;
-use std::time::Instant;
 
+use powderline_simulator::bench::cpu_seconds;
 use powderline_simulator::rollout::restart::Restarts;
 use powderline_simulator::rollout::{
     Displacement, Recording, Simulate, Simulator, SimulatorSettings, Snapshot,
@@ -17,13 +17,13 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut simulator = Simulator::<f32>::new(&scene, &settings)?;
     let (map, theta) = (SkillMap::new(&scene), Theta::new([0.3, 0.0, 0.0, 0.0, 0.3])?);
     simulator.evaluate_all(&[])?;
-    let began = Instant::now();
+    let began = cpu_seconds();
     simulator.evaluate(&theta)?;
-    let rollout = began.elapsed().as_secs_f64();
-    let began = Instant::now();
+    let rollout = cpu_seconds() - began;
+    let began = cpu_seconds();
     simulator.evaluate_restarted(&theta, &Restarts::of_skill(&scene, &map, &theta))?;
-    let gradient = began.elapsed().as_secs_f64();
-    let began = Instant::now();
+    let gradient = cpu_seconds() - began;
+    let began = cpu_seconds();
     let rest = vec![Displacement::default(); 1000];
     let recording = Recording { anchor: map.start_pose(), controls: &rest, every: 1 };
     // All frames stay, as they do in Python.
@@ -33,7 +33,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         ControlFlow::Continue(())
     };
     simulator.record(&recording, &mut keep)?;
-    let frames = began.elapsed().as_secs_f64();
+    let frames = cpu_seconds() - began;
     println!(r#"{{"rollout": {rollout}, "gradient": {gradient}, "frames": {frames}}}"#);
     Ok(())
 }
