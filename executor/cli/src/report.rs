@@ -9,7 +9,7 @@ use powderline_shared::displacement::{Axis, Lsb, Setpoint};
 use powderline_shared::fault::{Fault, FaultCode};
 use powderline_shared::limits::PeakUse;
 use powderline_shared::mass::Mass;
-use powderline_shared::plan::{Mounting, PlanReader, Precision, Prediction, SkillParameter, StartPose};
+use powderline_shared::plan::{Mounting, PlanReader, Prediction, SkillParameter, StartPose};
 use serde::Serialize;
 
 use crate::run::{FrameCounts, RunResult};
@@ -231,10 +231,7 @@ impl PlanFacts {
             scene_digest: hex(&header.scene_digest),
             optimiser_version: format!("{}.{}.{}", version.major, version.minor, version.patch),
             seed: header.seed,
-            precision: match header.precision {
-                Precision::F32 => "f32",
-                Precision::F64 => "f64",
-            },
+            precision: header.precision.name(),
             theta: header.theta,
             skill_parameters: header.skill_parameters,
             control_period_us: header.control_period_us,

@@ -2,7 +2,7 @@
 
 use nalgebra::{Quaternion, UnitQuaternion};
 use numpy::{
-    AllowTypeChange, IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayLikeDyn, PyArrayMethods,
+    AllowTypeChange, Element, IntoPyArray, PyArray1, PyArray2, PyArray3, PyArrayLikeDyn, PyArrayMethods,
     ndarray::{ArrayView1, Ix1, Ix2},
 };
 use powderline_shared::{
@@ -120,7 +120,10 @@ pub(crate) fn array<'py>(py: Python<'py>, row: &[f64]) -> Bound<'py, PyArray1<f6
 }
 
 /// Rows as a table; the memory goes over to Python.
-pub(crate) fn table<'py, const N: usize>(py: Python<'py>, rows: Vec<[f64; N]>) -> Bound<'py, PyArray2<f64>> {
+pub(crate) fn table<'py, T: Element, const N: usize>(
+    py: Python<'py>,
+    rows: Vec<[T; N]>,
+) -> Bound<'py, PyArray2<T>> {
     let count = rows.len();
     let flat = rows.into_flattened().into_pyarray(py);
     flat.reshape([count, N]).expect("as many numbers as before")
@@ -131,10 +134,4 @@ pub(crate) fn frames<'py>(py: Python<'py>, rows: Vec<[f32; 3]>, frames: usize) -
     let each = rows.len().checked_div(frames).unwrap_or(0);
     let flat = rows.into_flattened().into_pyarray(py);
     flat.reshape([frames, each, 3]).expect("as many numbers as before")
-}
-
-/// Rows of 32 bits as a table; the memory goes over to Python.
-pub(crate) fn grains<'py>(py: Python<'py>, rows: Vec<[f32; 3]>) -> Bound<'py, PyArray2<f32>> {
-    let count = rows.len();
-    rows.into_flattened().into_pyarray(py).reshape([count, 3]).expect("as many numbers as before")
 }

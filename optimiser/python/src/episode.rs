@@ -122,13 +122,13 @@ impl Episode {
     /// Particles in the order of the packing, metres; shape (particles, 3), 32 bits.
     #[getter]
     fn positions_m<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        Ok(arrays::grains(py, self.now(|now| now.state.positions_m())?))
+        Ok(arrays::table(py, self.now(|now| now.state.positions_m())?))
     }
 
     /// Their velocities, m/s; the same shape.
     #[getter]
     fn velocities_m_s<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
-        Ok(arrays::grains(py, self.now(|now| now.state.velocities_m_s())?))
+        Ok(arrays::table(py, self.now(|now| now.state.velocities_m_s())?))
     }
 
     fn __repr__(&self) -> PyResult<String> {

@@ -265,14 +265,7 @@ impl Plan {
         let PlanHeader { arm, control_period_us, lsb, limits, .. } = self.header;
         let arm = arm.ok_or("the plan has no arm: the scene it was made for has no [arm]")?;
         let of_scene = scene.arm.as_ref();
-        let mount = Mount {
-            kind: arm.kind,
-            world_from_base: arm.world_from_base.pose(),
-            flange_from_tool: arm.flange_from_tool.pose(),
-            posture: Some(arm.posture),
-            near: None,
-            clearance_m: of_scene.map(|arm| arm.clearance_m),
-        };
+        let mount = Mount::of_plan(&arm, of_scene.map(|arm| arm.clearance_m));
         let path = ToolPath { period_us: control_period_us, lsb, limits, poses: self.poses.clone() };
         let table_m = of_scene.map_or(f64::NEG_INFINITY, |arm| arm.table_height_m);
         let around = Surroundings::of_scene(scene, table_m);
@@ -312,10 +305,9 @@ impl Unevaluated {
         &self,
         scene: &scene::Scene,
         seed: u64,
-        precision: &str,
+        precision: Precision,
         evaluation: &rollout::Evaluation,
     ) -> PyResult<Plan> {
-        let precision = if precision == "f64" { Precision::F64 } else { Precision::F32 };
         let Self { theta, map, quantised, arm } = self;
         let parts = PlanParts { scene, map, seed, precision, theta, quantised, evaluation, arm: *arm };
         let bytes =

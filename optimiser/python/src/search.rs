@@ -5,12 +5,12 @@ use std::path::PathBuf;
 use std::sync::{Arc, Mutex, PoisonError, mpsc};
 
 use powderline_optimiser::cli::{
-    self, CliError, Context, Interrupt, Memory, PrecisionArg, Resources, RunArgs, Stream,
+    self, CliError, Context, Interrupt, MAX_EPOCHS, Memory, Resources, RunArgs, Stream,
 };
 use pyo3::{exceptions::PyValueError, prelude::*};
 
 use crate::scene::Scene;
-use crate::simulator::{checked_seed, checked_threads};
+use crate::simulator::{checked_precision, checked_seed, checked_threads};
 use crate::watched::meanwhile;
 use crate::{errors, json};
 
@@ -35,6 +35,13 @@ impl Write for Said {
     }
 }
 
+fn checked_epochs(count: i64) -> PyResult<u32> {
+    let fits = u32::try_from(count).ok().filter(|count| *count <= MAX_EPOCHS);
+    fits.ok_or_else(|| {
+        PyValueError::new_err(format!("epochs is {count}, but it must be from 0 to {MAX_EPOCHS}"))
+    })
+}
+
 /// As `optimise run`; the Python package makes a `Run` of what this returns. `on_epoch` gets each line of `metrics.jsonl`, `say` what
 /// the program says.
 #[pyfunction]
@@ -53,20 +60,10 @@ pub(crate) fn optimise<'py>(
     on_epoch: &Bound<'py, PyAny>,
     say: &Bound<'py, PyAny>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    let precision = match precision {
-        None => None,
-        Some("f32") => Some(PrecisionArg::F32),
-        Some("f64") => Some(PrecisionArg::F64),
-        Some(other) => {
-            return Err(PyValueError::new_err(format!(
-                "precision is {other:?}, but it must be \"f32\" or \"f64\""
-            )));
-        }
-    };
+    let precision = precision.map(checked_precision).transpose()?.map(Into::into);
     let threads = checked_threads(threads)?;
     let seed = seed.map(checked_seed).transpose()?;
-    let wrong = |count| PyValueError::new_err(format!("epochs is {count}, but it must be from 0 to 100000"));
-    let epochs = epochs.map(|count| u32::try_from(count).map_err(|_| wrong(count))).transpose()?;
+    let epochs = epochs.map(checked_epochs).transpose()?;
     let memory =
         cli::parse_size(memory).map_err(|error| PyValueError::new_err(format!("memory: {error}")))?;
     let resources = Resources { threads, memory: Memory::Bytes(memory) };

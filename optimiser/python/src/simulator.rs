@@ -5,7 +5,7 @@ use std::sync::Mutex;
 
 use numpy::{PyArray1, PyArray2, PyReadonlyArray2};
 use powderline_optimiser::cli::{MAX_THREADS, parse_size};
-use powderline_shared::{displacement::Displacement, pose::Pose};
+use powderline_shared::{displacement::Displacement, plan::Precision, pose::Pose};
 use powderline_simulator::{
     rollout::{
         self, DisplacementGradient, Recording, RolloutError, Simulate, SimulatorSettings, Snapshot,
@@ -78,9 +78,7 @@ pub(crate) struct Simulator {
     /// Seed of the packing.
     #[pyo3(get)]
     seed: u64,
-    /// "f32" or "f64".
-    #[pyo3(get)]
-    precision: &'static str,
+    precision: Precision,
     progress: Option<Py<PyAny>>,
     inner: Mutex<AnySimulator>,
 }
@@ -89,6 +87,13 @@ pub(crate) struct Simulator {
 pub(crate) fn checked_seed(seed: i128) -> PyResult<u64> {
     let wrong = |_| PyValueError::new_err(format!("seed is {seed}, but it must be from 0 to 2^64 - 1"));
     u64::try_from(seed).map_err(wrong)
+}
+
+/// A number format by its name.
+pub(crate) fn checked_precision(name: &str) -> PyResult<Precision> {
+    Precision::ALL.into_iter().find(|precision| precision.name() == name).ok_or_else(|| {
+        PyValueError::new_err(format!("precision is {name:?}, but it must be \"f32\" or \"f64\""))
+    })
 }
 
 /// As many threads as the programs take, too.
@@ -135,17 +140,19 @@ impl Simulator {
         let memory_bytes = memory.map_or(Ok(usual.memory_bytes), memory_bytes)?;
         let settings = SimulatorSettings { seed, threads, memory_bytes };
         let of = &scene.get().0;
-        let (precision, inner) = match precision {
-            "f32" => ("f32", rollout::Simulator::new(of, &settings).map(|s| AnySimulator::F32(Box::new(s)))),
-            "f64" => ("f64", rollout::Simulator::new(of, &settings).map(|s| AnySimulator::F64(Box::new(s)))),
-            _ => {
-                return Err(PyValueError::new_err(format!(
-                    "precision is {precision:?}, but it must be \"f32\" or \"f64\""
-                )));
-            }
+        let precision = checked_precision(precision)?;
+        let inner = match precision {
+            Precision::F32 => rollout::Simulator::new(of, &settings).map(|s| AnySimulator::F32(Box::new(s))),
+            Precision::F64 => rollout::Simulator::new(of, &settings).map(|s| AnySimulator::F64(Box::new(s))),
         };
         let inner = Mutex::new(inner.map_err(errors::of_rollout)?);
         Ok(Self { scene: scene.unbind(), seed, precision, progress, inner })
+    }
+
+    /// "f32" or "f64".
+    #[getter]
+    fn precision(&self) -> &'static str {
+        self.precision.name()
     }
 
     /// What a skill achieves: an Evaluation.
@@ -296,7 +303,7 @@ impl Simulator {
 
     fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
         let scene: String = self.scene.bind(py).as_any().repr()?.extract()?;
-        Ok(format!("Simulator({scene}, seed={}, precision={:?})", self.seed, self.precision))
+        Ok(format!("Simulator({scene}, seed={}, precision={:?})", self.seed, self.precision.name()))
     }
 }
 

@@ -129,6 +129,17 @@ def test_gradients_of_every_kind(simulator, found):
     assert (slopes["adjoint"] != restarted).any()
 
 
+def test_differences_end_where_the_range_ends(simulator):
+    at_the_end = np.array([1.0, 0.0, 0.0, 0.0, -0.95])
+    _, gradient = simulator.gradient(at_the_end, kind="differences", half_step=0.1)
+    for component, low, high in [(0, 0.9, 1.0), (1, -0.1, 0.1), (4, -1.0, -0.85)]:
+        below, above = np.tile(at_the_end, (2, 1))
+        below[component], above[component] = low, high
+        down, up = (simulator.rollout(theta).loss for theta in [below, above])
+        assert down != up
+        assert gradient[component] == pytest.approx((up - down) / (high - low), rel=1e-9), component
+
+
 def test_a_motion_and_its_frames(scene, simulator, found):
     displacements = scene.displacements(THETA)
     motion = simulator.motion(displacements, every=100)
@@ -156,6 +167,8 @@ def test_a_motion_in_pieces_is_the_same_as_whole(scene, simulator, found):
     np.testing.assert_array_equal(episode.velocities_m_s, whole.velocities_m_s[1])
     np.testing.assert_array_equal(episode.tool, whole.tool[1])
     assert episode.step(displacements[100:]).loss == found.loss
+    elsewhere = scene.start_pose + np.array([0, 0, 0.01, 0, 0, 0, 0])
+    np.testing.assert_allclose(simulator.episode(start=elsewhere).tool, elsewhere, rtol=1e-12)
 
 
 def test_a_loss_of_ones_own_is_differentiated(scene, simulator):
@@ -203,6 +216,9 @@ def test_a_loss_of_ones_own_is_differentiated(scene, simulator):
         (lambda s: pl.Simulator(s.scene, threads=0), "threads is 0, but it must be from 1 to 1024"),
         (lambda s: pl.Simulator(s.scene, threads=100_000), "threads is 100000"),
         (lambda s: pl.optimise(s.scene, threads=-1), "threads is -1"),
+        (lambda s: pl.optimise(s.scene, precision="f16"), '"f32" or "f64"'),
+        (lambda s: pl.optimise(s.scene, epochs=-1), "epochs is -1, but it must be from 0 to 100000"),
+        (lambda s: pl.optimise(s.scene, epochs=100_001), "epochs is 100001"),
         (lambda s: pl.Simulator(s.scene, memory="3 potatoes"), "memory: .*potatoes"),
     ],
 )

@@ -2,7 +2,7 @@
 //!
 //!     cargo run --release -p powderline-simulator --example restarted_ablation SCENE SKILLS [VARIANT...]
 //!
-//! SKILLS are numbers of the list below, as in `0,3,6`. A VARIANT is a list of words; without any, all of `VARIANTS` are tried.
+//! SKILLS are numbers of the list below, as in `0,3,6`, or drawn ones as `optimise gradcheck` numbers them, as in `draw603`. A VARIANT is a list of words; without any, all of `VARIANTS` are tried.
 //!
 //! | word | sets |
 //! |---|---|
@@ -22,7 +22,7 @@ use std::ops::Range;
 
 use powderline_simulator::bench::cpu_seconds;
 use powderline_simulator::rollout::restart::{Carrying, Restarted, Restarts};
-use powderline_simulator::rollout::slopes::{HALF_STEP, cosine};
+use powderline_simulator::rollout::slopes::{HALF_STEP, cosine, skill as drawn};
 use powderline_simulator::rollout::{RolloutError, Simulate, Simulator, SimulatorSettings};
 use powderline_simulator::scene::Scene;
 use powderline_simulator::skill::{SegmentKind, SkillMap, SkillParameter, Theta, ThetaGradient};
@@ -69,7 +69,10 @@ fn main() -> Result<(), Failure> {
     let settings = SimulatorSettings { seed: scene.powder.seed, ..SimulatorSettings::default() };
     let mut simulator = Simulator::<f32>::new(&scene, &settings)?;
     for skill in skills.split(',') {
-        let theta = &Theta::new(*SKILLS.get(skill.parse::<usize>()?).ok_or("there is no such skill")?)?;
+        let theta = &match skill.strip_prefix("draw") {
+            Some(number) => drawn(number.parse()?),
+            None => Theta::new(*SKILLS.get(skill.parse::<usize>()?).ok_or("there is no such skill")?)?,
+        };
         let (slope, rollout_s) = slope(&mut simulator, theta)?;
         println!("skill {skill}: slope {}", shown(&slope));
         for words in &variants {

@@ -13,7 +13,7 @@ use crate::{
     optim::EpochRecord,
     report::amounts::Amounts,
     report::folder::{COMPARISON, CURVES, METRICS, RunFolder, SCENE, TRIES},
-    report::words::{count, duration, hex, precision_name},
+    report::words::{count, duration, hex},
 };
 use clap::Args;
 use powderline_baseline::Search;
@@ -395,7 +395,7 @@ impl Experiment {
             folder: self.folder.path(),
             scene: &self.scene.name,
             scene_digest: hex(&self.plan.scene),
-            precision: precision_name(self.plan.precision),
+            precision: self.plan.precision.name(),
             seeds: &self.plan.seeds,
             rows: self.rows(comparison),
         }

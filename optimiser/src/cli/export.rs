@@ -536,15 +536,8 @@ impl ArmArgs {
         {
             return Some(Mount { kind, world_from_base, flange_from_tool, posture: None, near, clearance_m });
         }
-        let arm = header.arm?;
-        Some(Mount {
-            kind: arm.kind,
-            world_from_base: arm.world_from_base.pose(),
-            flange_from_tool: arm.flange_from_tool.pose(),
-            posture: near.is_none().then_some(arm.posture),
-            near,
-            clearance_m,
-        })
+        let mount = Mount::of_plan(&header.arm?, clearance_m);
+        Some(Mount { posture: mount.posture.filter(|_| near.is_none()), near, ..mount })
     }
 
     /// Table, containers and gates, as far as they are known.

@@ -1,7 +1,6 @@
 //! `optimise gradcheck`: the adjoint's gradient against finite differences.
 
 use super::{CliError, Context, Interrupt, Progress, Resources, Setup, options::PrecisionArg, slopes};
-use crate::report::words::precision_name;
 use clap::{Args, ValueEnum};
 use powderline_shared::plan::{Precision, SkillParameter};
 use powderline_simulator::Real;
@@ -163,7 +162,7 @@ fn compare<T: Real>(
     let smoothed = if arguments.short { None } else { Some(smoothed(&mut simulator)?) };
     Ok(Report {
         scene: scene.name.clone(),
-        precision: precision_name(setup.precision),
+        precision: setup.precision.name(),
         theta: CHECKED_THETA,
         windows,
         growth,

@@ -5,7 +5,7 @@ use crate::report::{
     amounts::counted,
     finding::Finding,
     record::RunRecord,
-    words::{grouped, hex, parameter, precision_name},
+    words::{grouped, hex, parameter},
 };
 use clap::Args;
 use powderline_shared::{
@@ -102,7 +102,7 @@ impl Report {
             scene_digest: hex(&header.scene_digest),
             optimiser_version: format!("{}.{}.{}", version.major, version.minor, version.patch),
             seed: header.seed,
-            precision: precision_name(header.precision),
+            precision: header.precision.name(),
             parameters: parameters(header),
             control_period_us: header.control_period_us,
             step_count: header.step_count,

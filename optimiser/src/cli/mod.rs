@@ -42,7 +42,7 @@ pub use interrupt::Interrupt;
 pub use motion::scene_of_plan;
 pub use options::{MAX_THREADS, PrecisionArg, Resources, Setup};
 pub use progress::{Progress, Stream, is_live};
-pub use run::{EpochFn, RunArgs, run};
+pub use run::{EpochFn, MAX_EPOCHS, RunArgs, run};
 pub use size::{Memory, format_size, parse_size};
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};

@@ -119,15 +119,7 @@ impl Task {
         match &self.motion {
             Motion::Skill(_) => of_scene.map(Mount::of),
             Motion::Plan { header, .. } | Motion::Executed { header, .. } => {
-                let arm = header.arm?;
-                Some(Mount {
-                    kind: arm.kind,
-                    world_from_base: arm.world_from_base.pose(),
-                    flange_from_tool: arm.flange_from_tool.pose(),
-                    posture: Some(arm.posture),
-                    near: None,
-                    clearance_m: of_scene.map(|arm| arm.clearance_m),
-                })
+                Some(Mount::of_plan(&header.arm?, of_scene.map(|arm| arm.clearance_m)))
             }
         }
     }

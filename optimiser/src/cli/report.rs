@@ -16,7 +16,7 @@ use crate::{
         folder::{COMPARISON, PLAN, STATE},
         judged::Judged,
         record::RunRecord,
-        words::{duration, hex, parameter, precision_name},
+        words::{duration, hex, parameter},
     },
 };
 use clap::Args;
@@ -173,12 +173,8 @@ impl ReportArgs {
     fn run(&self) -> Result<Draft, CliError> {
         let record = RunRecord::read(&self.of)?;
         let finding = record.finding();
-        let title = format!(
-            "{}, seed {}, {}",
-            record.scene.name,
-            record.state.seed,
-            precision_name(record.state.precision)
-        );
+        let title =
+            format!("{}, seed {}, {}", record.scene.name, record.state.seed, record.state.precision.name());
         let mut draft = match record.shipped {
             Some(_) => self.plan(&self.of.join(PLAN))?,
             None => {

@@ -14,15 +14,15 @@ use crate::{
         plan::PlanParts,
         record::RunRecord,
         state::RunState,
-        words::{hex, precision_name},
+        words::hex,
     },
 };
 use clap::Args;
 use powderline_shared::plan::{Mounting, Precision};
 use powderline_simulator::{
     arm::arm_motion,
-    rollout::{self, Evaluation, Places, RolloutError, Simulate},
-    scene::{DEFAULT_SCENE, Scene},
+    rollout::{self, Evaluation, Places, RolloutError, Simulate, restart::Restarts},
+    scene::{DEFAULT_SCENE, GradientEstimator, Scene},
     skill::{QuantisedControls, SkillMap, Theta, ThetaGradient, colliding_skill},
 };
 use serde::Serialize;
@@ -89,7 +89,7 @@ struct Line<'a> {
 }
 
 /// Most epochs of a run.
-const MAX_EPOCHS: u32 = 100_000;
+pub const MAX_EPOCHS: u32 = 100_000;
 
 /// Time of a gradient, in evaluations without one; for the progress bar.
 const GRADIENT_COST: f64 = 5.4;
@@ -280,7 +280,7 @@ impl<'a> Run<'a> {
         progress.line(&format!(
             "{}: seed {seed}, {}, into {}",
             self.record.scene.name,
-            precision_name(precision),
+            precision.name(),
             self.folder.path().display()
         ));
         if let Some((theta, collision)) = colliding_skill(&self.record.scene) {
@@ -331,6 +331,13 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
+    /// Where the adjoint restarts, if the scene asks for one that does.
+    fn restarts(&self, theta: &Theta) -> Option<Restarts> {
+        let scene = &self.record.scene;
+        let asked = scene.optimiser.gradient == GradientEstimator::Restarted;
+        asked.then(|| Restarts::of_skill(scene, &SkillMap::new(scene), theta))
+    }
+
     /// The answer for the skill, and the losses of the probes that it makes necessary, ring by ring.
     fn evaluate_epoch(
         &self,
@@ -344,8 +351,11 @@ impl<'a> Run<'a> {
             search.probes(&self.method, adjoint).into_iter().map(|probe| probe.theta)
         };
         let (answer, probes) = if request.want_gradient {
-            let (evaluation, adjoint) =
-                work.evaluate_with_gradient(&request.theta, share(cost, request.probes))?;
+            let (evaluation, adjoint) = work.evaluate_with_gradient(
+                &request.theta,
+                self.restarts(&request.theta).as_ref(),
+                share(cost, request.probes),
+            )?;
             let probes: Vec<Theta> = thetas(Some(&adjoint)).collect();
             let answer = Answer { evaluation, adjoint: Some(adjoint) };
             (answer, work.evaluate_all(&probes, share(cost, probes.len()))?)
@@ -547,13 +557,20 @@ struct Work<'a> {
 }
 
 impl Work<'_> {
-    /// One evaluation, which takes the bar to `end`.
+    /// One evaluation, which takes the bar to `end`; by the exact adjoint, if nothing restarts.
     fn evaluate_with_gradient(
         &mut self,
         theta: &Theta,
+        restarts: Option<&Restarts>,
         end: f64,
     ) -> Result<(Evaluation, ThetaGradient), CliError> {
-        self.go([0.0, end], |simulator| simulator.evaluate_with_gradient(theta))
+        self.go([0.0, end], |simulator| match restarts {
+            None => simulator.evaluate_with_gradient(theta),
+            Some(restarts) => {
+                let found = simulator.evaluate_restarted(theta, restarts)?;
+                Ok((found.evaluation, found.gradient))
+            }
+        })
     }
 
     /// Evaluations without gradients, which take the bar from `start` to the end.
@@ -623,7 +640,7 @@ fn refuse_differences(arguments: &RunArgs, path: &Path, state: &RunState) -> Res
     }
     let asked = arguments.precision.map(Precision::from);
     if let Some(asked) = asked.filter(|asked| *asked != state.precision) {
-        let [asked, saved] = [asked, state.precision].map(precision_name);
+        let [asked, saved] = [asked, state.precision].map(Precision::name);
         return refuse(format!("was started with precision {saved}, not {asked}"));
     }
     Ok(())

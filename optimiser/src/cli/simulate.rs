@@ -5,11 +5,7 @@ use super::{
     executed::ExecutedReport,
     motion::{Motion, MotionArgs, Task, collision_words},
 };
-use crate::report::{
-    amounts::Amounts,
-    finding::Outcome,
-    words::{hex, precision_name},
-};
+use crate::report::{amounts::Amounts, finding::Outcome, words::hex};
 use clap::Args;
 use powderline_shared::plan::{PlanHeader, Prediction};
 use powderline_simulator::{
@@ -146,7 +142,7 @@ impl Report {
             scene_digest: hex(&task.scene.digest()),
             collision: task.collision().map(CollisionReport::from),
             seed: task.setup.settings.seed,
-            precision: precision_name(task.setup.precision),
+            precision: task.setup.precision.name(),
             theta,
             indicator: found.indicator,
             outcome: Outcome::of_evaluation(&amounts, found),

@@ -7,7 +7,7 @@ use super::{
     options::DEFAULT_PRECISION,
 };
 use crate::report::folder::RunFolder;
-use crate::report::words::{hex, precision_name};
+use crate::report::words::hex;
 use powderline_shared::plan::{Precision, SkillParameter};
 use powderline_simulator::PHYSICS_VERSION;
 use powderline_simulator::rollout::slopes::{
@@ -101,7 +101,7 @@ pub(super) fn execute(
         scene: scene.name.clone(),
         scene_digest: hex(&scene.digest()),
         aim: scene.objective.aim,
-        precision: precision_name(precision).into(),
+        precision: precision.name().into(),
         physics: PHYSICS_VERSION,
         half_step: HALF_STEP,
         least_delivered: LEAST_DELIVERED,

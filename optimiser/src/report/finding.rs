@@ -6,7 +6,7 @@ use super::{
     advice::advice,
     amounts::Amounts,
     judged::{Judged, Rule},
-    words::{hex, precision_name},
+    words::hex,
 };
 use crate::optim::{EpochRecord, Step};
 use powderline_shared::plan::{Mounting, PlanError, PlanHeader, Precision};
@@ -188,7 +188,7 @@ impl Finding {
             scene: scene.name.clone(),
             scene_digest: hex(&scene.digest()),
             seed,
-            precision: precision_name(precision),
+            precision: precision.name(),
             amounts,
             rule,
             epoch: epoch.map(|epoch| epoch as u32),

@@ -1,6 +1,6 @@
 //! Numbers in words.
 
-use powderline_shared::plan::{Precision, SkillParameter};
+use powderline_shared::plan::SkillParameter;
 pub(crate) use powderline_simulator::scene::figures::{count, grouped};
 
 /// A duration to the precision that a waiting person needs.
@@ -10,14 +10,6 @@ pub(crate) fn duration(seconds: f64) -> String {
         0..60 => format!("{whole} s"),
         60..3600 => format!("{} min", (whole + 30) / 60),
         _ => format!("{} h {:02} min", whole / 3600, whole % 3600 / 60),
-    }
-}
-
-/// A precision as the person writes it.
-pub(crate) fn precision_name(precision: Precision) -> &'static str {
-    match precision {
-        Precision::F32 => "f32",
-        Precision::F64 => "f64",
     }
 }
 

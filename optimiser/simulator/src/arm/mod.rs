@@ -4,7 +4,7 @@
 //! | what | where |
 //! |---|---|
 //! | the tool's way that is to be made | [`ToolPath`] |
-//! | how the arm stands and holds the tool | [`Mount`]; of a scene by [`Mount::of`] |
+//! | how the arm stands and holds the tool | [`Mount`]; of a scene by [`Mount::of`], of a plan by [`Mount::of_plan`] |
 //! | what is around it | [`Surroundings`] |
 //! | its joints, or why there are none | [`ArmMotion`], [`Refusal`] |
 //! | the path between two ticks | [`spline`] |
@@ -27,6 +27,7 @@ pub use transit::{Around, Transit, TransitError};
 use crate::scene::{Arm, Scene};
 use crate::skill::{QuantisedControls, SkillMap, Theta};
 use nalgebra::Vector3;
+use powderline_shared::plan::Mounting;
 use powderline_shared::pose::{Pose, exp_so3, renormalised};
 
 /// From one setpoint of an arm's controller to the next, microseconds: the 500 Hz of UR's e-Series.
@@ -52,6 +53,19 @@ impl Mount {
             posture: arm.posture.map(Into::into),
             near: None,
             clearance_m: Some(arm.clearance_m),
+        }
+    }
+
+    /// How a plan's arm stands and holds the tool; `clearance_m` as [`Mount::clearance_m`], which a plan does not say.
+    #[must_use]
+    pub fn of_plan(arm: &Mounting, clearance_m: Option<f64>) -> Self {
+        Self {
+            kind: arm.kind,
+            world_from_base: arm.world_from_base.pose(),
+            flange_from_tool: arm.flange_from_tool.pose(),
+            posture: Some(arm.posture),
+            near: None,
+            clearance_m,
         }
     }
 }

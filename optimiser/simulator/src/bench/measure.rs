@@ -453,16 +453,12 @@ fn need(settings: &Settings, part: usize) -> u64 {
 /// See [`BenchError`].
 pub fn run(settings: &Settings, watch: Watch<'_>) -> Result<Report, BenchError> {
     match settings.precision {
-        Precision::F32 => measure::<f32>(settings, "f32", watch),
-        Precision::F64 => measure::<f64>(settings, "f64", watch),
+        Precision::F32 => measure::<f32>(settings, watch),
+        Precision::F64 => measure::<f64>(settings, watch),
     }
 }
 
-fn measure<T: Elementary>(
-    settings: &Settings,
-    precision: &'static str,
-    watch: Watch<'_>,
-) -> Result<Report, BenchError> {
+fn measure<T: Elementary>(settings: &Settings, watch: Watch<'_>) -> Result<Report, BenchError> {
     let steps = settings.substeps.div_ceil(SUBSTEPS as usize).max(1);
     let part = steps.div_ceil(PARTS);
     check_memory(settings, part)?;
@@ -488,7 +484,7 @@ fn measure<T: Elementary>(
     Ok(Report {
         particles: settings.particles,
         grid: settings.grid,
-        precision,
+        precision: settings.precision.name(),
         threads: settings.threads,
         substeps: steps * SUBSTEPS as usize,
         warm_up_substeps: WARM_UP * SUBSTEPS as usize,

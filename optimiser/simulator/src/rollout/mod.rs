@@ -250,8 +250,7 @@ pub trait Simulate {
         (0..).zip(thetas).map(one).collect()
     }
 
-    /// Loss of a skill, and its derivative with respect to theta, metres: by the exact adjoint, or by the one that [`restart`]s where
-    /// the scene's `optimiser.gradient` asks for that ([`crate::scene::GradientEstimator::Restarted`]).
+    /// Loss of a skill, and its derivative with respect to theta, metres, by the exact adjoint.
     ///
     /// # Errors
     /// See [`RolloutError`].

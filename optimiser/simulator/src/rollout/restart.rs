@@ -99,6 +99,7 @@ use rayon::prelude::*;
 
 use super::outcome::held_within;
 use super::path::PoseBar;
+use super::slopes::HALF_STEP;
 use crate::mpm::Model;
 use crate::mpm::bodies::Bodies;
 use crate::mpm::contact::BodyState;
@@ -166,7 +167,7 @@ pub struct Carrying {
 
 impl Restarts {
     /// For the motion of a skill: at each quarter of the scooping and at the end of the lift, in neighbourhoods of 1.5 cells. From there on
-    /// tool and powder are one body, which is moved over the pour, in the skill's plane, as far as the scene's differences move
+    /// tool and powder are one body, which is moved over the pour, in the skill's plane, as far as [`HALF_STEP`] moves
     /// transport, lift and pouring angle.
     #[must_use]
     pub fn of_skill(scene: &Scene, map: &SkillMap, theta: &Theta) -> Self {
@@ -220,7 +221,7 @@ impl Restarts {
 /// Forward, up, and tilting forward.
 fn ways(scene: &Scene) -> Vec<Displacement> {
     let skill = &scene.skill;
-    let part = |[low, high]: [f64; 2]| 0.5 * (high - low) * scene.optimiser.difference_half_step;
+    let part = |[low, high]: [f64; 2]| 0.5 * (high - low) * HALF_STEP;
     let (sin, cos) = libm::sincos(skill.heading_deg.to_radians());
     let forward = part(skill.transport_displacement_m);
     let up = part(skill.lift_height_m);

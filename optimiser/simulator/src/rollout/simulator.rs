@@ -25,7 +25,7 @@ use crate::rollout::{
     outcome::{self, Grains},
     quiet, thread_pool,
 };
-use crate::scene::{GradientEstimator, Scene};
+use crate::scene::Scene;
 use crate::skill::{Control, SkillMap, Theta, ThetaGradient};
 
 /// Memory of each worker when there are several, in settled states: its current state, its workspace, its sort buffers, all of them
@@ -520,11 +520,6 @@ impl<T: Real> Simulate for Simulator<T> {
     }
 
     fn evaluate_with_gradient(&mut self, theta: &Theta) -> Result<(Evaluation, ThetaGradient), RolloutError> {
-        if self.scene.optimiser.gradient == GradientEstimator::Restarted {
-            let restarts = Restarts::of_skill(&self.scene, &self.skill, theta);
-            let found = self.evaluate_restarted(theta, &restarts)?;
-            return Ok((found.evaluation, found.gradient));
-        }
         let linear = self.skill.linearise(theta)?;
         let (evaluation, gradient) = self.gradient(&linear.controls, Asked::default())?;
         Ok((evaluation, linear.pull_back(&gradient)))

@@ -16,8 +16,7 @@ use crate::rollout::{
     Snapshot, gradcheck, loss, outcome, quiet,
 };
 use crate::scene::{
-    Aim, Cuboid, Flow, GradientEstimator, Infeasible, Scene, Tool, ToolShape, Transfer, VolumeCorrection,
-    YieldSurface,
+    Aim, Cuboid, Flow, Infeasible, Scene, Tool, ToolShape, Transfer, VolumeCorrection, YieldSurface,
 };
 use crate::skill::{SkillMap, SkillParameter, Theta};
 
@@ -110,24 +109,19 @@ fn powder_sleeps_in_branches_as_the_restarts_say() {
     assert_ne!(asleep.gradient.map(f64::to_bits), one.gradient.map(f64::to_bits));
 }
 
-/// A scene that asks for it gets the restarted gradient of a skill, and everything else as before.
+/// Carrying: tilting tool and powder over the pour costs what whole motions say that are tilted there; and the scene's loss as one of
+/// one's own.
 #[test]
-fn a_scene_may_ask_for_the_restarted_gradient() {
+fn what_is_carried_is_moved_as_a_body_and_a_custom_loss_has_the_same_bits() {
     let mut scene = Scene::load("bench-small").expect("shipped");
     scene.domain.cell_m *= 2.0;
     scene.time.substeps /= 2;
     let theta = gradcheck::CHECKED_THETA;
     let restarts = Restarts::of_skill(&scene, &SkillMap::new(&scene), &theta);
-    let simulator =
-        |scene: &Scene| Simulator::<f32>::new(scene, &SimulatorSettings::default()).expect("threads");
-    let wanted = simulator(&scene).evaluate_restarted(&theta, &restarts).expect("runs");
-    scene.optimiser.gradient = GradientEstimator::Restarted;
-    let found = simulator(&scene).evaluate_with_gradient(&theta).expect("runs");
-    assert_eq!(found, (wanted.evaluation, wanted.gradient));
-    // Tilting tool and powder over the pour costs what whole motions say that are tilted there.
+    let mut s = Simulator::<f32>::new(&scene, &SimulatorSettings::default()).expect("threads");
+    let wanted = s.evaluate_restarted(&theta, &restarts).expect("runs");
     let carrying = restarts.carrying.as_ref().expect("it carries");
     let (tilt, controls) = (carrying.ways[2], SkillMap::new(&scene).controls(&theta).expect("fits"));
-    let mut s = simulator(&scene);
     let mut end = |sign: f64| s.simulate(&carrying.moved(&controls, &tilt, sign)).expect("runs").loss;
     let rise = 0.5 * (end(1.0) - end(-1.0));
     let moment = wanted.by_displacement[carrying.over.start].per_radian;
@@ -286,15 +280,24 @@ fn scoop_agrees_with_differences(scene: Scene) {
     assert!(window.error < 1e-5, "{}", window.error);
 }
 
-#[test]
-fn a_motion_that_is_looked_at_ends_as_one_that_is_not() {
+/// A simulator whose powder sleeps, and a motion's first steps.
+fn beginning(steps: usize) -> (Simulator<f32>, SkillMap, Vec<Displacement>) {
     let mut scene = Scene::load("bench-small").expect("shipped");
     scene.domain.sleep_speed_m_s = 0.01;
     scene.time.settle_s = 0.1;
     let map = SkillMap::new(&scene);
-    let controls: Vec<_> = map.controls(&gradcheck::CHECKED_THETA).expect("fits")[..25].to_vec();
+    let controls = map.controls(&gradcheck::CHECKED_THETA).expect("fits")[..steps].to_vec();
     let settings = SimulatorSettings { seed: 1, threads: Some(2), memory_bytes: 1 << 30 };
-    let mut s = Simulator::<f32>::new(&scene, &settings).expect("threads");
+    (Simulator::new(&scene, &settings).expect("threads"), map, controls)
+}
+
+fn same_place((shown, end): (&[f32; 3], &[f64; 3])) -> bool {
+    shown.map(f32::to_bits) == end.map(|x| (x as f32).to_bits())
+}
+
+#[test]
+fn a_motion_that_is_looked_at_ends_as_one_that_is_not() {
+    let (mut s, map, controls) = beginning(25);
     let alone = s.simulate(&controls).expect("runs");
     let positions = s.final_positions_m(&controls).expect("runs");
     for every in [1, 10, 25, 40] {
@@ -311,11 +314,7 @@ fn a_motion_that_is_looked_at_ends_as_one_that_is_not() {
         assert_eq!(steps, (0..=25).step_by(every).collect::<Vec<_>>());
         assert_eq!(destinations.len(), positions.len());
         if 25 % every == 0 {
-            assert!(
-                last.iter()
-                    .zip(&positions)
-                    .all(|(shown, end)| shown.map(f32::to_bits) == end.map(|x| (x as f32).to_bits()))
-            );
+            assert!(last.iter().zip(&positions).all(same_place));
         }
         let refused = s.record(&recording, &mut |_| ControlFlow::Break(()));
         assert_eq!(refused.err(), Some(RolloutError::Stopped));
@@ -324,12 +323,7 @@ fn a_motion_that_is_looked_at_ends_as_one_that_is_not() {
 
 #[test]
 fn a_motion_in_pieces_comes_to_the_same_bits_as_whole() {
-    let mut scene = Scene::load("bench-small").expect("shipped");
-    scene.time.settle_s = 0.1;
-    let map = SkillMap::new(&scene);
-    let controls: Vec<_> = map.controls(&gradcheck::CHECKED_THETA).expect("fits")[..40].to_vec();
-    let settings = SimulatorSettings { seed: 1, threads: Some(2), memory_bytes: 1 << 30 };
-    let mut s = Simulator::<f32>::new(&scene, &settings).expect("threads");
+    let (mut s, map, controls) = beginning(40);
     let whole = s.simulate(&controls).expect("runs");
     let positions = s.final_positions_m(&controls).expect("runs");
     let mut state = s.begin(map.start_pose()).expect("settles");
@@ -341,9 +335,7 @@ fn a_motion_in_pieces_comes_to_the_same_bits_as_whole() {
     }
     assert_eq!(s.judge(&state), whole);
     assert_eq!(*state.tool(), controls.iter().fold(*map.start_pose(), |pose, step| pose.displaced(step)));
-    let same =
-        |(shown, end): (&[f32; 3], &[f64; 3])| shown.map(f32::to_bits) == end.map(|x| (x as f32).to_bits());
-    assert!(state.positions_m().iter().zip(&positions).all(same));
+    assert!(state.positions_m().iter().zip(&positions).all(same_place));
     let before = state.positions_m();
     let outwards = Displacement { translation_m: [-1.0, 0.0, 0.0], ..Displacement::default() };
     if let Err(RolloutError::Escaped { step, .. } | RolloutError::NonFinite { step, .. }) =

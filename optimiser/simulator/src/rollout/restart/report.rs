@@ -23,6 +23,14 @@ pub struct Restarted {
     pub by_displacement: Vec<DisplacementGradient>,
 }
 
+impl Restarted {
+    /// Of a simulator of one's own, which restarts nowhere.
+    #[must_use]
+    pub fn new(evaluation: Evaluation, gradient: ThetaGradient) -> Self {
+        Self { evaluation, gradient, cuts: Vec::new(), shares: Vec::new(), by_displacement: Vec::new() }
+    }
+}
+
 /// What happened at one cut.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 #[non_exhaustive]
