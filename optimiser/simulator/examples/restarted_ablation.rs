@@ -15,6 +15,7 @@
 //! | `ways=3` | only so many of the ways, as in `Carrying::ways` |
 //! | `sleep=0.02` | `Carrying::sleep_speed_m_s` |
 //! | `residue=0` | `Restarts::through_residue` |
+//! | `bed=0` | `Restarts::through_bed` |
 //! | `end=0` | `Restarts::begins_with_slopes` |
 //! | `trace=1` | shows the cuts |
 
@@ -40,7 +41,7 @@ const SKILLS: [[f64; 5]; 7] = [
     [0.6, 0.5, 0.0, 0.1, 0.8],
 ];
 
-const VARIANTS: [&str; 16] = [
+const VARIANTS: [&str; 17] = [
     "",
     "from=never",
     "from=never end=0",
@@ -56,6 +57,7 @@ const VARIANTS: [&str; 16] = [
     "ahead=0.02",
     "room=0",
     "residue=0",
+    "bed=0",
     "sleep=0.002",
 ];
 
@@ -122,6 +124,7 @@ fn variant(scene: &Scene, map: &SkillMap, theta: &Theta, words: &str) -> Result<
             "over" => carrying(&mut restarts)?.over = spans(scene, map, theta, value)?,
             "ways" => carrying(&mut restarts)?.ways.truncate(value.parse()?),
             "sleep" => carrying(&mut restarts)?.sleep_speed_m_s = value.parse()?,
+            "bed" => restarts.through_bed = value == "1",
             "residue" => restarts.through_residue = value == "1",
             "end" => restarts.begins_with_slopes = value == "1",
             "trace" => traces = value == "1",
