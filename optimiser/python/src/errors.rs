@@ -1,11 +1,13 @@
 //! The sentences of the Rust crates as Python's exceptions.
 
+use std::io::ErrorKind;
+
 use powderline_optimiser::cli::CliError;
-use powderline_shared::plan::file::LoadError;
+use powderline_shared::plan::file::{LoadCause, LoadError};
 use powderline_simulator::{rollout::RolloutError, scene, skill};
 use pyo3::{
     create_exception,
-    exceptions::{PyKeyboardInterrupt, PyRuntimeError, PyValueError},
+    exceptions::{PyFileNotFoundError, PyKeyboardInterrupt, PyRuntimeError, PyValueError},
     prelude::*,
 };
 
@@ -54,7 +56,12 @@ pub(crate) fn of_rollout(error: RolloutError) -> PyErr {
 }
 
 pub(crate) fn of_file(error: LoadError) -> PyErr {
-    PlanError::new_err(error.to_string())
+    match error.cause() {
+        LoadCause::Io(cause) if cause.kind() == ErrorKind::NotFound => {
+            PyFileNotFoundError::new_err(error.to_string())
+        }
+        _ => PlanError::new_err(error.to_string()),
+    }
 }
 
 pub(crate) fn of_command(error: CliError) -> PyErr {

@@ -43,7 +43,7 @@ type Pickled<'py> = (Bound<'py, PyAny>, (Vec<u8>, Option<Scene>));
 impl Plan {
     /// Reads a plan file; its bytes, its numbers and its limits are checked.
     ///
-    /// Raises PlanError, which says what is wrong with it.
+    /// Raises FileNotFoundError; PlanError, which says what is wrong with it.
     #[staticmethod]
     fn load(path: PathBuf) -> PyResult<Self> {
         let bytes = read_plan_file(&path).map_err(errors::of_file)?;

@@ -110,7 +110,11 @@ pub(crate) fn checked_threads(threads: Option<i64>) -> PyResult<Option<u16>> {
 fn memory_bytes(memory: &Bound<'_, PyAny>) -> PyResult<u64> {
     match memory.extract::<String>() {
         Ok(text) => parse_size(&text).map_err(|error| PyValueError::new_err(format!("memory: {error}"))),
-        Err(_) => memory.extract(),
+        Err(_) => memory.extract().map_err(|_| {
+            PyValueError::new_err(format!(
+                "memory is {memory}, but it must be a size such as \"2GiB\", or a whole number of bytes"
+            ))
+        }),
     }
 }
 

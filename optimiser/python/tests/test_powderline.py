@@ -220,6 +220,8 @@ def test_a_loss_of_ones_own_is_differentiated(scene, simulator):
         (lambda s: pl.optimise(s.scene, epochs=-1), "epochs is -1, but it must be from 0 to 100000"),
         (lambda s: pl.optimise(s.scene, epochs=100_001), "epochs is 100001"),
         (lambda s: pl.Simulator(s.scene, memory="3 potatoes"), "memory: .*potatoes"),
+        (lambda s: pl.Simulator(s.scene, memory=-1), "memory is -1, but it must be a size"),
+        (lambda s: pl.Simulator(s.scene, memory=1.5), "memory is 1.5"),
     ],
 )
 def test_what_makes_no_sense_is_a_sentence(simulator, call, sentence):
@@ -248,7 +250,7 @@ def test_plans_are_made_saved_loaded_and_turned_into_joints(scene, simulator, tm
     file.write_bytes(b"nonsense")
     with pytest.raises(pl.PlanError, match="skill.plan"):
         pl.Plan.load(file)
-    with pytest.raises(pl.PlanError, match="no such file"):
+    with pytest.raises(FileNotFoundError, match="no such file"):
         pl.Plan.load(tmp_path / "nowhere.plan")
     with pytest.raises(FileNotFoundError, match="cannot be written"):
         plan.save(tmp_path / "no" / "folder.plan")
