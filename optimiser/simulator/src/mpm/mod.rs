@@ -40,8 +40,8 @@ pub(crate) mod tests;
 pub(crate) mod tiles;
 pub(crate) mod timings;
 
-/// Raised with every change of what a substep computes: a run is not resumed by another physics.
-pub const PHYSICS_VERSION: u32 = 5;
+/// Raised with every change of what a substep or a gradient computes: a run is not resumed by another physics.
+pub const PHYSICS_VERSION: u32 = 6;
 
 use std::marker::PhantomData;
 
