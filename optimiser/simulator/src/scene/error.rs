@@ -118,6 +118,16 @@ pub enum SceneError {
     Several(Vec<Self>),
 }
 
+impl SceneError {
+    /// The sentence about a scene that a program has put together: it has no lines that somebody wrote.
+    pub fn without_line(&self) -> String {
+        match self {
+            Self::Structure { file, field, reason, .. } => format!("{file}: {field}: {reason}"),
+            other => other.to_string(),
+        }
+    }
+}
+
 fn lines(errors: &[SceneError]) -> String {
     errors.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n")
 }

@@ -172,8 +172,8 @@ fn in_plain_words(path: &str, message: &str) -> String {
         ("wanted string or table", A_CHOICE),
     ];
     let plain = words.iter().fold(one_line(message), |text, (rust, plain)| text.replace(rust, plain));
-    if let Some(question) = question(message) {
-        return plain + &question;
+    if let Some(asked) = asked(message, &plain) {
+        return asked;
     }
     let missing = plain.strip_prefix("missing field `").and_then(|rest| rest.strip_suffix('`'));
     let wants_table = || [A_KIND, A_CHOICE].iter().any(|words| plain.contains(words));
@@ -196,18 +196,24 @@ fn in_plain_words(path: &str, message: &str) -> String {
 const A_KIND: &str = "expected a table with a `kind`";
 const A_CHOICE: &str = "expected a name or a table";
 
-/// After an unknown key or choice: the question whether one of those that are possible there was meant, or the one table that
-/// the key belongs into.
-fn question(message: &str) -> Option<String> {
+/// Of an unknown key or choice: whether one of those that are possible there was meant, or the one table that the key belongs into.
+/// That comes first; the list of what is possible may be long.
+fn asked(message: &str, plain: &str) -> Option<String> {
     // "unknown field `word`, expected one of `this`, `that`": each word between two marks.
     let rest = message.strip_prefix("unknown field ").or_else(|| message.strip_prefix("unknown variant "))?;
     let mut words = rest.split('`').skip(1).step_by(2);
     let word = words.next()?;
+    let (unknown, expected) = plain.split_once(", expected ")?;
     let tables: Vec<&str> = TABLES.into_iter().filter(|table| example(table, word).is_some()).collect();
-    match tables[..] {
-        [table] if message.starts_with("unknown field ") => {
-            Some(format!("; that key belongs into [{table}]"))
-        }
-        _ => Some(did_you_mean(word, words)),
+    if let ([table], true) = (&tables[..], message.starts_with("unknown field ")) {
+        return Some(format!("{unknown}; that key belongs into [{table}]"));
     }
+    let question = did_you_mean(word, words.clone());
+    // One that is possible has been named, if there is no other.
+    let possible = match expected.strip_prefix("one of ").unwrap_or(expected) {
+        _ if question.is_empty() => return Some(plain.to_owned()),
+        _ if words.count() == 1 => String::new(),
+        words => format!(" Possible are {}", words.replace(" or ", ", ")),
+    };
+    Some(unknown.to_owned() + &question + &possible)
 }

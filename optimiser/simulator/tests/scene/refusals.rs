@@ -34,12 +34,12 @@ const STRUCTURE: &[Case] = &[
     (
         "youngs_modulus_pa = 1.0e4",
         "youngs_modulus = 1.0e4",
-        ": powder.youngs_modulus at line 18: unknown field `youngs_modulus`, expected one of `fill_min_m`, `fill_max_m`, `fill_shape`, `particles_per_cell`, `seed`, `youngs_modulus_pa`, `poissons_ratio`, `density_kg_m3`, `friction_angle_deg`, `flow`, `yield`, `volume_correction`, `transfer`, `cohesion_pa`, `tensile_strength_pa`, `viscosity_pa_s`; did you mean `youngs_modulus_pa`?",
+        ": powder.youngs_modulus at line 18: unknown field `youngs_modulus`; did you mean `youngs_modulus_pa`? Possible are `fill_min_m`, `fill_max_m`, `fill_shape`, `particles_per_cell`, `seed`, `youngs_modulus_pa`, `poissons_ratio`, `density_kg_m3`, `friction_angle_deg`, `flow`, `yield`, `volume_correction`, `transfer`, `cohesion_pa`, `tensile_strength_pa`, `viscosity_pa_s`",
     ),
     (
         "yield = \"drucker_prager\"",
         "yield = \"matsuoka\"",
-        ": powder.yield at line 22: unknown variant `matsuoka`, expected `drucker_prager` or `matsuoka_nakai`; did you mean `matsuoka_nakai`?",
+        ": powder.yield at line 22: unknown variant `matsuoka`; did you mean `matsuoka_nakai`? Possible are `drucker_prager`, `matsuoka_nakai`",
     ),
     (
         "cohesion_pa = 0.0\n",
@@ -129,17 +129,17 @@ const STRUCTURE: &[Case] = &[
     (
         r#"gradient = "mixed""#,
         r#"gradient = "restart""#,
-        ": optimiser.gradient at line 101: unknown variant `restart`, expected one of `adjoint`, `mixed`, `restarted`, `differences`; did you mean `restarted`?",
+        ": optimiser.gradient at line 101: unknown variant `restart`; did you mean `restarted`? Possible are `adjoint`, `mixed`, `restarted`, `differences`",
     ),
     (
         r#"aim = "amount""#,
         r#"aim = "amout""#,
-        ": objective.aim at line 91: unknown variant `amout`, expected `amount` or `all`; did you mean `amount`?",
+        ": objective.aim at line 91: unknown variant `amout`; did you mean `amount`? Possible are `amount`, `all`",
     ),
     (
         r#"shape = { kind = "bowl", inner_radius_m = 0.016 }"#,
         r#"shape = { kind = "bowll", inner_radius_m = 0.016 }"#,
-        ": tool.shape.kind at line 50: unknown variant `bowll`, expected one of `bowl`, `box_scoop`, `cuboids`; did you mean `bowl`?",
+        ": tool.shape.kind at line 50: unknown variant `bowll`; did you mean `bowl`? Possible are `bowl`, `box_scoop`, `cuboids`",
     ),
     (
         r#"shape = { kind = "bowl", inner_radius_m = 0.016 }"#,
@@ -154,7 +154,7 @@ const STRUCTURE: &[Case] = &[
     (
         "cohesion_pa = 0.0",
         "cell_m = 0.004",
-        ": powder.cell_m at line 24: unknown field `cell_m`, expected one of `fill_min_m`, `fill_max_m`, `fill_shape`, `particles_per_cell`, `seed`, `youngs_modulus_pa`, `poissons_ratio`, `density_kg_m3`, `friction_angle_deg`, `flow`, `yield`, `volume_correction`, `transfer`, `cohesion_pa`, `tensile_strength_pa`, `viscosity_pa_s`; that key belongs into [domain]",
+        ": powder.cell_m at line 24: unknown field `cell_m`; that key belongs into [domain]",
     ),
     (
         "difference_half_step = 0.1",
@@ -179,7 +179,7 @@ const STRUCTURE: &[Case] = &[
     (
         "[optimiser]",
         "[optimizer]",
-        ": optimizer at line 95: unknown field `optimizer`, expected one of `name`, `domain`, `powder`, `time`, `container`, `gate`, `tool`, `skill`, `limits`, `arm`, `objective`, `optimiser`; did you mean `optimiser`?",
+        ": optimizer at line 95: unknown field `optimizer`; did you mean `optimiser`? Possible are `name`, `domain`, `powder`, `time`, `container`, `gate`, `tool`, `skill`, `limits`, `arm`, `objective`, `optimiser`",
     ),
     (
         "[optimiser]",
@@ -360,7 +360,7 @@ const SINGLE_FIELDS: &[Case] = &[
     (
         "cohesion_pa = 0.0",
         "cohesion_pa = 0.0\ntransfer = { residue_time_ms = 50 }",
-        ": powder.transfer.residue_time_ms at line 25: unknown field `residue_time_ms`, expected `residue_time_s`; did you mean `residue_time_s`?",
+        ": powder.transfer.residue_time_ms at line 25: unknown field `residue_time_ms`; did you mean `residue_time_s`?",
     ),
     (
         "viscosity_pa_s = 0.08",
@@ -976,7 +976,10 @@ fn arms_are_refused() {
     assert!(Scene::from_toml("base.toml", &base).is_ok_and(|scene| scene.arm.is_some()));
     check_all_of(&base, ARMS);
     let unknown = refusal(&base.replacen("\"ur5e\"", "\"ur5\"", 1));
-    assert!(unknown.contains("arm.kind") && unknown.ends_with("did you mean `ur5e`?"), "{unknown}");
+    assert!(
+        unknown.contains("arm.kind") && unknown.contains("`ur5`; did you mean `ur5e`? Possible are"),
+        "{unknown}"
+    );
 }
 
 #[test]
