@@ -1,16 +1,15 @@
-"""What Python costs: rollouts, gradients and frames, here and by the Rust example `overhead`, one after the other in one run.
+"""What Python costs: a rollout, a gradient and 1,000 frames, here and by the Rust example `overhead`, in instructions, which do not
+depend on what else the machine does.
 
     cargo build --release -p powderline-simulator --example overhead
-    python optimiser/python/examples/overhead.py target/release/examples/overhead [ROUNDS]
+    python optimiser/python/examples/overhead.py target/release/examples/overhead
 
-Prints, for each kind of work, the median of the ratios of both processor times.
+Valgrind counts them; what a process takes that does nothing of it is taken off. Prints the ratio for each kind of work.
 """
 
-import json
-import statistics
+import re
 import subprocess
 import sys
-import time
 
 import numpy as np
 
@@ -19,34 +18,36 @@ import powderline as pl
 THETA = [0.3, 0.0, 0.0, 0.0, 0.3]
 
 
-def here() -> dict[str, float]:
-    """Processor seconds of each kind of work, the powder having settled before."""
-    scene = pl.Scene.load("bench-small")
-    simulator = pl.Simulator(scene, threads=1)
-    # As long as 1,000 frames.
-    rest = np.zeros((1000, 6))
+def do(work: str) -> None:
+    """One kind of work, the powder having settled before."""
+    simulator = pl.Simulator(pl.Scene.load("bench-small"), threads=1)
     simulator.rollouts(np.empty((0, 5)))
-    seconds = {}
-    for name, work in {
-        "rollout": lambda: simulator.rollout(THETA),
-        "gradient": lambda: simulator.gradient(THETA, kind="restarted"),
-        "frames": lambda: simulator.motion(rest, every=1),
-    }.items():
-        began = time.process_time()
-        work()
-        seconds[name] = time.process_time() - began
-    return seconds
+    if work == "rollout":
+        simulator.rollout(THETA)
+    elif work == "gradient":
+        simulator.gradient(THETA, kind="restarted")
+    elif work == "frames":
+        simulator.motion(np.zeros((1000, 6)), every=1)
+
+
+def instructions(command: list[str]) -> int:
+    """How many a process takes."""
+    counter = ["valgrind", "--tool=cachegrind", "--cache-sim=no", "--cachegrind-out-file=/dev/null"]
+    said = subprocess.run([*counter, *command], check=True, capture_output=True, text=True).stderr
+    found = re.search(r"I\s+refs:\s+([\d,]+)", said)
+    assert found is not None, said
+    return int(found[1].replace(",", ""))
 
 
 def main() -> None:
-    program, rounds = sys.argv[1], int(sys.argv[2]) if len(sys.argv) > 2 else 5
-    ratios: dict[str, list[float]] = {}
-    for _ in range(rounds):
-        there = json.loads(subprocess.run([program], check=True, capture_output=True, text=True).stdout)
-        for name, seconds in here().items():
-            ratios.setdefault(name, []).append(seconds / there[name])
-    for name, all_of in ratios.items():
-        print(f"{name:8s} {statistics.median(all_of):.3f} (from {min(all_of):.3f} to {max(all_of):.3f}) times as long as in Rust")
+    if sys.argv[1] == "--do":
+        return do(sys.argv[2])
+    works = ["nothing", "rollout", "gradient", "frames"]
+    here, there = ({work: instructions([*program, work]) for work in works}
+                   for program in ([sys.executable, __file__, "--do"], [sys.argv[1]]))
+    for work in works[1:]:
+        ours, theirs = here[work] - here["nothing"], there[work] - there["nothing"]
+        print(f"{work:8s} {ours / theirs:.4f} times the instructions of Rust, {ours / 1e9:.2f} thousand million")
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
     python optimiser/python/examples/sac.py [SCENE [ROLLOUTS [SEED,..]]]
 
 Settings as there: batch 8, learning rates 0.001, discount 0.99, eight uniform actions first, one gradient step an episode. The
-same is made by `optimise compare SCENE --methods sac`.
+same is made by `optimise compare SCENE --methods sac --epochs 10`: eleven rollouts an epoch, 121 in all.
 """
 
 import sys
@@ -28,9 +28,9 @@ class Losses(BaseCallback):
 
 
 def main() -> None:
-    scene, rollouts, seeds = (sys.argv[1:] + ["bench-small", "120", "1,2,3"][len(sys.argv) - 1 :])[:3]
+    scene, rollouts, seeds = (sys.argv[1:] + ["bench-small", "121", "1,2,3"][len(sys.argv) - 1 :])[:3]
     print(f"{scene}: lowest loss after .. rollouts, m")
-    at = [count for count in (10, 30, 60, 120, 240) if count <= int(rollouts)]
+    at = sorted({count for count in (11, 30, 66) if count < int(rollouts)} | {int(rollouts)})
     print("seed" + "".join(f"{count:8d}" for count in at))
     for seed in map(int, seeds.split(",")):
         env = VecNormalize(DummyVecEnv([lambda: SkillEnv(scene, seed=seed)]), norm_obs=False, gamma=0.99)

@@ -9,13 +9,21 @@ use powderline_shared::{
     displacement::Displacement,
     pose::{Pose, renormalised},
 };
-use powderline_simulator::skill::{Theta, ThetaError};
-use pyo3::{exceptions::PyValueError, prelude::*};
+use powderline_simulator::{
+    scene::{Scene, figures::about},
+    skill::{Theta, ThetaError},
+};
+use pyo3::{
+    exceptions::{PyTypeError, PyValueError},
+    prelude::*,
+    types::{PyList, PyString, PyTuple},
+};
 
 use crate::errors::{self, SkillError};
+use crate::given;
 
 /// A list or an array of numbers, of whatever shape: what would be right is said here, not by NumPy.
-pub(crate) type Numbers<'py> = PyArrayLikeDyn<'py, f64, AllowTypeChange>;
+pub(crate) type Numbers<'py> = Bound<'py, PyAny>;
 
 /// A list of lists, or a table.
 pub(crate) type Table<'py> = Numbers<'py>;
@@ -33,15 +41,43 @@ fn refused<T>(what: &str, shape: &str, found: &[usize]) -> PyResult<T> {
     Err(PyValueError::new_err(format!("{what} has the shape {found}, but it must be {shape}")))
 }
 
+/// The numbers that were given. NumPy would read some from words, too.
+fn numbers<'py>(
+    what: &str,
+    shape: &str,
+    given: &Numbers<'py>,
+) -> PyResult<PyArrayLikeDyn<'py, f64, AllowTypeChange>> {
+    let kind = || given.getattr("dtype")?.getattr("kind")?.extract::<String>();
+    let read = match kind() {
+        Ok(kind) if !"biuf".contains(&kind) => None,
+        _ if has_words(given) => None,
+        _ => given.extract().ok(),
+    };
+    let wrong = || format!("{what} is {}, but it must be numbers of the shape {shape}", given::shown(given));
+    read.ok_or_else(|| PyTypeError::new_err(wrong()))
+}
+
+/// Whether there is a word in a list, or in one of its lists.
+fn has_words(given: &Bound<'_, PyAny>) -> bool {
+    if given.is_instance_of::<PyString>() {
+        return true;
+    }
+    let is_list = given.is_instance_of::<PyList>() || given.is_instance_of::<PyTuple>();
+    is_list
+        && given.try_iter().is_ok_and(|mut items| items.any(|item| item.is_ok_and(|item| has_words(&item))))
+}
+
 fn fixed<const N: usize>(row: ArrayView1<'_, f64>) -> [f64; N] {
     std::array::from_fn(|k| row[k])
 }
 
 /// `N` numbers.
 pub(crate) fn row<const N: usize>(what: &str, numbers: &Numbers<'_>) -> PyResult<[f64; N]> {
+    let shape = format!("({N},)");
+    let numbers = self::numbers(what, &shape, numbers)?;
     match numbers.as_array().into_dimensionality::<Ix1>() {
         Ok(row) if row.len() == N => Ok(fixed(row)),
-        _ => refused(what, &format!("({N},)"), numbers.as_array().shape()),
+        _ => refused(what, &shape, numbers.as_array().shape()),
     }
 }
 
@@ -52,7 +88,9 @@ pub(crate) fn theta(numbers: &Numbers<'_>) -> PyResult<Theta> {
 
 /// Rows of `N` numbers.
 pub(crate) fn rows<const N: usize>(what: &str, table: &Table<'_>) -> PyResult<Vec<[f64; N]>> {
-    let table = table.as_array();
+    let wanted = format!("(n, {N})");
+    let numbers = numbers(what, &wanted, table)?;
+    let table = numbers.as_array();
     // Nothing at all has no width.
     if table.shape()[..] == [0] {
         return Ok(Vec::new());
@@ -60,7 +98,7 @@ pub(crate) fn rows<const N: usize>(what: &str, table: &Table<'_>) -> PyResult<Ve
     let shape = table.shape().to_vec();
     match table.into_dimensionality::<Ix2>() {
         Ok(table) if table.ncols() == N => Ok(table.rows().into_iter().map(fixed).collect()),
-        _ => refused(what, &format!("(n, {N})"), &shape),
+        _ => refused(what, &wanted, &shape),
     }
 }
 
@@ -91,6 +129,27 @@ pub(crate) fn displacements(what: &str, table: &Table<'_>) -> PyResult<Vec<Displ
             rows[at / 6][at % 6]
         ))),
     }
+}
+
+/// Refuses a motion that leaves the simulated volume, where there is neither powder nor anything to move it: as a rule somebody has
+/// given millimetres.
+pub(crate) fn within(scene: &Scene, from: &Pose, controls: &[Displacement]) -> PyResult<()> {
+    let size_m = scene.domain.size_m;
+    let is_out = |pose: &Pose| (0..3).any(|axis| !(0.0..=size_m[axis]).contains(&pose.position_m[axis]));
+    let mut pose = *from;
+    for (step, control) in controls.iter().enumerate() {
+        pose = pose.displaced(control);
+        if is_out(&pose) {
+            let at =
+                [pose.position_m.x, pose.position_m.y, pose.position_m.z].map(|x| about(x, 4)).join(", ");
+            let size = size_m.map(|x| about(x, 4)).join(", ");
+            return Err(PyValueError::new_err(format!(
+                "displacements[{step}] takes the tool to [{at}], out of the simulated volume from [0, 0, 0] to [{size}]: displacements \
+                 are metres and radians from one control step to the next"
+            )));
+        }
+    }
+    Ok(())
 }
 
 /// A pose from x, y, z in metres and a unit quaternion w, x, y, z.

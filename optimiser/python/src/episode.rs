@@ -100,6 +100,7 @@ impl Episode {
         let simulator = self.simulator.get();
         let found = self.now(|now| {
             let state = &mut now.state;
+            arrays::within(simulator.scene(), state.tool(), &controls)?;
             let found = simulator.simulated(py, |s, _| s.advance(state, &controls))?;
             now.steps += controls.len();
             Ok::<_, PyErr>(found)

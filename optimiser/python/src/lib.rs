@@ -14,6 +14,7 @@ mod arrays;
 mod episode;
 mod errors;
 mod evaluation;
+mod given;
 mod json;
 mod motion;
 mod plan;

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use numpy::{PyArray1, PyArray2};
 use powderline_optimiser::report::amounts::Amounts;
 use powderline_simulator::{
-    scene::{self, EMBEDDED_SCENES, SceneError},
+    scene::{self, EMBEDDED_SCENES},
     skill::SkillMap,
 };
 use pyo3::{
@@ -196,17 +196,9 @@ impl Scene {
         }
         let value = json::from_python("", fields.as_any())?;
         let text = toml::to_string(&value).map_err(|error| errors::SceneError::new_err(error.to_string()))?;
-        scene::Scene::from_toml(called, &text).map(Self).map_err(without_line)
-    }
-}
-
-/// A dictionary has no lines.
-fn without_line(error: SceneError) -> PyErr {
-    match error {
-        SceneError::Structure { file, field, reason, .. } => {
-            errors::SceneError::new_err(format!("{file}: {field}: {reason}"))
-        }
-        error => errors::of_scene(error),
+        scene::Scene::from_toml(called, &text)
+            .map(Self)
+            .map_err(|error| errors::SceneError::new_err(error.without_line()))
     }
 }
 

@@ -7,12 +7,12 @@ use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use powderline_optimiser::cli::{
     self, CliError, Context, Interrupt, MAX_EPOCHS, Memory, Resources, RunArgs, Stream,
 };
-use pyo3::{exceptions::PyValueError, prelude::*};
+use pyo3::prelude::*;
 
 use crate::scene::Scene;
-use crate::simulator::{checked_precision, checked_seed, checked_threads};
+use crate::simulator::{checked_precision, checked_seed, checked_threads, memory_bytes};
 use crate::watched::meanwhile;
-use crate::{errors, json};
+use crate::{errors, given, json};
 
 /// What the search says, until Python prints it.
 #[derive(Clone, Default)]
@@ -35,11 +35,8 @@ impl Write for Said {
     }
 }
 
-fn checked_epochs(count: i64) -> PyResult<u32> {
-    let fits = u32::try_from(count).ok().filter(|count| *count <= MAX_EPOCHS);
-    fits.ok_or_else(|| {
-        PyValueError::new_err(format!("epochs is {count}, but it must be from 0 to {MAX_EPOCHS}"))
-    })
+fn checked_epochs(count: &Bound<'_, PyAny>) -> PyResult<u32> {
+    given::whole("epochs", count, 0..=i128::from(MAX_EPOCHS), &format!("from 0 to {MAX_EPOCHS}"))
 }
 
 /// As `optimise run`; the Python package makes a `Run` of what this returns. `on_epoch` gets each line of `metrics.jsonl`, `say` what
@@ -50,23 +47,21 @@ fn checked_epochs(count: i64) -> PyResult<u32> {
 pub(crate) fn optimise<'py>(
     py: Python<'py>,
     scene: Option<Bound<'py, Scene>>,
-    seed: Option<i128>,
-    epochs: Option<i64>,
-    precision: Option<&str>,
-    threads: Option<i64>,
-    memory: &str,
+    seed: Option<&Bound<'py, PyAny>>,
+    epochs: Option<&Bound<'py, PyAny>>,
+    precision: Option<&Bound<'py, PyAny>>,
+    threads: Option<&Bound<'py, PyAny>>,
+    memory: &Bound<'py, PyAny>,
     out: Option<PathBuf>,
     resume: Option<PathBuf>,
     on_epoch: &Bound<'py, PyAny>,
     say: &Bound<'py, PyAny>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let precision = precision.map(checked_precision).transpose()?.map(Into::into);
-    let threads = checked_threads(threads)?;
+    let threads = threads.map(checked_threads).transpose()?;
     let seed = seed.map(checked_seed).transpose()?;
     let epochs = epochs.map(checked_epochs).transpose()?;
-    let memory =
-        cli::parse_size(memory).map_err(|error| PyValueError::new_err(format!("memory: {error}")))?;
-    let resources = Resources { threads, memory: Memory::Bytes(memory) };
+    let resources = Resources { threads, memory: Memory::Bytes(memory_bytes(memory)?) };
     let arguments = RunArgs { scene: None, seed, epochs, precision, resources, out, resume, json: true };
     let scene = scene.map(|scene| scene.get().0.clone());
     let (said, interrupt, mut found) = (Said::default(), Interrupt::default(), Vec::new());

@@ -11,11 +11,13 @@ use powderline_simulator::{
         self, DisplacementGradient, Recording, RolloutError, Simulate, SimulatorSettings, Snapshot,
         restart::Restarts,
     },
+    scene,
     skill::{SkillMap, SkillParameter, Theta, ThetaGradient},
 };
 use pyo3::{
     exceptions::{PyTypeError, PyValueError},
     prelude::*,
+    types::PyTuple,
 };
 
 use crate::arrays::{self, Numbers, Table};
@@ -25,7 +27,7 @@ use crate::motion::Motion;
 use crate::plan::Plan;
 use crate::scene::Scene;
 use crate::watched::{Link, simulated};
-use crate::{errors, plan};
+use crate::{errors, given, plan};
 
 /// The simulator in the one precision or the other.
 pub(crate) enum AnySimulator {
@@ -51,16 +53,8 @@ enum Kind {
 }
 
 impl Kind {
-    fn of(name: &str) -> PyResult<Self> {
-        match name {
-            "adjoint" => Ok(Self::Adjoint),
-            "restarted" => Ok(Self::Restarted),
-            "differences" => Ok(Self::Differences),
-            _ => Err(PyValueError::new_err(format!(
-                "kind is {name:?}, but it must be \"adjoint\", \"restarted\" or \"differences\""
-            ))),
-        }
-    }
+    const ALL: [(&'static str, Self); 3] =
+        [("adjoint", Self::Adjoint), ("restarted", Self::Restarted), ("differences", Self::Differences)];
 }
 
 /// Simulates motions of a scene's tool, and what the powder makes of them.
@@ -84,35 +78,29 @@ pub(crate) struct Simulator {
 }
 
 /// A seed.
-pub(crate) fn checked_seed(seed: i128) -> PyResult<u64> {
-    let wrong = |_| PyValueError::new_err(format!("seed is {seed}, but it must be from 0 to 2^64 - 1"));
-    u64::try_from(seed).map_err(wrong)
+pub(crate) fn checked_seed(seed: &Bound<'_, PyAny>) -> PyResult<u64> {
+    given::whole("seed", seed, 0..=i128::from(u64::MAX), "from 0 to 2^64 - 1")
 }
 
 /// A number format by its name.
-pub(crate) fn checked_precision(name: &str) -> PyResult<Precision> {
-    Precision::ALL.into_iter().find(|precision| precision.name() == name).ok_or_else(|| {
-        PyValueError::new_err(format!("precision is {name:?}, but it must be \"f32\" or \"f64\""))
-    })
+pub(crate) fn checked_precision(name: &Bound<'_, PyAny>) -> PyResult<Precision> {
+    given::word("precision", name, &Precision::ALL.map(|precision| (precision.name(), precision)))
 }
 
 /// As many threads as the programs take, too.
-pub(crate) fn checked_threads(threads: Option<i64>) -> PyResult<Option<u16>> {
-    let refused = |count| format!("threads is {count}, but it must be from 1 to {MAX_THREADS}, or None");
-    let checked = |count: i64| {
-        let fits = u16::try_from(count).ok().filter(|count| (1..=MAX_THREADS).contains(count));
-        fits.ok_or_else(|| PyValueError::new_err(refused(count)))
-    };
-    threads.map(checked).transpose()
+pub(crate) fn checked_threads(threads: &Bound<'_, PyAny>) -> PyResult<u16> {
+    let right = format!("from 1 to {MAX_THREADS}, or None");
+    given::whole("threads", threads, 1..=i128::from(MAX_THREADS), &right)
 }
 
 /// As much memory as is said: a size in words, or bytes.
-fn memory_bytes(memory: &Bound<'_, PyAny>) -> PyResult<u64> {
+pub(crate) fn memory_bytes(memory: &Bound<'_, PyAny>) -> PyResult<u64> {
     match memory.extract::<String>() {
         Ok(text) => parse_size(&text).map_err(|error| PyValueError::new_err(format!("memory: {error}"))),
         Err(_) => memory.extract().map_err(|_| {
             PyValueError::new_err(format!(
-                "memory is {memory}, but it must be a size such as \"2GiB\", or a whole number of bytes"
+                "memory is {}, but it must be a size such as \"2GiB\", or a whole number of bytes",
+                given::shown(memory)
             ))
         }),
     }
@@ -121,17 +109,23 @@ fn memory_bytes(memory: &Bound<'_, PyAny>) -> PyResult<u64> {
 #[pymethods]
 impl Simulator {
     #[new]
-    #[pyo3(signature = (scene, *, seed = 1, precision = "f32", threads = None, memory = None, progress = None))]
+    #[pyo3(
+        signature = (scene, *others, seed = None, precision = None, threads = None, memory = None, progress = None),
+        text_signature = "(scene, *, seed=1, precision='f32', threads=None, memory=None, progress=None)"
+    )]
     fn new(
         scene: Bound<'_, Scene>,
-        seed: i128,
-        precision: &str,
-        threads: Option<i64>,
+        others: &Bound<'_, PyTuple>,
+        seed: Option<&Bound<'_, PyAny>>,
+        precision: Option<&Bound<'_, PyAny>>,
+        threads: Option<&Bound<'_, PyAny>>,
         memory: Option<&Bound<'_, PyAny>>,
         progress: Option<Py<PyAny>>,
     ) -> PyResult<Self> {
-        let seed = checked_seed(seed)?;
-        let threads = checked_threads(threads)?.map(usize::from);
+        given::by_name(others, "Simulator(scene, seed=1)")?;
+        let usual = SimulatorSettings::default();
+        let seed = seed.map_or(Ok(usual.seed), checked_seed)?;
+        let threads = threads.map(checked_threads).transpose()?.map(usize::from);
         if let Some(progress) =
             progress.as_ref().map(|progress| progress.bind(scene.py())).filter(|p| !p.is_callable())
         {
@@ -140,11 +134,10 @@ impl Simulator {
                 "progress is {given}, but it must be a function, or None"
             )));
         }
-        let usual = SimulatorSettings::default();
         let memory_bytes = memory.map_or(Ok(usual.memory_bytes), memory_bytes)?;
         let settings = SimulatorSettings { seed, threads, memory_bytes };
         let of = &scene.get().0;
-        let precision = checked_precision(precision)?;
+        let precision = precision.map_or(Ok(Precision::F32), checked_precision)?;
         let inner = match precision {
             Precision::F32 => rollout::Simulator::new(of, &settings).map(|s| AnySimulator::F32(Box::new(s))),
             Precision::F64 => rollout::Simulator::new(of, &settings).map(|s| AnySimulator::F64(Box::new(s))),
@@ -190,21 +183,24 @@ impl Simulator {
     /// - "differences", 11 rollouts, side by side: central ones over `half_step` of theta, at most up to the ends of its range.
     /// - "adjoint", some 7 rollouts: the exact derivative of the numbers that are computed. Single grains are chaotic, so that over a
     ///   whole motion it may point anywhere.
-    #[pyo3(signature = (theta, *, kind = "restarted", half_step = 0.1))]
+    #[pyo3(
+        signature = (theta, *others, kind = None, half_step = None),
+        text_signature = "($self, theta, *, kind='restarted', half_step=0.1)"
+    )]
     fn gradient<'py>(
         &self,
         py: Python<'py>,
         theta: Numbers<'py>,
-        kind: &str,
-        half_step: f64,
+        others: &Bound<'py, PyTuple>,
+        kind: Option<&Bound<'py, PyAny>>,
+        half_step: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<(Evaluation, Bound<'py, PyArray1<f64>>)> {
+        given::by_name(others, "gradient(theta, kind=\"restarted\")")?;
         let theta = arrays::theta(&theta)?;
-        let kind = Kind::of(kind)?;
-        if !(1e-9..=1.0).contains(&half_step) {
-            return Err(PyValueError::new_err(format!(
-                "half_step is {half_step}, but it must be from 1e-9 to 1, in units of theta"
-            )));
-        }
+        let kind = kind.map_or(Ok(Kind::Restarted), |kind| given::word("kind", kind, &Kind::ALL))?;
+        let right = "from 1e-9 to 1, in units of theta";
+        let half_step =
+            half_step.map_or(Ok(0.1), |step| given::real("half_step", step, 1e-9..=1.0, right))?;
         let scene = &self.scene.get().0;
         let map = SkillMap::new(scene);
         let (found, gradient) = self.simulated(py, |s, _| match kind {
@@ -229,19 +225,27 @@ impl Simulator {
     /// displacements: one for each control step, translation in metres, then rotation vector in radians, both along the world's axes;
     /// shape (steps, 6). every: control steps from one frame to the next; the first frame is the settled powder, the last one the motion's
     /// end only if its steps are a multiple of `every`. start: where the tool
-    /// begins, as `Scene.start_pose`, which it is if None. Neither limits nor walls in the tool's way are looked at.
-    #[pyo3(signature = (displacements, *, every = 10, start = None))]
-    fn motion(
+    /// begins, as `Scene.start_pose`, which it is if None. Neither limits nor walls in the tool's way are looked at; but the tool stays
+    /// within the simulated volume.
+    #[pyo3(
+        signature = (displacements, *others, every = None, start = None),
+        text_signature = "($self, displacements, *, every=10, start=None)"
+    )]
+    fn motion<'py>(
         &self,
-        py: Python<'_>,
-        displacements: Table<'_>,
-        every: i64,
-        start: Option<Numbers<'_>>,
+        py: Python<'py>,
+        displacements: Table<'py>,
+        others: &Bound<'py, PyTuple>,
+        every: Option<&Bound<'py, PyAny>>,
+        start: Option<Numbers<'py>>,
     ) -> PyResult<Motion> {
-        let least = || PyValueError::new_err(format!("every is {every}, but it must be at least 1"));
-        let every = usize::try_from(every).ok().filter(|every| *every > 0).ok_or_else(least)?;
+        given::by_name(others, "motion(displacements, every=10)")?;
+        let whole =
+            |every| given::whole("every", every, 1..=i128::from(u32::MAX), "a whole number, 1 at least");
+        let every: usize = every.map_or(Ok(10), whole)?;
         let controls = arrays::displacements("displacements", &displacements)?;
         let anchor = self.anchor(start.as_ref())?;
+        arrays::within(&self.scene.get().0, &anchor, &controls)?;
         let period_s = self.scene.get().0.time.control_period_s();
         let mut frames = Frames::default();
         let (found, destinations) = self.simulated(py, |s, _| {
@@ -273,6 +277,7 @@ impl Simulator {
         loss: Option<&Bound<'py, PyAny>>,
     ) -> PyResult<(f64, Bound<'py, PyArray2<f64>>)> {
         let controls = arrays::displacements("displacements", &displacements)?;
+        arrays::within(&self.scene.get().0, &self.anchor(None)?, &controls)?;
         let (value, gradient) = match loss {
             None => self.simulated(py, |s, _| {
                 let (found, gradient) = s.as_mut().simulate_with_gradient(&controls)?;
@@ -322,6 +327,10 @@ impl Simulator {
 
     pub(crate) fn evaluation(&self, found: &rollout::Evaluation) -> Evaluation {
         Evaluation::new(&self.scene.get().0, found)
+    }
+
+    pub(crate) fn scene(&self) -> &scene::Scene {
+        &self.scene.get().0
     }
 
     pub(crate) fn period_s(&self) -> f64 {

@@ -8,11 +8,11 @@ import powderline as pl
 THETA = [0.3, 0.0, 0.0, 0.0, 0.3]
 
 
-def test_torch_goes_back_through_a_rollout():
+def test_torch_goes_back_through_a_rollout(scene):
     torch = pytest.importorskip("torch")
     from powderline.torch import loss
 
-    simulator = pl.Simulator(pl.Scene.load("bench-small"))
+    simulator = pl.Simulator(scene)
     theta = torch.tensor([THETA, [0.5, 0.0, 0.0, 0.0, 0.3]], dtype=torch.float64, requires_grad=True)
     losses = loss(simulator, theta)
     assert losses.shape == (2,)
@@ -27,7 +27,7 @@ def test_torch_goes_back_through_a_rollout():
 
 
 @pytest.mark.parametrize("name", ["powderline/Skill-v0", "powderline/Motion-v0"])
-def test_gymnasium_approves_of_the_environments(name):
+def test_gymnasium_approves_of_the_environments(name, scene):
     gymnasium = pytest.importorskip("gymnasium")
     import warnings
 
@@ -35,7 +35,7 @@ def test_gymnasium_approves_of_the_environments(name):
 
     import powderline.gym  # noqa: F401
 
-    env = gymnasium.make(name, scene="bench-small")
+    env = gymnasium.make(name, scene=scene)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         # The observation is a constant, or has no bounds, on purpose; the checker says so in a warning.
@@ -43,14 +43,14 @@ def test_gymnasium_approves_of_the_environments(name):
         check_env(env.unwrapped, skip_render_check=True)
 
 
-def test_the_stepwise_environment_scoops_when_told_to():
+def test_the_stepwise_environment_scoops_when_told_to(scene):
     pytest.importorskip("gymnasium")
     from powderline.gym import MotionEnv
 
-    env = MotionEnv("bench-small")
+    env = MotionEnv(scene)
     first, _ = env.reset()
-    assert first["heights_m"].shape == (44, 16)
-    assert first["heights_m"].max() == pytest.approx(0.018, abs=0.002)
+    assert first["heights_m"].shape == (22, 8)
+    assert first["heights_m"].max() == pytest.approx(0.018, abs=0.004)
     assert first["tool"].tolist() == [0.0] * 6
     total, length = 0.0, 0
     while True:

@@ -188,7 +188,7 @@ def optimise(
     epochs: int | None,
     precision: str | None,
     threads: int | None,
-    memory: str,
+    memory: str | int,
     out: _Path | None,
     resume: _Path | None,
     on_epoch: Callable[[str], object],

@@ -67,7 +67,7 @@ def optimise(
     epochs: int | None = None,
     precision: str | None = None,
     threads: int | None = None,
-    memory: str = "1GiB",
+    memory: str | int = "1GiB",
     out: str | PathLike[str] | None = None,
     resume: str | PathLike[str] | None = None,
     callback: Callable[[Epoch], object] | None = None,
@@ -83,7 +83,7 @@ def optimise(
         epochs: updates at most; the scene's if None.
         precision: "f32" or "f64"; "f32", or that of the run, if None.
         threads: as many as the machine has processors, if None; changes no bit.
-        memory: the most that the process may take, such as "2GiB".
+        memory: the most that the process may take, such as "2GiB" or a number of bytes.
         out: folder to write into, new or without a run; `runs/<scene>-seed<seed>`, numbered if taken, if None.
         resume: folder of a run to go on with, with a larger `epochs` also when it is finished.
         callback: called with each epoch's dictionary when it is saved (see `Run.epochs`; which becomes the plan is not known yet);
