@@ -1,5 +1,6 @@
 //! From a bench description to a motion: search, comparison, reports, and the program `optimise`.
 
+pub mod campaign;
 pub mod cli;
 pub mod compare;
 pub mod optim;
@@ -14,6 +15,8 @@ pub mod guide {
     pub mod results {}
     #[doc = include_str!("../guide/scenes.md")]
     pub mod scenes {}
+    #[doc = include_str!("../guide/campaigns.md")]
+    pub mod campaigns {}
     #[doc = include_str!("../guide/wire.md")]
     pub mod wire {}
     #[doc = include_str!("../guide/figures.md")]

@@ -5,6 +5,7 @@
 //!
 //! Two scenes: `bench-small`, where the simulator matters, and the same on a coarser grid, where any simulator would do.
 
+mod campaign;
 mod changelog;
 mod executed;
 mod guide;

@@ -9,6 +9,7 @@
 
 mod arm_words;
 mod bench;
+mod campaign;
 mod check;
 mod compare;
 mod error;
@@ -101,6 +102,8 @@ enum Command {
     Export(export::ExportArgs),
     /// Compare ways to search for a skill, each with the same number of rollouts
     Compare(compare::CompareArgs),
+    /// Run many cases: benches, powders, amounts and seeds, each combined with each
+    Campaign(campaign::CampaignArgs),
     /// Compare the gradient with finite differences
     Gradcheck(gradcheck::GradcheckArgs),
     /// Say how true the powder is: what is measured, the reference, its source, the tolerance
@@ -217,6 +220,7 @@ fn run_command(cli: Cli, context: &mut Context<'_>) -> Result<(), CliError> {
         Some(Command::Render(arguments)) => render::execute(&arguments, context),
         Some(Command::Export(arguments)) => export::execute(&arguments, context),
         Some(Command::Compare(arguments)) => compare::execute(&arguments, context),
+        Some(Command::Campaign(arguments)) => campaign::execute(&arguments, context),
         Some(Command::Gradcheck(arguments)) => gradcheck::execute(&arguments, context),
         Some(Command::Validate(arguments)) => validate::execute(&arguments, context),
         Some(Command::Bench(arguments)) => bench::execute(&arguments, context),

@@ -8,6 +8,7 @@ use std::{
     env::{self, consts::EXE_SUFFIX},
     ffi::OsString,
     path::{Path, PathBuf},
+    process::Command,
 };
 
 /// A command line that starts `optimise` again with these arguments.
@@ -18,6 +19,20 @@ pub(super) fn optimise(arguments: &[&str]) -> String {
 /// A paragraph on how to play this plan on the simulated arm; its last line is the command.
 pub(super) fn play(plan: &Path) -> String {
     Place::here().play(&plan.to_string_lossy())
+}
+
+/// This program once more, to be given arguments.
+pub(super) fn again() -> Command {
+    let program = env::current_exe().ok();
+    match program {
+        Some(program) if !is_python(&program) => Command::new(program),
+        // As it was called: an environment's Python knows by that which packages it has.
+        _ => {
+            let mut command = Command::new(env::args_os().next().unwrap_or_else(|| "python3".into()));
+            command.args(["-m", "powderline"]);
+            command
+        }
+    }
 }
 
 /// Where this process stands, as far as it tells how to start the next one.

@@ -462,6 +462,7 @@ fn epochs(epochs: &[Judged], finding: &Finding) -> Table {
             Some(reason) => Some(Mark::passed_over(reason)),
             None => finding.is_shipped(record.epoch).then(Mark::shipped),
         },
+        link: None,
     };
     Table {
         title: "Epochs, before rounding to whole counts".into(),

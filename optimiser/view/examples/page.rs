@@ -16,7 +16,9 @@ use powderline_simulator::skill::LSB;
 use powderline_view::arm::Arm;
 use powderline_view::extent::Extent;
 use powderline_view::mesh::Mesh;
-use powderline_view::page::{Chart, Figure, Mark, Page, Recorder, Row, Scale, Series, Table, Tone};
+use powderline_view::page::{
+    Chart, Figure, Heat, HeatMap, Mark, Page, Recorder, Row, Scale, Series, Table, Tone,
+};
 use powderline_view::{Bench, Container, Destination, Frame, Gate, Role, Sink, ViewError};
 
 const PARTICLES: usize = 12_500;
@@ -63,6 +65,7 @@ fn replay(path: &Path) -> Result<(), ViewError> {
         replay: recorder.into_replay(),
         replay_shows: "The plan as the arm executed it, and the planned motion as a drawing: epoch 26, seed 1.".into(),
         charts: run_charts(),
+        heat_maps: Vec::new(),
         tables: vec![skill(), epochs()],
         facts: facts(),
         notes: vec![
@@ -86,10 +89,36 @@ fn curves(path: &Path) -> Result<(), ViewError> {
             Figure::new("Best method's error", "+0.2 %").toned(Tone::Good),
         ],
         charts: comparison_charts(),
+        heat_maps: vec![misses()],
         tables: vec![methods()],
         ..Page::default()
     };
     page.write(path)
+}
+
+fn misses() -> HeatMap {
+    let heat =
+        |text: &str, tone, strength| Some(Heat { text: text.into(), note: "3 seeds".into(), tone, strength });
+    HeatMap {
+        title: "Miss, the median of each cell".into(),
+        axes: ["powder", "amount"].map(String::from),
+        columns: ["100 mg", "200 mg", "400 mg", "800 mg"].map(String::from).into(),
+        rows: vec![
+            (
+                "sugar".into(),
+                vec![
+                    heat("+1.2 %", Tone::Good, 1.0),
+                    heat("-4 %", Tone::Bad, 0.2),
+                    heat("-31 %", Tone::Bad, 1.0),
+                    None,
+                ],
+            ),
+            (
+                "<flour> & co".into(),
+                vec![heat("0 %", Tone::Plain, 0.0), None, heat("+12 %", Tone::Plain, 0.6), None],
+            ),
+        ],
+    }
 }
 
 fn bench() -> Bench {

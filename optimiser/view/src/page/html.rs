@@ -7,7 +7,7 @@ use base64::Engine as _;
 use flate2::{Compression, write::ZlibEncoder};
 use serde::Serialize;
 
-use super::{Figure, Mark, MarkKind, Page, Replay, Row, Table, Tone};
+use super::{Figure, Heat, HeatMap, Mark, MarkKind, Page, Replay, Row, Table, Tone};
 
 const STYLE: &str = include_str!("../../assets/page/style.css");
 const CHARTS_SCRIPT: &str = include_str!("../../assets/page/charts.js");
@@ -46,6 +46,7 @@ pub(super) fn page(page: &Page) -> String {
         html += "<section id=\"charts\" class=\"charts\" aria-label=\"Charts\">\
                  <noscript>Curves and replay need JavaScript.</noscript></section>\n";
     }
+    html += &page.heat_maps.iter().map(heat_map).collect::<String>();
     html += &tables(page);
     if !page.notes.is_empty() {
         let paragraphs: String =
@@ -139,12 +140,16 @@ fn table(table: &Table) -> String {
     let head = |(column, name): (usize, &String)| {
         format!("<th scope=\"col\"{}>{}</th>", class(column), escaped(name))
     };
-    let cell = |(column, text): (usize, &String)| match column {
-        0 => format!("<th scope=\"row\"{}>{}</th>", name(column), escaped(text)),
+    let cell = |row: &Row, column: usize, text: &str| match (column, &row.link) {
+        (0, None) => format!("<th scope=\"row\"{}>{}</th>", name(column), escaped(text)),
+        (0, Some(link)) => {
+            let link = escaped(link);
+            format!("<th scope=\"row\"{}><a href=\"{link}\">{}</a></th>", name(column), escaped(text))
+        }
         _ => format!("<td{}{}>{}</td>", class(column), name(column), escaped(text)),
     };
     let row = |row: &Row| {
-        let cells: String = row.cells.iter().enumerate().map(cell).collect();
+        let cells: String = (0..).zip(&row.cells).map(|(column, text)| cell(row, column, text)).collect();
         let remark = if is_marked { remark(row.mark.as_ref()) } else { String::new() };
         format!("<tr{}>{cells}{remark}</tr>\n", row.mark.as_ref().map(mark_class).unwrap_or_default())
     };
@@ -157,6 +162,35 @@ fn table(table: &Table) -> String {
         if is_marked { "<th scope=\"col\">remark</th>" } else { "" },
         table.rows.iter().map(row).collect::<String>(),
         title = escaped(&table.title),
+    )
+}
+
+fn heat_map(map: &HeatMap) -> String {
+    let head = |name: &String| format!("<th scope=\"col\">{}</th>", escaped(name));
+    let cell = |cell: &Option<Heat>| match cell {
+        None => "<td></td>".into(),
+        Some(Heat { text, note, tone, strength }) => format!(
+            "<td class=\"{}\" style=\"--heat:{:.0}%\">{}<small>{}</small></td>",
+            tone_class(*tone),
+            // Enough to be told from nothing, and not so much that the text could not be read.
+            12.0 + 43.0 * strength.clamp(0.0, 1.0),
+            escaped(text),
+            escaped(note)
+        ),
+    };
+    let row = |(name, cells): &(String, Vec<Option<Heat>>)| {
+        let cells: String = cells.iter().map(cell).collect();
+        format!("<tr><th scope=\"row\">{}</th>{cells}</tr>\n", escaped(name))
+    };
+    let [down, along] = &map.axes;
+    format!(
+        "<section class=\"table heat\" tabindex=\"0\" aria-label=\"{title}\">\n<h2>{title}</h2>\n<table>\n\
+         <thead><tr><th>{} \\ {}</th>{}</tr></thead>\n<tbody>\n{}</tbody>\n</table>\n</section>\n",
+        escaped(down),
+        escaped(along),
+        map.columns.iter().map(head).collect::<String>(),
+        map.rows.iter().map(row).collect::<String>(),
+        title = escaped(&map.title),
     )
 }
 
@@ -253,10 +287,23 @@ mod tests {
             replay: None,
             replay_shows: NASTY.into(),
             charts: vec![chart.marked(0.0, Mark::passed_over(NASTY)).shaded(0.0, 1.0, NASTY)],
+            heat_maps: vec![HeatMap {
+                title: NASTY.into(),
+                axes: [NASTY, NASTY].map(String::from),
+                columns: vec![NASTY.into()],
+                rows: vec![(
+                    NASTY.into(),
+                    vec![Some(Heat { text: NASTY.into(), note: NASTY.into(), ..Heat::default() })],
+                )],
+            }],
             tables: vec![Table {
                 title: NASTY.into(),
                 columns: vec![NASTY.into()],
-                rows: vec![Row::from(vec![NASTY.into(); 2]).marked(Some(Mark::passed_over(NASTY)))],
+                rows: vec![
+                    Row::from(vec![NASTY.into(); 2])
+                        .marked(Some(Mark::passed_over(NASTY)))
+                        .linked(Some(NASTY.into())),
+                ],
             }],
             facts: vec![(NASTY.into(), NASTY.into())],
             notes: vec![NASTY.into()],

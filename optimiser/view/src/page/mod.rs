@@ -60,6 +60,8 @@ pub struct Page {
     pub replay_shows: String,
     /// Curves.
     pub charts: Vec<Chart>,
+    /// Tables whose cells are coloured by how good they are.
+    pub heat_maps: Vec<HeatMap>,
     /// What all of it is about and comes from, each with its name: scene, powder, limits, digest, versions, date.
     pub facts: Vec<(String, String)>,
     /// More numbers.
@@ -124,11 +126,39 @@ pub struct Table {
     pub rows: Vec<Row>,
 }
 
+/// A table whose cells are coloured.
+#[derive(Clone, Debug, Default)]
+pub struct HeatMap {
+    /// Caption.
+    pub title: String,
+    /// What rows and columns are, such as `powder`, `amount`.
+    pub axes: [String; 2],
+    /// Name of each column.
+    pub columns: Vec<String>,
+    /// Name of each row, and its cells, one for each column; none where there is nothing.
+    pub rows: Vec<(String, Vec<Option<Heat>>)>,
+}
+
+/// A cell of a heat map.
+#[derive(Clone, Debug, Default)]
+pub struct Heat {
+    /// What it says.
+    pub text: String,
+    /// More of it, or nothing, in small print.
+    pub note: String,
+    /// Which colour.
+    pub tone: Tone,
+    /// How much of it, from 0 to 1.
+    pub strength: f64,
+}
+
 /// A row of a table.
 #[derive(Clone, Debug, Default)]
 pub struct Row {
     /// One for each column.
     pub cells: Vec<String>,
+    /// Where the row's name leads, an address relative to the page.
+    pub link: Option<String>,
     /// What makes the row stand out; said in a last column of its own.
     pub mark: Option<Mark>,
 }
@@ -136,7 +166,7 @@ pub struct Row {
 impl From<Vec<String>> for Row {
     /// A row like any other.
     fn from(cells: Vec<String>) -> Self {
-        Self { cells, mark: None }
+        Self { cells, ..Self::default() }
     }
 }
 
@@ -145,6 +175,12 @@ impl Row {
     #[must_use]
     pub fn marked(self, mark: Option<Mark>) -> Self {
         Self { mark, ..self }
+    }
+
+    /// The row, leading there, if it leads anywhere.
+    #[must_use]
+    pub fn linked(self, link: Option<String>) -> Self {
+        Self { link, ..self }
     }
 }
 

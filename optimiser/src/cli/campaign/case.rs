@@ -1,0 +1,212 @@
+//! One case of a campaign, done in this process.
+
+use crate::{
+    campaign::{Campaign, Case, End, Found, Outcome},
+    cli::{
+        CliError, Context, Interrupt, Resources, Stream, check, report,
+        run::{self, RunArgs},
+    },
+    report::{
+        amounts::Amounts,
+        folder::{PLAN, RunFolder, STATE},
+        record::RunRecord,
+    },
+};
+use powderline_shared::plan::{PlanReader, Precision, file::read_plan_file};
+use powderline_simulator::{
+    rollout::Workload,
+    scene::Scene,
+    skill::{SkillMap, Theta},
+};
+use std::{
+    fs, io,
+    path::{Path, PathBuf},
+};
+
+/// Folder of the cases' folders.
+pub(super) const CASES: &str = "cases";
+
+/// What became of a case, in its folder.
+const OUTCOME: &str = "outcome.json";
+
+/// A case's folder, within the campaign's.
+pub(super) fn folder_of(campaign: &Path, case: &Case<'_>) -> PathBuf {
+    campaign.join(CASES).join(&case.name)
+}
+
+/// What the campaign's folder holds of a case, if that is of this very case; nothing of one that failed, which is tried again.
+///
+/// # Errors
+/// The folder holds a case that was computed for something else.
+pub(super) fn known(folder: &Path, key: &str) -> Result<Option<Outcome>, CliError> {
+    let path = folder.join(OUTCOME);
+    // What was written half is not there: it is renamed when it is whole.
+    let Ok(bytes) = fs::read(&path) else { return Ok(None) };
+    let outcome: Outcome = serde_json::from_slice(&bytes).map_err(|error| {
+        CliError::Input(format!("{} is not what a campaign leaves behind: {error}", path.display()))
+    })?;
+    match outcome.key == key {
+        true => Ok(Some(outcome)),
+        false => Err(CliError::Input(format!(
+            "{} is of another case: of another scene, seed or version; choose another folder with --out",
+            path.display()
+        ))),
+    }
+}
+
+/// Why a setting's cases cannot be done.
+pub(super) fn refusal(campaign: &Campaign, scene: &Scene) -> Option<String> {
+    let map = SkillMap::new(scene);
+    match campaign.file().theta.map(Theta::new) {
+        Some(Err(error)) => Some(error.to_string()),
+        Some(Ok(theta)) => map.controls(&theta).err().map(|error| error.to_string()),
+        None => {
+            check::infeasible(scene).or_else(|| map.check_all_corners().err().map(|error| error.to_string()))
+        }
+    }
+}
+
+/// What its cases simulate.
+pub(super) fn workload(campaign: &Campaign) -> Workload {
+    if campaign.is_of_rollouts() { Workload::Single } else { Workload::Gradient }
+}
+
+/// Does a case, or goes on with it, and writes down what became of it. One that is done is not done again.
+///
+/// # Errors
+/// It was stopped, or its folder cannot be used; what it fails of otherwise is its outcome.
+pub(super) fn perform(
+    campaign: &Campaign,
+    folder: &Path,
+    index: u64,
+    resources: Resources,
+    interrupt: &Interrupt,
+) -> Result<Outcome, CliError> {
+    let case = campaign.case(index);
+    let scene = case.setting.scene().map_err(|error| CliError::Input(error.to_string()))?;
+    let (key, folder) = (case.key(&scene), folder_of(folder, &case));
+    if let Some(done) = known(&folder, &key)?.filter(|outcome| outcome.found().is_some()) {
+        return Ok(done);
+    }
+    let work = Work { campaign, case: &case, scene: &scene, folder: &folder, resources, interrupt };
+    let found = match campaign.file().theta {
+        Some(theta) => work.rollout(theta),
+        None => work.search(),
+    };
+    let end = match found {
+        Ok(found) => End::Found(found),
+        Err(stopped @ CliError::Interrupted(_)) => return Err(stopped),
+        Err(error) => End::Error(error.to_string()),
+    };
+    write_down(&folder, Outcome { key, end })
+}
+
+/// Writes down what became of a case.
+///
+/// # Errors
+/// [`crate::report::folder::FolderError`].
+pub(super) fn write_down(folder: &Path, outcome: Outcome) -> Result<Outcome, CliError> {
+    let text = serde_json::to_string(&outcome).map_err(io::Error::from)?;
+    RunFolder::take(folder)?.replace(OUTCOME, text.as_bytes())?;
+    Ok(outcome)
+}
+
+/// What is to be done of a case.
+struct Work<'a> {
+    campaign: &'a Campaign,
+    case: &'a Case<'a>,
+    scene: &'a Scene,
+    folder: &'a Path,
+    resources: Resources,
+    interrupt: &'a Interrupt,
+}
+
+impl Work<'_> {
+    fn precision(&self) -> Precision {
+        self.campaign.file().precision.into()
+    }
+
+    fn rollout(&self, theta: [f64; 5]) -> Result<Found, CliError> {
+        let setup = self.resources.setup(self.case.seed, self.precision());
+        let mut simulator = setup.simulator(self.scene)?;
+        let interrupt = self.interrupt.clone();
+        simulator.set_progress(Box::new(move |_| interrupt.flow()));
+        let theta = Theta::new(theta)?;
+        let found = simulator.evaluate(&theta)?;
+        Ok(Found::of_rollout(&Amounts::from(self.scene), theta, &found))
+    }
+
+    /// A run like any other.
+    fn search(&self) -> Result<Found, CliError> {
+        // Before its state is there, a run cannot be gone on with.
+        if self.folder.exists() && !self.folder.join(STATE).exists() {
+            fs::remove_dir_all(self.folder)?;
+        }
+        self.run()?;
+        let found = self.found()?;
+        let page = report::ReportArgs {
+            of: self.folder.into(),
+            executed: None,
+            out: None,
+            no_replay: !self.campaign.file().replays,
+            json: false,
+            resources: self.resources,
+        };
+        self.quietly(|context| report::execute(&page, context))?;
+        Ok(found)
+    }
+
+    /// The one place where `optimise run` is called.
+    fn run(&self) -> Result<(), CliError> {
+        let begun = self.folder.join(STATE).exists();
+        let (out, resume) =
+            if begun { (None, Some(self.folder.into())) } else { (Some(self.folder.into()), None) };
+        let arguments = RunArgs {
+            scene: None,
+            seed: Some(self.case.seed),
+            epochs: self.campaign.file().epochs,
+            precision: Some(self.precision().into()),
+            resources: self.resources,
+            out,
+            resume,
+            json: false,
+        };
+        let ended = self.quietly(|context| run::run(&arguments, Some(self.scene), &|_| {}, context));
+        match ended {
+            // A plan that misses is a result.
+            Err(CliError::Missed(_)) => Ok(()),
+            other => other,
+        }
+    }
+
+    /// Does a command of which nobody hears.
+    fn quietly(
+        &self,
+        command: impl FnOnce(&mut Context<'_>) -> Result<(), CliError>,
+    ) -> Result<(), CliError> {
+        let mut context = Context {
+            factory: &|scene, setup| setup.simulator(scene),
+            interrupt: self.interrupt.clone(),
+            out: &mut io::sink(),
+            err: Stream::new(io::sink()),
+            live: false,
+        };
+        command(&mut context)
+    }
+
+    /// What the run in the folder has found.
+    fn found(&self) -> Result<Found, CliError> {
+        let record = RunRecord::read(self.folder)?;
+        let (Some(finding), Some(shipped)) = (record.finding(), &record.shipped) else {
+            return Err(CliError::Failed("the run came to no plan".into()));
+        };
+        let bytes = read_plan_file(&self.folder.join(PLAN))?;
+        let plan = PlanReader::new(&bytes).map_err(|error| CliError::Failed(error.to_string()))?;
+        Ok(Found {
+            met: finding.met,
+            epochs: finding.epoch.map(|epoch| [finding.last_epoch, epoch]),
+            plan: Some(format!("{:016x}", plan.content_hash())),
+            ..Found::of(&finding.amounts, shipped.theta, &shipped.outcome)
+        })
+    }
+}
