@@ -11,9 +11,6 @@ const MAX_ROWS: usize = 1_000;
 /// Most columns of a heat map.
 const MAX_COLUMNS: usize = 24;
 
-/// A miss from which on a cell is as red as red gets.
-const WORST: f64 = 0.2;
-
 /// The page; an outcome for each case, none for one that has not been run. `link` says where a case's report is, if there is one.
 pub fn page(
     campaign: &Campaign,
@@ -68,7 +65,7 @@ pub fn verdict(campaign: &Campaign, outcomes: &[Option<Outcome>]) -> (Tone, Stri
         .map(|(number, what)| format!("{} {what}", grouped(*number as i64)))
         .collect();
     let tone = match (failed + missed, open) {
-        (0, 0) => Tone::Good,
+        (0, 0) if !campaign.is_of_rollouts() => Tone::Good,
         (0, _) => Tone::Plain,
         _ => Tone::Bad,
     };
@@ -255,6 +252,7 @@ fn heat(cases: &[&Outcome], of_search: bool) -> Option<Heat> {
             true => Tone::Bad,
             false => Tone::Plain,
         },
-        strength: if met == cases.len() { 1.0 } else { median.abs() / WORST },
+        // Small misses are told apart, and large ones too: a root.
+        strength: if met == cases.len() { 1.0 } else { median.abs().sqrt() },
     })
 }

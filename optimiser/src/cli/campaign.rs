@@ -4,7 +4,7 @@ mod case;
 mod crew;
 
 use self::{
-    case::{folder_of, known, refusal, workload},
+    case::{Obstacles, folder_of, known, workload},
     crew::{Crew, Told},
 };
 use super::{CliError, Context, Progress, Resources, next, run, size::format_size};
@@ -169,6 +169,7 @@ fn checked(campaign: &Campaign, resources: Resources, context: &Context<'_>) -> 
         run::checked_epochs(epochs)?;
     }
     let (mut refusals, mut scenes): (Vec<String>, Vec<_>) = (Vec::new(), Vec::new());
+    let mut obstacles = Obstacles::new(campaign);
     for setting in campaign.settings() {
         if context.interrupt.is_requested() {
             return Err(CliError::Interrupted("stopped on request; nothing was begun".into()));
@@ -176,7 +177,7 @@ fn checked(campaign: &Campaign, resources: Resources, context: &Context<'_>) -> 
         let refused = match setting.scene() {
             Err(error) => Some(error.to_string()),
             Ok(scene) => {
-                let refused = refusal(campaign, &scene);
+                let refused = obstacles.of(&setting, &scene);
                 // What a draw changes is no matter of memory.
                 if setting.draw.is_none_or(|draw| draw == 0) {
                     scenes.push(scene);

@@ -113,7 +113,16 @@ pub(super) fn infeasible(scene: &Scene) -> Option<String> {
     infeasible_for(scene, Ability::of(scene).as_ref())
 }
 
+/// The same, whatever the powder is and however much of it is wanted: of tool, containers, skill and arm alone.
+pub(super) fn immovable(scene: &Scene) -> Option<String> {
+    immovable_for(scene, Ability::of(scene).as_ref())
+}
+
 fn infeasible_for(scene: &Scene, ability: Option<&Ability>) -> Option<String> {
+    scene.check_feasible().err().map(|error| error.to_string()).or_else(|| immovable_for(scene, ability))
+}
+
+fn immovable_for(scene: &Scene, ability: Option<&Ability>) -> Option<String> {
     let blocked = || check_passable(scene).err().map(|error| error.to_string());
     let unable = || {
         let (label, refusal) = (
@@ -125,7 +134,7 @@ fn infeasible_for(scene: &Scene, ability: Option<&Ability>) -> Option<String> {
              {refusal}"
         ))
     };
-    scene.check_feasible().err().map(|error| error.to_string()).or_else(blocked).or_else(unable)
+    blocked().or_else(unable)
 }
 
 impl CheckReport {

@@ -1,7 +1,7 @@
 //! One case of a campaign, done in this process.
 
 use crate::{
-    campaign::{Campaign, Case, End, Found, Outcome},
+    campaign::{Campaign, Case, End, Found, Outcome, Setting},
     cli::{
         CliError, Context, Interrupt, Resources, Stream, check, report,
         run::{self, RunArgs},
@@ -19,6 +19,7 @@ use powderline_simulator::{
     skill::{SkillMap, Theta},
 };
 use std::{
+    collections::BTreeMap,
     fs, io,
     path::{Path, PathBuf},
 };
@@ -54,16 +55,44 @@ pub(super) fn known(folder: &Path, key: &str) -> Result<Option<Outcome>, CliErro
     }
 }
 
-/// Why a setting's cases cannot be done.
-pub(super) fn refusal(campaign: &Campaign, scene: &Scene) -> Option<String> {
-    let map = SkillMap::new(scene);
-    match campaign.file().theta.map(Theta::new) {
-        Some(Err(error)) => Some(error.to_string()),
-        Some(Ok(theta)) => map.controls(&theta).err().map(|error| error.to_string()),
-        None => {
-            check::infeasible(scene).or_else(|| map.check_all_corners().err().map(|error| error.to_string()))
+/// What stands in the way of settings' cases.
+pub(super) struct Obstacles<'a> {
+    campaign: &'a Campaign,
+    /// Whether the powder lies elsewhere in some settings of a bench: then each is looked at by itself.
+    moves: bool,
+    /// By bench, what tool and arm cannot do; the same for all its settings, and far from quickly found.
+    immovable: BTreeMap<&'a str, Option<String>>,
+}
+
+impl<'a> Obstacles<'a> {
+    pub(super) fn new(campaign: &'a Campaign) -> Self {
+        let file = campaign.file();
+        let drawn = file.draws.iter().flat_map(|draws| draws.powder.keys());
+        let mut keys = file.powder.iter().flat_map(|powder| powder.changes.keys()).chain(drawn);
+        Self { campaign, moves: keys.any(|key| key.starts_with("fill_")), immovable: BTreeMap::new() }
+    }
+
+    /// Why a setting's cases cannot be done.
+    pub(super) fn of(&mut self, setting: &Setting<'a>, scene: &Scene) -> Option<String> {
+        match self.campaign.file().theta.map(Theta::new) {
+            Some(Err(error)) => Some(error.to_string()),
+            Some(Ok(theta)) => SkillMap::new(scene).controls(&theta).err().map(|error| error.to_string()),
+            None => {
+                scene.check_feasible().err().map(|error| error.to_string()).or_else(|| match self.moves {
+                    true => immovable(scene),
+                    false => {
+                        self.immovable.entry(setting.bench()).or_insert_with(|| immovable(scene)).clone()
+                    }
+                })
+            }
         }
     }
+}
+
+/// What tool and arm cannot do, whatever the powder is.
+fn immovable(scene: &Scene) -> Option<String> {
+    let corners = || SkillMap::new(scene).check_all_corners().err().map(|error| error.to_string());
+    check::immovable(scene).or_else(corners)
 }
 
 /// What its cases simulate.
