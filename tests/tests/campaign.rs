@@ -164,7 +164,7 @@ fn what_is_stopped_or_killed_goes_on_to_the_same_table() {
         send(signal, &child.id().to_string());
         let ended = wait(child);
         if signal != "KILL" {
-            ended.ended(130, &format!("stopped on request; what is done is saved, go on with: "));
+            ended.ended(130, "stopped on request; what is done is saved, go on with: ");
             assert!(ended.err.trim_end().ends_with(&format!("campaign --resume {folder}")), "{ended:?}");
         }
         let before = outcomes(&folder);

@@ -50,21 +50,23 @@ fn numbers<'py>(
     let kind = || given.getattr("dtype")?.getattr("kind")?.extract::<String>();
     let read = match kind() {
         Ok(kind) if !"biuf".contains(&kind) => None,
-        _ if has_words(given) => None,
+        _ if is_none_or_word(given) => None,
         _ => given.extract().ok(),
     };
     let wrong = || format!("{what} is {}, but it must be numbers of the shape {shape}", given::shown(given));
     read.ok_or_else(|| PyTypeError::new_err(wrong()))
 }
 
-/// Whether there is a word in a list, or in one of its lists.
-fn has_words(given: &Bound<'_, PyAny>) -> bool {
-    if given.is_instance_of::<PyString>() {
+/// Whether it is a word or nothing at all, or one is in a list, or in one of its lists.
+fn is_none_or_word(given: &Bound<'_, PyAny>) -> bool {
+    if given.is_none() || given.is_instance_of::<PyString>() {
         return true;
     }
     let is_list = given.is_instance_of::<PyList>() || given.is_instance_of::<PyTuple>();
     is_list
-        && given.try_iter().is_ok_and(|mut items| items.any(|item| item.is_ok_and(|item| has_words(&item))))
+        && given
+            .try_iter()
+            .is_ok_and(|mut items| items.any(|item| item.is_ok_and(|item| is_none_or_word(&item))))
 }
 
 fn fixed<const N: usize>(row: ArrayView1<'_, f64>) -> [f64; N] {

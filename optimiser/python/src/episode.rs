@@ -3,63 +3,12 @@
 use std::sync::{Mutex, PoisonError};
 
 use numpy::{PyArray1, PyArray2};
-use powderline_shared::{displacement::Displacement, pose::Pose};
-use powderline_simulator::rollout::{Evaluation as Found, RolloutError, RolloutState};
+use powderline_simulator::rollout::AnyState;
 use pyo3::{exceptions::PyRuntimeError, prelude::*};
 
 use crate::arrays::{self, Table};
 use crate::evaluation::Evaluation;
-use crate::simulator::{AnySimulator, Simulator};
-
-/// Powder and tool in the one precision or the other.
-pub(crate) enum AnyState {
-    F32(Box<RolloutState<f32>>),
-    F64(Box<RolloutState<f64>>),
-}
-
-impl AnyState {
-    fn tool(&self) -> &Pose {
-        match self {
-            Self::F32(state) => state.tool(),
-            Self::F64(state) => state.tool(),
-        }
-    }
-
-    fn positions_m(&self) -> Vec<[f32; 3]> {
-        match self {
-            Self::F32(state) => state.positions_m(),
-            Self::F64(state) => state.positions_m(),
-        }
-    }
-
-    fn velocities_m_s(&self) -> Vec<[f32; 3]> {
-        match self {
-            Self::F32(state) => state.velocities_m_s(),
-            Self::F64(state) => state.velocities_m_s(),
-        }
-    }
-}
-
-impl AnySimulator {
-    pub(crate) fn begin(&mut self, anchor: &Pose) -> Result<AnyState, RolloutError> {
-        Ok(match self {
-            Self::F32(simulator) => AnyState::F32(Box::new(simulator.begin(anchor)?)),
-            Self::F64(simulator) => AnyState::F64(Box::new(simulator.begin(anchor)?)),
-        })
-    }
-
-    fn advance(&mut self, state: &mut AnyState, controls: &[Displacement]) -> Result<Found, RolloutError> {
-        match (self, state) {
-            (Self::F32(simulator), AnyState::F32(state)) => {
-                simulator.advance(state, controls).map(|()| simulator.judge(state))
-            }
-            (Self::F64(simulator), AnyState::F64(state)) => {
-                simulator.advance(state, controls).map(|()| simulator.judge(state))
-            }
-            _ => unreachable!("an episode keeps the simulator that it came from"),
-        }
-    }
-}
+use crate::simulator::Simulator;
 
 /// A motion that is made piece by piece, by `Simulator.episode`. In pieces it comes to the same bits as whole. A simulator may have
 /// several; each keeps its own powder.

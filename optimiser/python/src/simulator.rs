@@ -8,8 +8,8 @@ use powderline_optimiser::cli::{MAX_THREADS, parse_size};
 use powderline_shared::{displacement::Displacement, plan::Precision, pose::Pose};
 use powderline_simulator::{
     rollout::{
-        self, DisplacementGradient, Recording, RolloutError, Simulate, SimulatorSettings, Snapshot,
-        restart::Restarts,
+        self, AnySimulator, DisplacementGradient, Recording, RolloutError, Simulate, SimulatorSettings,
+        Snapshot, restart::Restarts,
     },
     scene,
     skill::{SkillMap, SkillParameter, Theta, ThetaGradient},
@@ -28,21 +28,6 @@ use crate::plan::Plan;
 use crate::scene::Scene;
 use crate::watched::{Link, simulated};
 use crate::{errors, given, plan};
-
-/// The simulator in the one precision or the other.
-pub(crate) enum AnySimulator {
-    F32(Box<rollout::Simulator<f32>>),
-    F64(Box<rollout::Simulator<f64>>),
-}
-
-impl AnySimulator {
-    pub(crate) fn as_mut(&mut self) -> &mut dyn Simulate {
-        match self {
-            Self::F32(simulator) => simulator.as_mut(),
-            Self::F64(simulator) => simulator.as_mut(),
-        }
-    }
-}
 
 /// How a gradient is computed.
 #[derive(Clone, Copy, PartialEq)]
@@ -138,11 +123,7 @@ impl Simulator {
         let settings = SimulatorSettings { seed, threads, memory_bytes };
         let of = &scene.get().0;
         let precision = precision.map_or(Ok(Precision::F32), checked_precision)?;
-        let inner = match precision {
-            Precision::F32 => rollout::Simulator::new(of, &settings).map(|s| AnySimulator::F32(Box::new(s))),
-            Precision::F64 => rollout::Simulator::new(of, &settings).map(|s| AnySimulator::F64(Box::new(s))),
-        };
-        let inner = Mutex::new(inner.map_err(errors::of_rollout)?);
+        let inner = Mutex::new(AnySimulator::new(of, precision, &settings).map_err(errors::of_rollout)?);
         Ok(Self { scene: scene.unbind(), seed, precision, progress, inner })
     }
 
@@ -157,7 +138,7 @@ impl Simulator {
     /// theta: depth, scooping angle, lift, transport, pouring angle, each from -1 to 1 within the scene's bounds; shape (5,).
     fn rollout(&self, py: Python<'_>, theta: Numbers<'_>) -> PyResult<Evaluation> {
         let theta = arrays::theta(&theta)?;
-        let found = self.simulated(py, |s, _| s.as_mut().evaluate(&theta))?;
+        let found = self.simulated(py, |s, _| s.as_dyn().evaluate(&theta))?;
         Ok(self.evaluation(&found))
     }
 
@@ -166,7 +147,7 @@ impl Simulator {
     /// thetas: shape (n, 5).
     fn rollouts(&self, py: Python<'_>, thetas: Table<'_>) -> PyResult<Vec<Evaluation>> {
         let thetas = arrays::thetas(&thetas)?;
-        let found = self.simulated(py, |s, _| s.as_mut().evaluate_all(&thetas))?;
+        let found = self.simulated(py, |s, _| s.as_dyn().evaluate_all(&thetas))?;
         Ok(found.iter().map(|found| self.evaluation(found)).collect())
     }
 
@@ -204,16 +185,16 @@ impl Simulator {
         let scene = &self.scene.get().0;
         let map = SkillMap::new(scene);
         let (found, gradient) = self.simulated(py, |s, _| match kind {
-            Kind::Differences => differences(s.as_mut(), &theta, half_step),
+            Kind::Differences => differences(s.as_dyn(), &theta, half_step),
             Kind::Adjoint => {
                 let linear = map.linearise(&theta)?;
-                let (found, gradient) = s.as_mut().simulate_with_gradient(&linear.controls)?;
+                let (found, gradient) = s.as_dyn().simulate_with_gradient(&linear.controls)?;
                 Ok((found, linear.pull_back(&gradient)))
             }
             Kind::Restarted => {
                 map.controls(&theta)?;
                 let restarts = Restarts::of_skill(scene, &map, &theta);
-                let found = s.as_mut().evaluate_restarted(&theta, &restarts)?;
+                let found = s.as_dyn().evaluate_restarted(&theta, &restarts)?;
                 Ok((found.evaluation, found.gradient))
             }
         })?;
@@ -250,7 +231,7 @@ impl Simulator {
         let mut frames = Frames::default();
         let (found, destinations) = self.simulated(py, |s, _| {
             let recording = Recording { anchor: &anchor, controls: &controls, every };
-            s.as_mut().record(&recording, &mut |snapshot| frames.take(snapshot))
+            s.as_dyn().record(&recording, &mut |snapshot| frames.take(snapshot))
         })?;
         let Frames { steps, tool, positions_m, velocities_m_s } = frames;
         let times_s: Vec<f64> = steps.iter().map(|step| *step as f64 * period_s).collect();
@@ -280,7 +261,7 @@ impl Simulator {
         arrays::within(&self.scene.get().0, &self.anchor(None)?, &controls)?;
         let (value, gradient) = match loss {
             None => self.simulated(py, |s, _| {
-                let (found, gradient) = s.as_mut().simulate_with_gradient(&controls)?;
+                let (found, gradient) = s.as_dyn().simulate_with_gradient(&controls)?;
                 Ok((found.loss, gradient))
             })?,
             Some(loss) => self.gradient_of(py, &controls, &loss.clone().unbind())?,
@@ -306,7 +287,7 @@ impl Simulator {
         let theta = arrays::theta(&theta)?;
         let scene = &self.scene.get().0;
         let unevaluated = plan::Unevaluated::new(scene, &theta)?;
-        let found = self.simulated(py, |s, _| s.as_mut().simulate(unevaluated.controls()))?;
+        let found = self.simulated(py, |s, _| s.as_dyn().simulate(unevaluated.controls()))?;
         unevaluated.plan(scene, self.seed, self.precision, &found)
     }
 
@@ -358,7 +339,7 @@ impl Simulator {
                     0.0
                 })
             };
-            s.as_mut().gradient_of_custom_loss(controls, &custom)
+            s.as_dyn().gradient_of_custom_loss(controls, &custom)
         });
         match raised.into_inner() {
             Ok(Some(error)) => Err(error),

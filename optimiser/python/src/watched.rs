@@ -7,11 +7,10 @@ use std::sync::{
 };
 use std::{ops::ControlFlow, sync::Arc, thread, time::Duration};
 
-use powderline_simulator::rollout::RolloutError;
+use powderline_simulator::rollout::{AnySimulator, RolloutError};
 use pyo3::{exceptions::PyRuntimeError, prelude::*};
 
 use crate::errors;
-use crate::simulator::AnySimulator;
 
 /// From one look at Python's signals to the next.
 const LOOK: Duration = Duration::from_millis(50);
@@ -89,7 +88,7 @@ pub(crate) fn simulated<R: Send>(
     };
     let link = Link::default();
     let told = link.clone();
-    simulator.as_mut().set_progress(Box::new(move |share| told.told(share)));
+    simulator.as_dyn().set_progress(Box::new(move |share| told.told(share)));
     let look = |py: Python<'_>| match progress {
         Some(progress) => progress.call1(py, (link.share(),)).map(drop),
         None => Ok(()),

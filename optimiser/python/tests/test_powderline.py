@@ -267,6 +267,8 @@ def test_plans_are_made_saved_loaded_and_turned_into_joints(scene, simulator, tm
     plan = simulator.plan(THETA)
     file = tmp_path / "skill.plan"
     plan.save(file)
+    assert pl.Plan.load(file).scene is None
+    (tmp_path / "scene.toml").write_text(scene.to_toml())
     again = pl.Plan.load(file)
     assert again.to_bytes() == plan.to_bytes() == file.read_bytes()
     assert again.scene == scene
@@ -290,8 +292,10 @@ def test_plans_are_made_saved_loaded_and_turned_into_joints(scene, simulator, tm
         plan.save(tmp_path / "no" / "folder.plan")
 
 
-def test_a_search_is_the_programs(scene, simulator, file, tmp_path, capsys):
-    told = []
+def test_a_search_is_the_programs(scene, simulator, tmp_path, capsys):
+    scene = scene.replace(optimiser={"gradient": "restarted"})
+    file, told = tmp_path / "tiny.toml", []
+    file.write_text(scene.to_toml())
     run = pl.optimise(scene, epochs=1, out=tmp_path / "run", callback=told.append)
     _, gradient = simulator.gradient(told[0]["theta"], kind="restarted")
     np.testing.assert_array_equal(gradient, told[0]["adjoint"])
@@ -302,7 +306,7 @@ def test_a_search_is_the_programs(scene, simulator, file, tmp_path, capsys):
     assert run.plan is not None and run.miss is not None
     assert "epoch   1/1" in capsys.readouterr().err
     subprocess.run(
-        [sys.executable, "-m", "powderline", file, "--epochs", "1", "--out", str(tmp_path / "program")],
+        [sys.executable, "-m", "powderline", str(file), "--epochs", "1", "--out", str(tmp_path / "program")],
         capture_output=True,
     )
     for file in ["skill.plan", "scene.toml"]:

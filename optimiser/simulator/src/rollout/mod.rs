@@ -43,6 +43,7 @@
 //! 0.1 the whole skill's gradient has a cosine of 0.82 (`f64`), and 3.5 times the length. [`restart`] says why, and has a
 //! gradient that forgets what single grains do.
 
+mod any;
 mod branches;
 pub mod gradcheck;
 pub(crate) mod loss;
@@ -56,6 +57,7 @@ pub mod slopes;
 mod tests;
 mod watch;
 
+pub use any::{AnySimulator, AnyState};
 pub use outcome::Destination;
 pub use simulator::{RolloutState, Simulator};
 pub use watch::{ProgressFn, Tick, Watch, part};
