@@ -3,11 +3,8 @@
 use super::{CliError, Context, Interrupt, Progress, Resources, Setup, options::PrecisionArg, slopes};
 use clap::{Args, ValueEnum};
 use powderline_shared::plan::{Precision, SkillParameter};
-use powderline_simulator::Real;
-use powderline_simulator::rollout::gradcheck::{
-    CHECKED_THETA, HALF_STEPS, Smoothed, Window, check_window, smoothed,
-};
-use powderline_simulator::rollout::{RolloutError, Simulate, Simulator, Workload};
+use powderline_simulator::rollout::gradcheck::{CHECKED_THETA, HALF_STEPS, Smoothed, Window, smoothed};
+use powderline_simulator::rollout::{AnySimulator, RolloutError, Workload};
 use powderline_simulator::scene::{Aim, DEFAULT_SCENE, Scene};
 use powderline_simulator::skill::{SkillMap, Theta};
 use serde::Serialize;
@@ -116,41 +113,29 @@ fn horizons(short: u32, own: u32) -> Vec<u32> {
 fn check(arguments: &GradcheckArgs, scene: &Scene, context: &mut Context<'_>) -> Result<Report, CliError> {
     let precision = arguments.precision.map_or(Precision::F64, Precision::from);
     let setup = arguments.resources.setup(arguments.seed.unwrap_or(scene.powder.seed), precision);
-    match precision {
-        Precision::F32 => check_in::<f32>(arguments, scene, &setup, context),
-        Precision::F64 => check_in::<f64>(arguments, scene, &setup, context),
-    }
-}
-
-fn check_in<T: Real>(
-    arguments: &GradcheckArgs,
-    scene: &Scene,
-    setup: &Setup,
-    context: &mut Context<'_>,
-) -> Result<Report, CliError> {
     // Falling asleep is a jump, if a small one, that no difference over a small step survives.
     let scene = &scene.without_sleep();
     setup.check_memory(scene, Workload::Gradient, 0)?;
     let progress = Progress::new(&context.err, context.live);
-    let report = compare::<T>(arguments, scene, setup, &progress, &context.interrupt);
+    let report = compare(arguments, scene, &setup, &progress, &context.interrupt);
     progress.clear();
     report
 }
 
-fn compare<T: Real>(
+fn compare(
     arguments: &GradcheckArgs,
     scene: &Scene,
     setup: &Setup,
     progress: &Progress,
     interrupt: &Interrupt,
 ) -> Result<Report, CliError> {
-    let mut simulator = Simulator::<T>::new(scene, &setup.settings)?;
-    simulator.set_progress(progress.watch(interrupt));
+    let mut simulator = AnySimulator::new(scene, setup.precision, &setup.settings)?;
+    simulator.as_dyn().set_progress(progress.watch(interrupt));
     let map = SkillMap::new(scene);
     let own = scene.time.horizon_steps;
     let mut window = |start: u32, end: u32| -> Result<Window, RolloutError> {
         progress.begin(&format!("differences, control steps {start} to {end}"), 0, &[]);
-        check_window(&mut simulator, &map, start, end)
+        simulator.check_window(&map, start, end)
     };
     // After the motion's end no parameter is at work.
     let motion_s = map.segments(&CHECKED_THETA).last().map_or(0.0, |segment| segment.end_s);
@@ -159,7 +144,7 @@ fn compare<T: Real>(
     let windows = starts.map(|s| window(s, own.min(s + arguments.steps))).collect::<Result<_, _>>()?;
     let longer = if arguments.short { Vec::new() } else { horizons(arguments.steps, own) };
     let growth = longer.into_iter().map(|end| window(0, end)).collect::<Result<_, _>>()?;
-    let smoothed = if arguments.short { None } else { Some(smoothed(&mut simulator)?) };
+    let smoothed = if arguments.short { None } else { Some(smoothed(simulator.as_dyn())?) };
     Ok(Report {
         scene: scene.name.clone(),
         precision: setup.precision.name(),

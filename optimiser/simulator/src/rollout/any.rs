@@ -1,11 +1,15 @@
 //! A simulator whose number format is chosen at run time, and whose motions may be made piece by piece.
 //!
-//! It is compiled here, once: whoever uses [`Simulator`] itself has the compiler make all of it once more.
+//! It is compiled here, once: whoever uses [`Simulator`] itself has the compiler make all of it once more, and so he would where
+//! a function of this file were inlined.
 
 use powderline_shared::{displacement::Displacement, plan::Precision, pose::Pose};
 
-use super::{Evaluation, RolloutError, RolloutState, Simulate, Simulator, SimulatorSettings};
-use crate::scene::Scene;
+use super::{
+    Evaluation, RolloutError, RolloutState, Simulate, Simulator, SimulatorSettings,
+    gradcheck::{self, Window},
+};
+use crate::{scene::Scene, skill::SkillMap};
 
 /// A [`Simulator`] of one of the number formats.
 pub enum AnySimulator {
@@ -28,6 +32,7 @@ impl AnySimulator {
     ///
     /// # Errors
     /// See [`Simulator::new`].
+    #[inline(never)]
     pub fn new(
         scene: &Scene,
         precision: Precision,
@@ -40,6 +45,7 @@ impl AnySimulator {
     }
 
     /// What it does whatever its number format is.
+    #[inline(never)]
     pub fn as_dyn(&mut self) -> &mut dyn Simulate {
         match self {
             Self::F32(simulator) => simulator.as_mut(),
@@ -51,6 +57,7 @@ impl AnySimulator {
     ///
     /// # Errors
     /// See [`RolloutError`].
+    #[inline(never)]
     pub fn begin(&mut self, anchor: &Pose) -> Result<AnyState, RolloutError> {
         Ok(match self {
             Self::F32(simulator) => AnyState::F32(Box::new(simulator.begin(anchor)?)),
@@ -65,6 +72,7 @@ impl AnySimulator {
     ///
     /// # Panics
     /// If the state is one of another number format.
+    #[inline(never)]
     pub fn advance(
         &mut self,
         state: &mut AnyState,
@@ -80,10 +88,23 @@ impl AnySimulator {
             _ => panic!("a state of another number format"),
         }
     }
+
+    /// Checks the gradient over the control steps from `start` to `end` against differences.
+    ///
+    /// # Errors
+    /// See [`RolloutError`].
+    #[inline(never)]
+    pub fn check_window(&mut self, map: &SkillMap, start: u32, end: u32) -> Result<Window, RolloutError> {
+        match self {
+            Self::F32(simulator) => gradcheck::check_window(simulator, map, start, end),
+            Self::F64(simulator) => gradcheck::check_window(simulator, map, start, end),
+        }
+    }
 }
 
 impl AnyState {
     /// See [`RolloutState::tool`].
+    #[inline(never)]
     pub fn tool(&self) -> &Pose {
         match self {
             Self::F32(state) => state.tool(),
@@ -92,6 +113,7 @@ impl AnyState {
     }
 
     /// See [`RolloutState::positions_m`].
+    #[inline(never)]
     pub fn positions_m(&self) -> Vec<[f32; 3]> {
         match self {
             Self::F32(state) => state.positions_m(),
@@ -100,6 +122,7 @@ impl AnyState {
     }
 
     /// See [`RolloutState::velocities_m_s`].
+    #[inline(never)]
     pub fn velocities_m_s(&self) -> Vec<[f32; 3]> {
         match self {
             Self::F32(state) => state.velocities_m_s(),

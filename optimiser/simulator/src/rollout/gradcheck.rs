@@ -75,7 +75,7 @@ pub struct Smoothed {
 ///
 /// # Errors
 /// See [`RolloutError`].
-pub fn check_window<T: Real>(
+pub(crate) fn check_window<T: Real>(
     simulator: &mut Simulator<T>,
     map: &SkillMap,
     start: u32,

@@ -382,6 +382,8 @@ pub fn check_memory(
 ///
 /// # Errors
 /// See [`Simulator::new`].
+// Inlined, it would be compiled once more, with all of the simulator, wherever it is called.
+#[inline(never)]
 pub fn boxed_simulator(
     scene: &Scene,
     precision: Precision,
