@@ -1,4 +1,4 @@
-//! Settles the powder of `bench-small`, and then does a rollout, a restarted gradient, a motion of 1,000 frames, or nothing, for
+//! Settles the powder of `bench-small`, on a grid twice as coarse, and then does a rollout, a restarted gradient, a motion of 1,000 frames, or nothing, for
 //! `optimiser/python/examples/overhead.py` to compare with Python: `overhead rollout`.
 
 use std::ops::ControlFlow;
@@ -12,7 +12,10 @@ use powderline_simulator::skill::{SkillMap, Theta};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let work = std::env::args().nth(1).unwrap_or_default();
-    let scene = Scene::load("bench-small")?;
+    let scene = Scene::load("bench-small")?.with(|spec| {
+        spec.domain.cell_m = 0.008;
+        spec.time.substeps = 10;
+    })?;
     let settings = SimulatorSettings { threads: Some(1), ..SimulatorSettings::default() };
     let mut simulator = Simulator::<f32>::new(&scene, &settings)?;
     let (map, theta) = (SkillMap::new(&scene), Theta::new([0.3, 0.0, 0.0, 0.0, 0.3])?);
