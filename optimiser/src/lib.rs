@@ -1,10 +1,13 @@
 //! From a bench description to a motion: search, comparison, reports, and the program `optimise`.
 
+mod able;
 pub mod campaign;
 pub mod cli;
 pub mod compare;
+pub mod failure;
 pub mod optim;
 pub mod report;
+pub mod run;
 
 /// The guide, as it stands in `optimiser/guide/`.
 #[cfg(doc)]

@@ -43,7 +43,7 @@ fn a_run_stopped_in_the_middle_of_an_epoch_goes_on_to_the_same_bits() {
     let place = Place::new();
     let (whole, part_of_an_epoch) = whole_run(&place);
     for (signal, line, saved) in
-        [("INT", "tiny: seed", 0), ("INT", "epoch   1/3", 2), ("TERM", "epoch   0/3", 1)]
+        [("INT", "tiny: surrogate", 0), ("INT", "epoch   1/3", 2), ("TERM", "epoch   0/3", 1)]
     {
         let folder = place.path(&format!("stopped-{signal}-{saved}"));
         let (mut child, mut err) = started_until(line, &place.tiny(), &folder);
@@ -83,7 +83,7 @@ fn a_run_that_was_killed_goes_on_to_the_same_bits() {
 fn a_second_run_into_one_folder_is_refused_and_the_first_not_disturbed() {
     let place = Place::new();
     let (scene, folder) = (place.tiny(), place.path("run"));
-    let (mut first, mut err) = started_until("tiny: seed", &scene, &folder);
+    let (mut first, mut err) = started_until("tiny: surrogate", &scene, &folder);
     let second = run(OPTIMISE, &[&scene, "--epochs", "1", "--out", &folder]);
     let resumed = run(OPTIMISE, &["--resume", &folder]);
     assert!(first.try_wait().unwrap().is_none(), "the first run is too short for this test");

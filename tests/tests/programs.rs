@@ -128,7 +128,8 @@ pub(crate) fn bytes(folder: impl AsRef<OsStr>, file: &str) -> Vec<u8> {
 pub(crate) fn metrics(folder: &str) -> Vec<String> {
     let text = String::from_utf8(bytes(folder, "metrics.jsonl")).unwrap();
     let timeless = |line: &str| {
-        let (before, rest) = line.split_once(",\"seconds\":").unwrap();
+        let (before, rest) = line.split_once(",\"cpu_seconds\":").unwrap();
+        let (_, rest) = rest.split_once(",\"seconds\":").unwrap();
         let (_, after) = rest.split_once(',').unwrap();
         format!("{before},{after}")
     };

@@ -23,7 +23,8 @@ fn a_memory_budget_holds_as_the_operating_system_counts_and_changes_no_bit() {
     let place = Place::new();
     let run_with = |memory: &str, threads: &str, folder: &str| {
         let resources = ["--memory", memory, "--threads", threads, "--out", folder];
-        let arguments = [&["run", "bench-small", "--epochs", "4"][..], &resources].concat();
+        let arguments =
+            [&["run", "bench-small", "--method", "mixed", "--epochs", "4"][..], &resources].concat();
         let mut child = command(OPTIMISE, &arguments).spawn().unwrap();
         let mut peak = 0;
         // The peak only grows, so the last reading before the end is the peak but for the last moment.
@@ -51,7 +52,8 @@ fn a_memory_budget_holds_as_the_operating_system_counts_and_changes_no_bit() {
 fn a_memory_budget_that_cannot_do_is_refused_before_anything_is_written() {
     let place = Place::new();
     let folder = place.path("run");
-    let arguments = ["run", "bench-small", "--memory", "16MiB", "--threads", "2", "--out", &folder];
+    let asked = ["run", "bench-small", "--method", "mixed", "--memory", "16MiB", "--threads", "2"];
+    let arguments = [&asked[..], &["--out", &folder]].concat();
     run(OPTIMISE, &arguments).ended(
         2,
         "a memory budget of 16 MiB is too little: this scene needs 52 MiB for a gradient, with 2 threads",

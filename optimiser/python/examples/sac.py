@@ -3,7 +3,7 @@
     python optimiser/python/examples/sac.py [SCENE [ROLLOUTS [SEED,..]]]
 
 Settings as there: batch 8, learning rates 0.001, discount 0.99, eight uniform actions first, one gradient step an episode. The
-same is made by `optimise compare SCENE --methods sac --epochs 10`: eleven rollouts an epoch, 121 in all.
+same is made by `optimise compare SCENE --methods sac --rollouts 121`.
 """
 
 import sys

@@ -7,6 +7,7 @@ use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use powderline_optimiser::cli::{
     self, CliError, Context, Interrupt, MAX_EPOCHS, Memory, Resources, RunArgs, Stream,
 };
+use powderline_optimiser::optim::Method;
 use pyo3::prelude::*;
 
 use crate::scene::Scene;
@@ -35,20 +36,27 @@ impl Write for Said {
     }
 }
 
-fn checked_epochs(count: &Bound<'_, PyAny>) -> PyResult<u32> {
-    given::whole("epochs", count, 0..=i128::from(MAX_EPOCHS), &format!("from 0 to {MAX_EPOCHS}"))
+fn checked_epochs(name: &str, count: &Bound<'_, PyAny>) -> PyResult<u32> {
+    given::whole(name, count, 0..=i128::from(MAX_EPOCHS), &format!("from 0 to {MAX_EPOCHS}"))
+}
+
+fn checked_method(name: &Bound<'_, PyAny>) -> PyResult<Method> {
+    let known: Vec<_> = Method::all().iter().map(|method| (method.name(), *method)).collect();
+    given::word("method", name, &known)
 }
 
 /// As `optimise run`; the Python package makes a `Run` of what this returns. `on_epoch` gets each line of `metrics.jsonl`, `say` what
 /// the program says.
 #[pyfunction]
-#[pyo3(signature = (scene, *, seed, epochs, precision, threads, memory, out, resume, on_epoch, say))]
+#[pyo3(signature = (scene, *, seed, method, epochs, patience, precision, threads, memory, out, resume, on_epoch, say))]
 #[expect(clippy::too_many_arguments, reason = "keywords")]
 pub(crate) fn optimise<'py>(
     py: Python<'py>,
     scene: Option<Bound<'py, Scene>>,
     seed: Option<&Bound<'py, PyAny>>,
+    method: Option<&Bound<'py, PyAny>>,
     epochs: Option<&Bound<'py, PyAny>>,
+    patience: Option<&Bound<'py, PyAny>>,
     precision: Option<&Bound<'py, PyAny>>,
     threads: Option<&Bound<'py, PyAny>>,
     memory: &Bound<'py, PyAny>,
@@ -60,9 +68,22 @@ pub(crate) fn optimise<'py>(
     let precision = precision.map(checked_precision).transpose()?.map(Into::into);
     let threads = threads.map(checked_threads).transpose()?;
     let seed = seed.map(checked_seed).transpose()?;
-    let epochs = epochs.map(checked_epochs).transpose()?;
+    let method = method.map(checked_method).transpose()?;
+    let epochs = epochs.map(|count| checked_epochs("epochs", count)).transpose()?;
+    let patience = patience.map(|count| checked_epochs("patience", count)).transpose()?;
     let resources = Resources { threads, memory: Memory::Bytes(memory_bytes(memory)?) };
-    let arguments = RunArgs { scene: None, seed, epochs, precision, resources, out, resume, json: true };
+    let arguments = RunArgs {
+        scene: None,
+        seed,
+        method,
+        epochs,
+        patience,
+        precision,
+        resources,
+        out,
+        resume,
+        json: true,
+    };
     let scene = scene.map(|scene| scene.get().0.clone());
     let (said, interrupt, mut found) = (Said::default(), Interrupt::default(), Vec::new());
     let (tell, told) = mpsc::channel::<String>();

@@ -7,7 +7,7 @@ use self::{
     case::{Obstacles, folder_of, known, workload},
     crew::{Crew, Told},
 };
-use super::{CliError, Context, Progress, Resources, next, run, size::format_size};
+use super::{CliError, Context, Progress, Resources, next, size::format_size};
 use crate::{
     campaign::{
         Campaign, CampaignError, Outcome, Status,
@@ -166,7 +166,7 @@ impl Crew {
 /// Looks at every setting before anything is begun, and at what may be done at a time.
 fn checked(campaign: &Campaign, resources: Resources, context: &Context<'_>) -> Result<Crew, CliError> {
     if let Some(epochs) = campaign.file().epochs {
-        run::checked_epochs(epochs)?;
+        crate::run::checked_epochs(epochs)?;
     }
     let (mut refusals, mut scenes): (Vec<String>, Vec<_>) = (Vec::new(), Vec::new());
     let mut obstacles = Obstacles::new(campaign);

@@ -12,7 +12,6 @@ mod bench;
 mod campaign;
 mod check;
 mod compare;
-mod error;
 mod executed;
 mod export;
 mod film;
@@ -32,18 +31,18 @@ mod shell;
 mod simulate;
 mod size;
 mod slopes;
-mod steps;
 #[cfg(test)]
 mod tests;
 mod validate;
 
+pub use crate::failure::Failure as CliError;
+pub use crate::run::MAX_EPOCHS;
 pub use check::{CheckArgs, CheckReport, MemoryRow};
-pub use error::CliError;
 pub use interrupt::Interrupt;
 pub use motion::scene_of_plan;
 pub use options::{MAX_THREADS, PrecisionArg, Resources, Setup};
 pub use progress::{Progress, Stream, is_live};
-pub use run::{EpochFn, MAX_EPOCHS, RunArgs, run};
+pub use run::{EpochFn, RunArgs, run};
 pub use size::{Memory, format_size, parse_size};
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};

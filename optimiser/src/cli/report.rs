@@ -9,14 +9,14 @@ use super::{
 };
 use crate::{
     compare::{Comparison, Row},
-    optim::EpochRecord,
+    optim::{EpochRecord, Slopes, Work, World},
     report::{
         amounts::{Amounts, counted, percent},
         finding::{Finding, Outcome},
         folder::{COMPARISON, PLAN, STATE},
         judged::Judged,
         record::RunRecord,
-        words::{duration, hex, parameter},
+        words::{count, duration, hex, parameter},
     },
 };
 use clap::Args;
@@ -24,12 +24,9 @@ use powderline_shared::plan::{
     PlanReader, SkillParameter,
     file::{parse_plan, read_plan_file},
 };
-use powderline_simulator::{
-    scene::{
-        Scene,
-        figures::{about, mass},
-    },
-    skill::ThetaGradient,
+use powderline_simulator::scene::{
+    Scene,
+    figures::{about, mass},
 };
 use powderline_view::page::{
     Chart, Figure, Mark, Page, Recorder, Row as PageRow, Scale, Series, Table, Tone,
@@ -362,8 +359,19 @@ fn date(of: &Path) -> Option<(String, String)> {
 
 fn run_facts(record: &RunRecord) -> Vec<(String, String)> {
     let seconds: f64 = record.epochs.iter().map(|epoch| epoch.record.seconds).sum();
+    let mut work = Work::default();
+    record.epochs.iter().for_each(|epoch| work.add(&epoch.record.work));
+    let Work { coarse_rollouts, rollouts, adjoints, cpu_seconds } = work;
+    let simulated = [(coarse_rollouts, "coarse rollout"), (rollouts, "rollout"), (adjoints, "adjoint")]
+        .into_iter()
+        .filter(|(count, _)| *count > 0)
+        .map(|(many, what)| count(many.into(), what))
+        .collect::<Vec<_>>()
+        .join(", ");
     vec![
-        fact("Epochs", format!("{} updates, in {}", record.epochs.len() - 1, duration(seconds))),
+        fact("Search", record.state.settings.method.name()),
+        fact("Epochs", format!("0 to {}, in {}", record.epochs.len() - 1, duration(seconds))),
+        fact("Simulated", format!("{simulated}, in {} of processor time", duration(cpu_seconds))),
         fact("Physics", format!("version {}", record.state.physics)),
     ]
 }
@@ -383,7 +391,7 @@ fn by_parameter(epochs: &[Judged], value: impl Fn(&EpochRecord) -> [Option<f64>;
     SkillParameter::ALL.into_iter().map(series).collect()
 }
 
-/// Marks the shipped epoch, those passed over, and the curriculum's share.
+/// Marks the shipped epoch, those passed over, and those of the coarse world.
 fn marked(mut chart: Chart, finding: &Finding) -> Chart {
     if let Some(epoch) = finding.epoch.filter(|epoch| finding.is_shipped(*epoch)) {
         chart = chart.marked(f64::from(epoch), Mark::shipped());
@@ -391,9 +399,9 @@ fn marked(mut chart: Chart, finding: &Finding) -> Chart {
     for passed in &finding.passed_over {
         chart = chart.marked(f64::from(passed.epoch), Mark::passed_over(&passed.reason));
     }
-    match finding.curriculum_epochs.min(finding.last_epoch) {
-        0 => chart,
-        last => chart.shaded(0.0, f64::from(last), "only depth, angle and lift change"),
+    match finding.coarse_epochs.last() {
+        None => chart,
+        Some(last) => chart.shaded(0.0, f64::from(*last), "in a coarse copy of the scene"),
     }
 }
 
@@ -411,14 +419,18 @@ fn run_charts(record: &RunRecord, finding: &Finding) -> Vec<Chart> {
             })
             .collect()
     };
-    let gradient = |record: &EpochRecord| {
-        record.gradient.map_or([None; 5], |gradient: ThetaGradient| gradient.map(Some))
+    let of_slopes = |value: fn(&Slopes) -> &[f64]| {
+        move |record: &EpochRecord| -> [Option<f64>; 5] {
+            std::array::from_fn(|k| record.slopes.as_ref().and_then(|slopes| value(slopes).get(k).copied()))
+        }
     };
-    let charts = vec![
+    let is_rounded = epochs.iter().all(|epoch| epoch.record.rounded || epoch.record.world == World::Coarse);
+    let before = if is_rounded { "" } else { ", before rounding to whole counts" };
+    let mut charts = vec![
         Chart::new(
             "Powder that arrives",
             "epoch",
-            "mass, g, before rounding to whole counts",
+            &format!("mass, g{before}"),
             vec![
                 over_epochs("arrives", epochs, grams),
                 Series { reference: true, ..over_epochs("wanted", epochs, wanted) },
@@ -427,35 +439,39 @@ fn run_charts(record: &RunRecord, finding: &Finding) -> Vec<Chart> {
         Chart::new(
             "Loss",
             "epoch",
-            "loss, m, before rounding to whole counts",
+            &format!("loss, m{before}"),
             vec![over_epochs("loss", epochs, |record| record.loss)],
         )
         .scaled(Scale::LogIfWide),
         Chart::new("Skill: lengths", "epoch", "mm", parameters("m", 1e3)),
         Chart::new("Skill: angles", "epoch", "deg", parameters("rad", 180.0 / std::f64::consts::PI)),
-        Chart::new("Gradient", "epoch", "loss by theta, m", by_parameter(epochs, gradient)),
-        Chart::new(
-            "Weight of the adjoint in the gradient",
-            "epoch",
-            "weight, 0 to 1",
-            by_parameter(epochs, |record| record.first_order_weight),
-        )
-        .scaled(Scale::Share),
     ];
+    if epochs.iter().any(|epoch| epoch.record.slopes.is_some()) {
+        let gradient = by_parameter(epochs, of_slopes(|slopes| &slopes.gradient));
+        let weight = by_parameter(epochs, of_slopes(|slopes| &slopes.first_order_weight));
+        charts.push(Chart::new("Gradient", "epoch", "loss by theta, m", gradient));
+        charts.push(
+            Chart::new("Weight of the adjoint in the gradient", "epoch", "weight, 0 to 1", weight)
+                .scaled(Scale::Share),
+        );
+    }
     charts.into_iter().map(|chart| marked(chart, finding)).collect()
 }
 
 fn epochs(epochs: &[Judged], finding: &Finding) -> Table {
-    let columns = ["epoch", "arrives", "particles", "error", "lost", "loss, m", "seconds"];
+    let columns =
+        ["epoch", "world", "arrives", "particles", "error", "lost", "loss, m", "rollouts", "seconds"];
     let amounts = &finding.amounts;
     let row = |Judged { record, obstacle }: &Judged| PageRow {
         cells: vec![
             record.epoch.to_string(),
+            if record.world == World::Coarse { "coarse" } else { "the scene" }.into(),
             amounts.mass(record.census.target),
             record.census.target.to_string(),
             amounts.off(record.census.target),
             amounts.mass(record.census.lost()),
             format!("{:.3}", record.loss),
+            (record.work.rollouts + record.work.coarse_rollouts).to_string(),
             format!("{:.1}", record.seconds),
         ],
         mark: match obstacle {
@@ -465,7 +481,7 @@ fn epochs(epochs: &[Judged], finding: &Finding) -> Table {
         link: None,
     };
     Table {
-        title: "Epochs, before rounding to whole counts".into(),
+        title: "Epochs: the best of each, by the loss".into(),
         columns: columns.map(String::from).into(),
         rows: epochs.iter().map(row).collect(),
     }
@@ -483,15 +499,15 @@ fn comparison_charts(comparison: &Comparison) -> Vec<Chart> {
         Chart::new(title, panel.x_name, panel.y_name, series.collect()).scaled(scale)
     };
     vec![
-        panel("Powder that the best skill so far misses", comparison.by_epoch()),
-        panel("Lowest loss so far", comparison.by_rollouts()),
+        panel("Powder that the best skill so far misses", comparison.by_number()),
+        panel("Lowest loss so far", comparison.by_time()),
     ]
 }
 
 fn summary(experiment: &Experiment, comparison: &Comparison) -> Table {
     Table {
         title: "Summary".into(),
-        columns: Row::headings(comparison.budget.epochs).into(),
-        rows: experiment.rows(comparison).iter().map(|row| Vec::from(row.cells()).into()).collect(),
+        columns: Row::headings(experiment.budgets()),
+        rows: experiment.rows(comparison).iter().map(|row| row.cells().into()).collect(),
     }
 }

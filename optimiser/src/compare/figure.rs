@@ -1,6 +1,7 @@
-//! The figure of a comparison: indicator against epoch as in the paper, and loss against rollouts.
+//! The figure of a comparison: what is missing against rollouts by number, and the loss against rollouts by processor time.
 
-use super::{Comparison, Curve, summary::spread};
+use super::{Best, Comparison, Count, summary::spread};
+use crate::optim::Method;
 use crate::report::ink::{self, Axis, COLOURS, Chart, Drawn, FONT, INK};
 use crate::report::words::count;
 use plotters::{backend::DrawingBackend, coord::Shift, prelude::*};
@@ -8,6 +9,9 @@ use thiserror::Error;
 
 /// Width and height, pixels.
 const SIZE: (u32, u32) = (1120, 460);
+
+/// Width of a curve, pixels.
+const WIDTH: u32 = 3;
 
 /// Height of the legend's lines.
 const LEGEND_LINE: i32 = 20;
@@ -21,8 +25,6 @@ pub struct FigureError(String);
 pub(crate) struct Band {
     pub(crate) name: String,
     colour: RGBColor,
-    /// A curve of more than the budget is drawn thin.
-    width: u32,
     /// Place on the axis, mean, spread.
     pub(crate) points: Vec<[f64; 3]>,
 }
@@ -67,7 +69,7 @@ impl Comparison {
     }
 
     fn legend_lines(&self) -> i32 {
-        (self.curves().len() as i32 + 2) / 3
+        (self.methods().len() as i32 + 2) / 3
     }
 
     fn draw<B: DrawingBackend>(&self, root: DrawingArea<B, Shift>) -> Result<(), FigureError> {
@@ -77,7 +79,7 @@ impl Comparison {
 
     fn draw_panels<B: DrawingBackend>(&self, root: &DrawingArea<B, Shift>) -> Drawn<B> {
         root.fill(&WHITE)?;
-        let seeds = self.curves().first().map_or(0, |curve| self.tracks_of(*curve).count());
+        let seeds = self.methods().first().map_or(0, |method| self.tracks_of(*method).count());
         let title = format!(
             "{}: best skill so far, mean and standard deviation over {}",
             self.scene,
@@ -86,72 +88,61 @@ impl Comparison {
         let body = root.margin(10, 6, 8, 14).titled(&title, (FONT, 18).into_font().color(&INK))?;
         let (charts, legend) = body.split_vertically(SIZE.1 - 60);
         let (left, right) = charts.split_horizontally(SIZE.0 / 2);
-        let by_epoch = self.by_epoch();
-        draw_panel(&left, &by_epoch)?;
-        draw_panel(&right, &self.by_rollouts())?;
-        draw_legend(&legend, &by_epoch.bands)?;
+        let by_number = self.by_number();
+        draw_panel(&left, &by_number)?;
+        draw_panel(&right, &self.by_time())?;
+        draw_legend(&legend, &by_number.bands)?;
         root.present()
     }
 
-    /// Indicator against epoch.
-    pub(crate) fn by_epoch(&self) -> Panel {
-        let points = |curve: Curve| {
-            let last = self.last_epoch(curve).map_or(0, |last| last + 1);
-            (0..last).filter_map(move |epoch| {
-                let at = |track| {
-                    self.best(curve, track, epoch)
-                        .map(|best| self.amounts.particle_mass_kg * 1e3 * best.indicator as f64)
-                };
-                point(f64::from(epoch), self.tracks_of(curve).map(at).collect())
-            })
-        };
+    /// What the best skill misses, against rollouts by number.
+    pub(crate) fn by_number(&self) -> Panel {
+        let grams = |best: &Best<'_>| 1e3 * self.amounts.particle_mass_kg * (best.one.indicator as f64).abs();
         Panel {
-            x_name: "epoch",
-            y_name: "wanted powder that is missing (g)",
+            x_name: "rollouts, by number",
+            y_name: "powder that is missing or too much (g)",
             log_if_wide: false,
-            bands: self.bands(&|curve| points(curve).collect()),
+            bands: self.bands(Count::Number, &grams),
         }
     }
 
-    /// Loss against rollouts.
-    pub(crate) fn by_rollouts(&self) -> Panel {
-        let points = |curve: Curve| {
-            let last = self.last_epoch(curve).map_or(0, |last| last + 1);
-            (0..last).filter_map(move |epoch| {
-                let tracks: Vec<_> = self.tracks_of(curve).collect();
-                let at = |track: &&super::Track| self.best(curve, track, epoch).map(|best| best.loss);
-                let spent = |track: &&super::Track| {
-                    let tries = track.tries.get(self.tries_by(curve, epoch) - 1);
-                    tries.map_or(0.0, |one| f64::from(one.rollouts))
-                };
-                let rollouts = tracks.iter().map(spent).sum::<f64>() / tracks.len() as f64;
-                point(rollouts, tracks.iter().map(at).collect())
-            })
-        };
+    /// Loss against rollouts by processor time.
+    pub(crate) fn by_time(&self) -> Panel {
         Panel {
-            x_name: "rollouts",
+            x_name: "rollouts, by processor time",
             y_name: "lowest loss (m)",
             log_if_wide: true,
-            bands: self.bands(&|curve| points(curve).collect()),
+            bands: self.bands(Count::Time, &|best| best.one.loss),
         }
     }
 
-    fn bands(&self, points: &dyn Fn(Curve) -> Vec<[f64; 3]>) -> Vec<Band> {
-        let mut methods = Vec::new();
-        let band = |curve: Curve| {
-            if !methods.contains(&curve.method) {
-                methods.push(curve.method);
-            }
-            let place = methods.iter().position(|method| *method == curve.method).unwrap_or_default();
+    fn bands(&self, count: Count, value: &dyn Fn(&Best<'_>) -> f64) -> Vec<Band> {
+        let band = |(place, method): (usize, Method)| {
+            let tracks: Vec<Vec<Best<'_>>> = self.tracks_of(method).map(|track| self.bests(track)).collect();
             Band {
-                name: curve.name(),
+                name: method.name().into(),
                 colour: COLOURS[place % COLOURS.len()],
-                width: if curve.factor == 1 { 3 } else { 1 },
-                points: points(curve),
+                points: points(&tracks, count, value),
             }
         };
-        self.curves().into_iter().map(band).collect()
+        self.methods().into_iter().enumerate().map(band).collect()
     }
+}
+
+/// Mean and spread over the tracks, wherever one of them has got farther and all have begun, up to where the first of them ends.
+fn points(tracks: &[Vec<Best<'_>>], count: Count, value: &dyn Fn(&Best<'_>) -> f64) -> Vec<[f64; 3]> {
+    let ends = tracks.iter().map(|bests| bests.last().map_or(0.0, |best| best.cost(count)));
+    let end = ends.fold(f64::INFINITY, f64::min);
+    let mut places: Vec<f64> =
+        tracks.iter().flatten().map(|best| best.cost(count)).filter(|x| *x <= end).collect();
+    places.sort_by(f64::total_cmp);
+    places.dedup();
+    let at = |x: f64| {
+        let last =
+            |bests: &Vec<Best<'_>>| bests.iter().take_while(|best| best.cost(count) <= x).last().map(value);
+        point(x, tracks.iter().map(last).collect())
+    };
+    places.into_iter().filter_map(at).collect()
 }
 
 /// A place with mean and spread of the values there; none if one is missing.
@@ -189,7 +180,7 @@ fn draw_band<B: DrawingBackend>(chart: &mut Chart<'_, B>, band: &Band) -> Drawn<
     let below = band.points.iter().rev().map(|[x, mean, spread]| (*x, mean - spread));
     chart.draw_series([Polygon::new(above.chain(below).collect::<Vec<_>>(), band.colour.mix(0.15))])?;
     let line = band.points.iter().map(|[x, mean, _]| (*x, *mean));
-    chart.draw_series(LineSeries::new(line, band.colour.stroke_width(band.width)))?;
+    chart.draw_series(LineSeries::new(line, band.colour.stroke_width(WIDTH)))?;
     Ok(())
 }
 
@@ -197,7 +188,7 @@ fn draw_legend<B: DrawingBackend>(area: &DrawingArea<B, Shift>, bands: &[Band]) 
     let column = SIZE.0 as i32 / 3;
     for (index, band) in (0..).zip(bands) {
         let (x, y) = (80 + column * (index % 3), LEGEND_LINE * (index / 3) + 8);
-        let style = band.colour.stroke_width(band.width);
+        let style = band.colour.stroke_width(WIDTH);
         area.draw(&PathElement::new([(x, y + 7), (x + 26, y + 7)], style))?;
         area.draw(&Text::new(band.name.clone(), (x + 34, y), (FONT, 14).into_font().color(&INK)))?;
     }
@@ -212,7 +203,8 @@ mod tests {
     #[test]
     fn the_figure_names_its_curves_and_axes() {
         let svg = comparison().to_svg().unwrap();
-        for text in ["bench", "gradient", "random, 2 times", "epoch", "rollouts", "loss", "over 2 seeds"] {
+        for text in ["bench", "surrogate", "random", "by number", "by processor time", "loss", "over 2 seeds"]
+        {
             assert!(svg.contains(text), "{text}");
         }
         assert!(svg.trim_end().ends_with("</svg>") && !svg.contains("NaN"));

@@ -1,40 +1,46 @@
 //! The table below the figure.
 
-use super::{Comparison, Curve, Track, Try};
-use crate::report::words::{duration, grouped};
+use super::{Best, Comparison, Count, Track};
+use crate::optim::Method;
+use crate::report::words::grouped;
 use powderline_simulator::scene::figures::mass;
 use serde::Serialize;
 
 /// A part of the way from the powder at rest to the best known skill that counts as having got there.
 const ARRIVED: f64 = 0.9;
 
-/// What a curve has achieved, over the seeds.
+/// What a method has achieved, over the seeds.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Row {
-    /// The curve.
-    pub name: String,
+    /// The method.
+    pub method: Method,
     /// Mass of a particle, kilogram.
     pub particle_mass_kg: f64,
     /// Seeds.
     pub seeds: usize,
-    /// Mean indicator of the best skill so far at the beginning, in the middle and at the end.
-    pub indicator: [Option<f64>; 3],
-    /// Standard deviation over the seeds of the indicator at the end.
-    pub indicator_spread: Option<f64>,
-    /// Lowest loss of all seeds, metres.
-    pub best_loss: f64,
-    /// Mean over the seeds of the lowest loss, metres.
-    pub mean_loss: f64,
-    /// Standard deviation over the seeds of the lowest loss, metres.
-    pub loss_spread: f64,
+    /// After each budget; nothing where not every seed has got there.
+    pub after: Vec<Option<Achieved>>,
     /// Seeds that came nine tenths of the way from the powder at rest to the best skill known.
     pub arrived: usize,
-    /// Mean rollouts until then, over those seeds.
-    pub rollouts: Option<f64>,
-    /// Mean seconds of simulation until then, over those seeds.
-    pub seconds: Option<f64>,
-    /// Mean rollouts in all.
-    pub all_rollouts: f64,
+    /// Mean rollouts until then, over those seeds, by number and by processor time.
+    pub rollouts: Option<[f64; 2]>,
+    /// Mean processor time until then, over those seeds, seconds.
+    pub cpu_seconds: Option<f64>,
+}
+
+/// The best skills by the end of a budget.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Achieved {
+    /// Rollouts, by number.
+    pub rollouts: u32,
+    /// Mean over the seeds of how many wanted particles are missing; negative if more arrive.
+    pub indicator: f64,
+    /// Mean over the seeds of how many are missing or too many.
+    pub off: f64,
+    /// Mean over the seeds of the loss, metres, and its standard deviation.
+    pub loss: [f64; 2],
+    /// Mean over the seeds of what all of it cost by processor time, rollouts.
+    pub by_time: f64,
 }
 
 fn mean(values: &[f64]) -> f64 {
@@ -48,141 +54,131 @@ pub(super) fn spread(values: &[f64]) -> f64 {
     (squares / values.len().saturating_sub(1).max(1) as f64).sqrt()
 }
 
-/// One row a curve; `rest_loss` is the loss of powder that nobody moves, metres, by seed.
+/// One row a method; `rest_loss` is the loss of powder that nobody moves, metres, by seed.
 pub fn summarise(comparison: &Comparison, rest_loss: &dyn Fn(u64) -> f64) -> Vec<Row> {
-    let tries = || comparison.tracks.iter().flat_map(|track| &track.tries);
-    let lowest = |a: f64, one: &Try| a.min(one.loss);
-    // What is no skill breaks limits of the arm: not what others should be measured by.
-    let best_skill = tries().filter(|one| one.theta.is_some()).fold(f64::INFINITY, lowest);
-    let best_known = if best_skill.is_finite() { best_skill } else { tries().fold(f64::INFINITY, lowest) };
-    let row = |curve: &Curve| {
-        Row::of(comparison, *curve, &|seed| {
-            let rest = rest_loss(seed);
-            rest - ARRIVED * (rest - best_known)
-        })
+    let last = |track: &Track| comparison.bests(track).last().map(|best| best.one.loss);
+    let best_known = comparison.tracks.iter().filter_map(last).fold(f64::INFINITY, f64::min);
+    let enough = |seed| {
+        let rest = rest_loss(seed);
+        rest - ARRIVED * (rest - best_known)
     };
-    comparison.curves().iter().map(row).collect()
+    comparison.methods().into_iter().map(|method| Row::of(comparison, method, &enough)).collect()
 }
 
 impl Row {
-    fn of(comparison: &Comparison, curve: Curve, enough: &dyn Fn(u64) -> f64) -> Self {
-        let tracks: Vec<(&Track, &[Try])> = comparison
-            .tracks_of(curve)
-            .map(|track| {
-                let most = comparison.tries_by(curve, comparison.budget.epochs);
-                (track, &track.tries[..track.tries.len().min(most)])
-            })
-            .collect();
-        let epochs = comparison.budget.epochs;
-        let indicators = |epoch: u32| -> Option<Vec<f64>> {
-            let at = |(track, _): &(&Track, &[Try])| comparison.best(curve, track, epoch);
-            tracks.iter().map(|track| at(track).map(|best| best.indicator as f64)).collect()
-        };
-        let best: Vec<f64> = tracks
+    fn of(comparison: &Comparison, method: Method, enough: &dyn Fn(u64) -> f64) -> Self {
+        let tracks: Vec<(u64, Vec<Best<'_>>)> =
+            comparison.tracks_of(method).map(|track| (track.seed, comparison.bests(track))).collect();
+        let arrivals: Vec<&Best<'_>> = tracks
             .iter()
-            .map(|(_, tries)| tries.iter().map(|one| one.loss).fold(f64::INFINITY, f64::min))
+            .filter_map(|(seed, bests)| bests.iter().find(|best| best.one.loss <= enough(*seed)))
             .collect();
-        let arrivals: Vec<&Try> = tracks
-            .iter()
-            .filter_map(|(track, tries)| tries.iter().find(|one| one.loss <= enough(track.seed)))
-            .collect();
-        let over = |value: &dyn Fn(&Try) -> f64| {
-            let values: Vec<f64> = arrivals.iter().map(|one| value(one)).collect();
-            (!values.is_empty()).then(|| mean(&values))
+        let over = |value: &dyn Fn(&Best<'_>) -> f64| {
+            mean(&arrivals.iter().map(|best| value(best)).collect::<Vec<_>>())
         };
-        let all = |(_, tries): &(&Track, &[Try])| tries.last().map_or(0.0, |last| f64::from(last.rollouts));
+        let has_arrived = !arrivals.is_empty();
         Self {
-            name: curve.name(),
+            method,
             particle_mass_kg: comparison.amounts.particle_mass_kg,
             seeds: tracks.len(),
-            indicator: [0, epochs / 2, epochs].map(|epoch| indicators(epoch).map(|values| mean(&values))),
-            indicator_spread: indicators(epochs).map(|values| spread(&values)),
-            best_loss: best.iter().copied().fold(f64::INFINITY, f64::min),
-            mean_loss: mean(&best),
-            loss_spread: spread(&best),
+            after: comparison.budgets.iter().map(|budget| Achieved::by(*budget, &tracks)).collect(),
             arrived: arrivals.len(),
-            rollouts: over(&|one| f64::from(one.rollouts)),
-            seconds: over(&|one| one.seconds),
-            all_rollouts: mean(&tracks.iter().map(all).collect::<Vec<_>>()),
+            rollouts: has_arrived
+                .then(|| [Count::Number, Count::Time].map(|count| over(&|best| best.cost(count)))),
+            cpu_seconds: has_arrived.then(|| over(&|best| best.cpu_seconds)),
         }
     }
 
-    /// Headings of the table, for a comparison of so many epochs.
-    pub fn headings(epochs: u32) -> [String; 8] {
-        [
-            "method".into(),
-            "missing, epoch 0".into(),
-            format!("epoch {}", epochs / 2),
-            format!("epoch {epochs}"),
-            "lowest loss, m".into(),
-            "rollouts to 90 %".into(),
-            "time to 90 %".into(),
-            "rollouts in all".into(),
-        ]
+    /// Headings of the table, for so many budgets.
+    pub fn headings(budgets: &[u32]) -> Vec<String> {
+        let after = |budget: &u32| {
+            let budget = grouped(i64::from(*budget));
+            [format!("off after {budget}"), "loss, m".into()]
+        };
+        let ends = ["rollouts to 90 %", "by processor time"].map(String::from);
+        std::iter::once("method".into()).chain(budgets.iter().flat_map(after)).chain(ends).collect()
     }
 
     /// The row as text.
-    pub fn cells(&self) -> [String; 8] {
+    pub fn cells(&self) -> Vec<String> {
         let number = |value: f64| grouped(value.round() as i64);
-        let grams = |particles: f64| mass(particles.round() * self.particle_mass_kg);
-        let missing = |at: usize| {
-            self.indicator[at].map_or("-".into(), |mean| format!("{} ({})", grams(mean), number(mean)))
+        let achieved = |one: &Option<Achieved>| match one {
+            Some(Achieved { off, loss: [loss, spread], .. }) => [
+                format!("{} ({})", mass(off * self.particle_mass_kg), number(*off)),
+                format!("{loss:.1} +- {spread:.1}"),
+            ],
+            None => ["-".into(), "-".into()],
         };
-        let at_the_end = match (self.indicator[2], self.indicator_spread) {
-            (Some(mean), Some(spread)) => {
-                format!("{} +- {} ({} +- {})", grams(mean), grams(spread), number(mean), number(spread))
-            }
-            _ => "-".into(),
+        let some = if self.arrived == self.seeds {
+            String::new()
+        } else {
+            format!(" ({} of {})", self.arrived, self.seeds)
         };
-        let arrival = |text: Option<String>| match (text, self.arrived) {
-            (Some(text), arrived) if arrived == self.seeds => text,
-            (Some(text), arrived) => format!("{text} ({arrived} of {})", self.seeds),
-            (None, _) => "never".into(),
+        let arrival = match self.rollouts {
+            Some(rollouts) => rollouts.map(|rollouts| number(rollouts) + &some),
+            None => ["never".into(), "never".into()],
         };
-        [
-            self.name.clone(),
-            missing(0),
-            missing(1),
-            at_the_end,
-            format!("{:.1} +- {:.1}", self.mean_loss, self.loss_spread),
-            arrival(self.rollouts.map(number)),
-            arrival(self.seconds.map(duration)),
-            number(self.all_rollouts),
-        ]
+        std::iter::once(self.method.name().into())
+            .chain(self.after.iter().flat_map(achieved))
+            .chain(arrival)
+            .collect()
+    }
+}
+
+impl Achieved {
+    /// By the end of a budget, if every seed has got there or ended before.
+    fn by(budget: u32, tracks: &[(u64, Vec<Best<'_>>)]) -> Option<Self> {
+        let within = |(_, bests): &(u64, Vec<Best<'_>>)| -> Option<(f64, f64, f64)> {
+            let best = bests.iter().take_while(|best| best.rollouts <= f64::from(budget) + 1e-9).last()?;
+            Some((best.one.indicator as f64, best.one.loss, best.by_time))
+        };
+        let all: Vec<(f64, f64, f64)> = tracks.iter().map(within).collect::<Option<_>>()?;
+        if all.is_empty() {
+            return None;
+        }
+        let of = |value: fn(&(f64, f64, f64)) -> f64| all.iter().map(value).collect::<Vec<_>>();
+        let losses = of(|one| one.1);
+        Some(Self {
+            rollouts: budget,
+            indicator: mean(&of(|one| one.0)),
+            off: mean(&of(|one| one.0.abs())),
+            loss: [mean(&losses), spread(&losses)],
+            by_time: mean(&of(|one| one.2)),
+        })
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Method, tests::comparison};
+    use super::super::tests::comparison;
     use super::*;
 
     #[test]
     fn rows_say_what_was_achieved() {
         let rows = summarise(&comparison(), &|_| 100.0);
-        let [gradient, random, more] = &rows[..] else { panic!("{rows:?}") };
-        assert_eq!((gradient.name.as_str(), gradient.seeds), ("gradient", 2));
-        assert_eq!(gradient.indicator, [Some(55.0), Some(40.0), Some(35.0)]);
-        assert!((gradient.mean_loss - 35.0).abs() < 1e-12 && (gradient.best_loss - 30.0).abs() < 1e-12);
+        let [surrogate, random] = &rows[..] else { panic!("{rows:?}") };
+        assert_eq!((surrogate.method, surrogate.seeds), (Method::Surrogate, 2));
+        let after: Vec<Achieved> = surrogate.after.iter().map(|one| one.unwrap()).collect();
+        assert_eq!(after.iter().map(|one| one.off).collect::<Vec<_>>(), [40.0, 35.0]);
+        assert!((after[1].loss[0] - 35.0).abs() < 1e-12 && (after[1].loss[1] - 50f64.sqrt()).abs() < 1e-12);
         // Nine tenths of the way from 100 to 30 are at 37.
-        assert_eq!((gradient.arrived, gradient.rollouts, gradient.seconds), (1, Some(3.0), Some(6.0)));
+        assert_eq!(
+            (surrogate.arrived, surrogate.rollouts, surrogate.cpu_seconds),
+            (1, Some([3.0, 3.0]), Some(6.0))
+        );
         assert_eq!((random.arrived, random.rollouts), (0, None));
-        assert_eq!(random.indicator, [Some(79.5), Some(78.5), Some(77.5)]);
-        assert_eq!(more.name, "random, 2 times the rollouts");
-        assert!((more.all_rollouts - 12.0).abs() < 1e-12 && (random.all_rollouts - 6.0).abs() < 1e-12);
-        let cells = gradient.cells();
-        assert_eq!(cells[3], "280 mg +- 56 mg (35 +- 7)");
+        let cells = surrogate.cells();
+        assert_eq!(cells[1..3], ["320 mg (40)", "40.0 +- 0.0"]);
         assert_eq!(cells[5], "3 (1 of 2)");
+        assert_eq!(random.cells()[5], "never");
+        assert_eq!(cells.len(), Row::headings(&[2, 6]).len());
     }
 
     #[test]
-    fn others_are_not_measured_by_what_is_no_skill() {
-        let rows = summarise(&comparison(), &|_| 100.0);
-        let mut with_steps = comparison();
-        let mut steps = Track { method: Method::GradientSteps, ..with_steps.tracks[0].clone() };
-        steps.tries.iter_mut().for_each(|one| (one.theta, one.loss) = (None, 1.0));
-        with_steps.tracks.push(steps);
-        assert_eq!(summarise(&with_steps, &|_| 100.0)[..rows.len()], rows);
+    fn a_budget_that_nothing_was_simulated_in_has_no_entry() {
+        let mut none = comparison();
+        none.tracks[0].tries.clear();
+        assert!(summarise(&none, &|_| 100.0)[0].after.iter().all(Option::is_none));
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! What could help a run whose plan misses the wanted amount, from what its epochs measured.
 
 use super::{amounts::Amounts, judged::Judged, words::parameter};
+use crate::optim::World;
 use powderline_shared::plan::SkillParameter;
 use powderline_simulator::scene::{Scene, figures::mass};
 
@@ -44,6 +45,11 @@ struct Measured<'a> {
 impl Measured<'_> {
     fn wanted(&self) -> f64 {
         f64::from(self.amounts.wanted_particles)
+    }
+
+    /// The epochs of the scene itself.
+    fn fine(&self) -> impl Iterator<Item = &Judged> {
+        self.epochs.iter().filter(|epoch| epoch.record.world == World::Fine)
     }
 
     /// Particles that left the source in an epoch.
@@ -120,11 +126,8 @@ impl Measured<'_> {
     fn nearer_but_passed_over(&self) -> Option<String> {
         let nearer =
             |epoch: &&Judged| epoch.obstacle.is_some() && self.misses_by(epoch) < self.misses_by(self.plan);
-        let best = self
-            .epochs
-            .iter()
-            .filter(nearer)
-            .min_by(|a, b| self.misses_by(a).total_cmp(&self.misses_by(b)))?;
+        let best =
+            self.fine().filter(nearer).min_by(|a, b| self.misses_by(a).total_cmp(&self.misses_by(b)))?;
         Some(format!(
             "epoch {} brought {}, but {}; bounds in [skill] that keep clear of that would be right",
             best.record.epoch,
@@ -155,22 +158,12 @@ impl Measured<'_> {
         if !self.too_little() || f64::from(left) < A_GOOD_PART * self.wanted() {
             return None;
         }
-        let curriculum = self.scene.optimiser.curriculum_epochs;
-        let poured = self.amounts.powder(left);
-        let moved = self.epochs.len().saturating_sub(1 + curriculum as usize);
-        Some(if curriculum > 0 && moved < curriculum as usize {
-            format!(
-                "{poured} stayed on the tool, and the pouring angle could only move in {moved} of {} updates, after the curriculum; \
-                 optimiser.curriculum_epochs = 0 lets it move from the first",
-                self.epochs.len() - 1
-            )
-        } else {
-            format!(
-                "{poured} stayed on the tool at a pouring angle of {}; a range that goes further than {} would be right",
-                self.in_plan(SkillParameter::PouringAngle),
-                self.key(SkillParameter::PouringAngle)
-            )
-        })
+        Some(format!(
+            "{} stayed on the tool at a pouring angle of {}; a range that goes further than {} would be right",
+            self.amounts.powder(left),
+            self.in_plan(SkillParameter::PouringAngle),
+            self.key(SkillParameter::PouringAngle)
+        ))
     }
 
     fn misses_the_target(&self) -> Option<String> {
@@ -187,10 +180,10 @@ impl Measured<'_> {
 
     /// Whether the last third of the epochs came much nearer than those before.
     fn still_shrinking(&self) -> Option<String> {
-        let split = self.epochs.len() - self.epochs.len() / 3;
+        let all: Vec<&Judged> = self.fine().collect();
         let nearest =
-            |part: &[Judged]| part.iter().map(|epoch| self.misses_by(epoch)).fold(f64::INFINITY, f64::min);
-        let (early, late) = self.epochs.split_at(split);
+            |part: &[&Judged]| part.iter().map(|epoch| self.misses_by(epoch)).fold(f64::INFINITY, f64::min);
+        let (early, late) = all.split_at(all.len() - all.len() / 3);
         let shrinking = !late.is_empty() && nearest(late) < STILL_SHRINKING * nearest(early);
         shrinking.then(|| {
             format!(
@@ -202,7 +195,7 @@ impl Measured<'_> {
 
     /// Whether some epochs brought too much and others too little, between which the steps halve.
     fn on_both_sides(&self) -> Option<String> {
-        let misses = || self.epochs.iter().map(|epoch| self.amounts.miss(epoch.record.census.target));
+        let misses = || self.fine().map(|epoch| self.amounts.miss(epoch.record.census.target));
         (misses().any(|miss| miss < 0.0) && misses().any(|miss| miss > 0.0)).then(|| {
             format!(
                 "some epochs brought too much and others too little: --resume with --epochs {} would close in on the amount",
@@ -265,10 +258,7 @@ mod tests {
         assert!(text.contains("no epoch carried more than 4.92 g (615 particles)"), "{text}");
         assert!(text.contains("11.") && text.contains("heaped"), "{text}");
 
-        let curriculum = scene.with(|spec| spec.optimiser.curriculum_epochs = 5).unwrap();
         let stuck = epochs(&[(300, 0, 1000), (320, 0, 1000), (310, 0, 1000)]);
-        let text = said(&curriculum, &stuck, 1);
-        assert!(text.contains("could only move in 0 of 2 updates, after the curriculum"), "{text}");
         let text = said(&scene, &stuck, 1);
         assert!(text.contains("stayed on the tool at a pouring angle of 70.0 deg"), "{text}");
 

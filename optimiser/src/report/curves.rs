@@ -3,7 +3,7 @@
 use super::amounts::Amounts;
 use super::finding::Outcome;
 use super::ink::{self, Axis, COLOURS, FONT, INK};
-use crate::optim::EpochRecord;
+use crate::optim::{EpochRecord, World};
 use plotters::{
     coord::{Shift, ranged1d::Ranged},
     prelude::*,
@@ -18,7 +18,7 @@ const SIZE: (u32, u32) = (960, 1120);
 const SIDE: u32 = 200;
 /// Height of the lines below the panels.
 const LEGEND: u32 = 62;
-const CURRICULUM: RGBColor = RGBColor(248, 243, 228);
+const COARSE: RGBColor = RGBColor(248, 243, 228);
 /// Room above and below curves that hardly change, of their height.
 const LEAST_MARGIN: f64 = 0.01;
 /// More epochs than this are counted, not listed.
@@ -38,8 +38,6 @@ pub struct Curves<'a> {
     pub history: &'a [EpochRecord],
     /// Epochs of the run.
     pub epochs: u32,
-    /// Epochs in which only depth, angle and lift change.
-    pub curriculum_epochs: u32,
     /// The epoch whose skill is the plan: of those that the arm may perform, the best.
     pub shipped: Option<u32>,
     /// What the plan brings; the epoch's own figures are those before its motion was rounded.
@@ -176,6 +174,13 @@ impl Curves<'_> {
         Panel { caption, values: Axis::around(values, 1.0, false), lines, epoch_axis: unit == "deg" }
     }
 
+    /// From where to where the epochs are of the coarse world: they come first.
+    fn coarse(&self) -> Option<[f64; 2]> {
+        let last = self.history.iter().rev().find(|record| record.world == World::Coarse)?.epoch;
+        let next = self.history.iter().any(|record| record.epoch > last);
+        Some([0.0, f64::from(last) + if next { 0.5 } else { 0.0 }])
+    }
+
     /// The epochs.
     fn axis(&self) -> Axis {
         Axis::from_zero(f64::from(self.epochs), 15, true)
@@ -202,12 +207,11 @@ impl Curves<'_> {
         notes(&side, panel)
     }
 
-    /// The curriculum's epochs shaded, a line at the epoch that is shipped.
+    /// Epochs in the coarse world shaded, a line at the epoch that is shipped.
     fn background(&self, chart: &mut Chart<'_, '_>, panel: &Panel) -> Drawn {
         let Range { start, end } = panel.values.range();
-        let curriculum = f64::from(self.curriculum_epochs.min(self.epochs));
-        if curriculum > 0.0 {
-            chart.draw_series([Rectangle::new([(0.0, start), (curriculum, end)], CURRICULUM.filled())])?;
+        if let Some([from, to]) = self.coarse() {
+            chart.draw_series([Rectangle::new([(from, start), (to, end)], COARSE.filled())])?;
         }
         if let Some(shipped) = self.shipped() {
             let epoch = f64::from(shipped.epoch);
@@ -243,21 +247,19 @@ impl Curves<'_> {
         if let Some(shipped) = self.shipped() {
             area.draw(&Circle::new((x + 9, y + 7), 6, INK.stroke_width(2)))?;
             // A plan's motion is rounded to whole counts, and no epoch's is.
-            let rounded = if self.plan.is_some() { "; curves before rounding" } else { "" };
+            let is_other = self.plan.is_some() && !shipped.rounded;
+            let rounded = if is_other { "; curves before rounding" } else { "" };
             area.draw(&Text::new(format!("shipped: epoch {}{rounded}", shipped.epoch), (x + 26, y), font()))?;
-            x += if self.plan.is_some() { 360 } else { 190 };
+            x += if is_other { 360 } else { 190 };
         }
         if !self.passed_over.is_empty() {
             area.draw(&Cross::new((x + 9, y + 7), 5, INK.stroke_width(2)))?;
             area.draw(&Text::new(self.passed_over_note(), (x + 26, y), font()))?;
         }
-        if self.curriculum_epochs > 0 {
+        if self.coarse().is_some() {
             (x, y) = (76, y + LINE);
-            let words = format!(
-                "until epoch {} only scooping depth, scooping angle and lift height change",
-                self.curriculum_epochs
-            );
-            area.draw(&Rectangle::new([(x, y), (x + 18, y + 14)], CURRICULUM.filled()))?;
+            let words = "in a coarse copy of the scene, the best of each epoch's skills";
+            area.draw(&Rectangle::new([(x, y), (x + 18, y + 14)], COARSE.filled()))?;
             area.draw(&Text::new(words, (x + 26, y), font()))?;
         }
         Ok(())
@@ -299,6 +301,7 @@ mod tests {
             indicator: (800.0 * fall) as i64,
             census: Census { target: 10, spilled: 1, ..Census::default() },
             theta: Theta::clamped(std::array::from_fn(|k| (0.1 * f64::from(epoch) + k as f64).sin())),
+            world: if epoch < 2 { World::Coarse } else { World::Fine },
             seconds: 1.0,
             ..EpochRecord::default()
         }
@@ -318,7 +321,6 @@ mod tests {
             title: ["bench, seed 1", "The plan brings nothing."],
             history: &history,
             epochs,
-            curriculum_epochs: 2,
             shipped: evaluated.checked_sub(2),
             plan: plan.as_ref(),
             passed_over: if evaluated > 0 { &[evaluated - 1] } else { &[] },
@@ -336,7 +338,6 @@ mod tests {
             title: ["", ""],
             history: &[record(0, 1.0)],
             epochs: 1,
-            curriculum_epochs: 0,
             shipped: None,
             plan: None,
             passed_over: &[],
@@ -380,7 +381,7 @@ mod tests {
         for text in [
             "shipped: epoch 29",
             "passed over, as the arm may not perform it: epoch 30",
-            "until epoch 2 only",
+            "in a coarse copy of the scene",
         ] {
             assert!(svg.contains(text), "{text}");
         }

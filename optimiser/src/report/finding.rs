@@ -6,9 +6,10 @@ use super::{
     advice::advice,
     amounts::Amounts,
     judged::{Judged, Rule},
+    state::Settings,
     words::hex,
 };
-use crate::optim::{EpochRecord, Step};
+use crate::optim::{EpochRecord, Step, Work, World};
 use powderline_shared::plan::{Mounting, PlanError, PlanHeader, Precision};
 use powderline_simulator::{
     rollout::{Census, Evaluation, Places},
@@ -119,21 +120,27 @@ pub struct Finding {
     pub epoch: Option<u32>,
     /// Last epoch that was evaluated.
     pub last_epoch: u32,
-    /// Epochs in which only depth, angle and lift moved.
-    pub curriculum_epochs: u32,
+    /// How it searched.
+    pub method: &'static str,
+    /// What it simulated, all epochs together.
+    pub work: Work,
+    /// Epochs that were evaluated in the coarse copy of the scene.
+    pub coarse_epochs: Vec<u32>,
     /// Epochs that the search was allowed, if it ended before the last of them.
     pub ended_of: Option<u32>,
     /// How many epochs that gain nothing end it.
     pub patience_epochs: u32,
+    /// The last epoch that brought a gain worth going on for; none as long as the amount is not met.
+    pub last_gain: Option<u32>,
     /// Epochs after which it began anew from another skill.
     pub restarts: Vec<u32>,
     /// Epochs that could be no plan.
     pub passed_over: Vec<PassedOver>,
     /// Epochs that would have come before the plan's, but whose motions, rounded to whole counts, no longer bring the wanted amount.
     pub rounded_out: Vec<u32>,
-    /// What the first skill brought.
+    /// What epoch 0 brought.
     pub first: Outcome,
-    /// What the chosen epoch brought, before its motion was quantised.
+    /// What the chosen epoch brought; before its motion was rounded to whole counts, if it was not evaluated so.
     pub best: Option<Outcome>,
     /// What the plan brings; nothing before there is one.
     pub plan: Option<Outcome>,
@@ -155,6 +162,8 @@ pub struct RunSoFar<'a> {
     pub seed: u64,
     /// Precision of the simulation.
     pub precision: Precision,
+    /// How it searches.
+    pub settings: Settings,
     /// All epochs, in order.
     pub epochs: &'a [Judged],
     /// Epochs that the search was allowed, if it ended before the last of them.
@@ -166,11 +175,14 @@ pub struct RunSoFar<'a> {
 impl Finding {
     /// What a run has found; nothing before its first epoch.
     pub fn new(run: &RunSoFar<'_>) -> Option<Self> {
-        let RunSoFar { scene, seed, precision, epochs, ended_of, shipped } = *run;
+        let RunSoFar { scene, seed, precision, settings, epochs, ended_of, shipped } = *run;
         let [first, ..] = epochs else { return None };
         let (amounts, rule) = (Amounts::from(scene), Rule::of(scene));
         let epoch = match shipped {
-            Some(shipped) => epochs.iter().position(|epoch| shipped.is_of(epoch.record.theta.components())),
+            // The same skill may have been looked at in the coarse world, too.
+            Some(shipped) => epochs.iter().position(|Judged { record, .. }| {
+                record.world == World::Fine && shipped.is_of(record.theta.components())
+            }),
             None => rule.choose(&amounts, epochs),
         };
         let candidates = rule.candidates(&amounts, epochs);
@@ -182,6 +194,9 @@ impl Finding {
             Some(PassedOver { epoch: epoch.record.epoch, reason: epoch.obstacle.clone()? })
         });
         let restarts = epochs.iter().map(|epoch| &epoch.record).filter(|record| record.step == Step::Restart);
+        let coarse = epochs.iter().map(|epoch| &epoch.record).filter(|record| record.world == World::Coarse);
+        let mut work = Work::default();
+        epochs.iter().for_each(|epoch| work.add(&epoch.record.work));
         let plan = shipped.map(|shipped| shipped.outcome);
         let met = plan.and_then(|plan| amounts.is_met(plan.census.target));
         Some(Self {
@@ -193,9 +208,12 @@ impl Finding {
             rule,
             epoch: epoch.map(|epoch| epoch as u32),
             last_epoch: epochs.len() as u32 - 1,
-            curriculum_epochs: scene.optimiser.curriculum_epochs,
+            method: settings.method.name(),
+            work,
+            coarse_epochs: coarse.map(|record| record.epoch).collect(),
             ended_of,
-            patience_epochs: scene.optimiser.patience_epochs,
+            patience_epochs: settings.patience_epochs,
+            last_gain: rule.last_gain(&amounts, epochs),
             restarts: restarts.map(|record| record.epoch).collect(),
             passed_over: passed_over.collect(),
             rounded_out: rounded_out.into_iter().map(|epoch| epoch as u32).collect(),
@@ -211,11 +229,10 @@ impl Finding {
     /// Whether the search may end: the amount is met, and either nothing was gained for as many epochs as the scene has patience,
     /// or the search would begin anew.
     pub fn is_settled(&self) -> bool {
-        let Some((epoch, best)) = self.epoch.zip(self.best) else { return false };
-        let is_met = self.amounts.is_met(best.census.target) == Some(true);
-        let gained_nothing = self.last_epoch - epoch >= self.patience_epochs;
+        let Some(last_gain) = self.last_gain else { return false };
+        let gained_nothing = self.last_epoch - last_gain >= self.patience_epochs;
         let leads_nowhere = self.restarts.last() == Some(&self.last_epoch);
-        is_met && self.patience_epochs > 0 && (gained_nothing || leads_nowhere)
+        self.patience_epochs > 0 && (gained_nothing || leads_nowhere)
     }
 
     /// Whether an epoch is the plan's.
@@ -251,32 +268,51 @@ mod tests {
     #[test]
     fn the_plan_loses_least_of_what_is_within_the_tolerance() {
         let amounts = Amounts::from(&Scene::load("bench").unwrap());
-        let mut epochs = judged(&[1200, 1190, 1210, 1150, 1205], &[20.0, 21.0, 19.0, 10.0, 12.0], &[4]);
-        for (epoch, rims, spilled) in [(0, 1, 2), (1, 2, 0), (2, 0, 2), (3, 0, 0), (4, 0, 0)] {
+        let arrives = [1200, 1190, 1210, 1150, 1205, 1200];
+        let mut epochs = judged(&arrives, &[20.0, 21.0, 19.0, 10.0, 12.0, 5.0], &[4]);
+        for (epoch, rims, spilled) in [(0, 13, 2), (1, 2, 0), (2, 0, 2), (3, 0, 0), (4, 0, 0), (5, 0, 0)] {
             epochs[epoch].record.census.rims = rims;
             epochs[epoch].record.census.spilled = spilled;
         }
-        // Epochs 1 and 2 lose alike; 3 loses nothing but misses, 4 is blocked.
+        epochs[5].record.world = World::Coarse;
+        // Epochs 1 and 2 have 12 particles lost, missing or too much, 0 has 15; 3 loses nothing but misses, 4 is blocked, 5 was not
+        // evaluated in the scene itself.
         assert_eq!(Rule::LeastLost.choose(&amounts, &epochs), Some(2));
     }
 
     #[test]
     fn a_search_is_settled_when_the_amount_is_met_and_nothing_more_is_gained() {
         let scene = Scene::load("bench").unwrap();
-        let settled = |scene: &Scene, epochs: &[Judged]| {
-            let run =
-                RunSoFar { scene, seed: 1, precision: Precision::F32, epochs, ended_of: None, shipped: None };
+        let settled_by = |scene: &Scene, settings: Settings, epochs: &[Judged]| {
+            let run = RunSoFar {
+                scene,
+                seed: 1,
+                precision: Precision::F32,
+                settings,
+                epochs,
+                ended_of: None,
+                shipped: None,
+            };
             Finding::new(&run).unwrap().is_settled()
         };
-        let losses = [50.0, 20.0, 21.0, 22.0];
-        let mut epochs = judged(&[100, 1200, 1210, 900], &losses, &[]);
+        let settled = |scene: &Scene, epochs: &[Judged]| settled_by(scene, Settings::default(), epochs);
+        let losses = [50.0, 20.0, 21.0, 22.0, 19.0];
+        let mut epochs = judged(&[100, 1190, 1191, 900, 1200], &losses, &[]);
         assert_eq!([2, 3, 4].map(|count| settled(&scene, &epochs[..count])), [false, false, true]);
-        assert!(!settled(&scene, &judged(&[100, 1100, 1110, 900], &losses, &[])), "it is not met");
-        assert!(!settled(&scene, &judged(&[100, 1200, 1110, 900], &losses, &[1])), "it may not be performed");
+        // Of 24 that the tolerance is, 6 fewer missing or too many are a gain, and 1 is none.
+        assert!(
+            !settled(&scene, &epochs)
+                && settled(&scene, &judged(&[100, 1190, 1191, 1192], &losses[..4], &[]))
+        );
+        assert!(!settled(&scene, &judged(&[100, 1100, 1110, 900], &losses[..4], &[])), "it is not met");
+        assert!(
+            !settled(&scene, &judged(&[100, 1200, 1110, 900], &losses[..4], &[1])),
+            "it may not be performed"
+        );
         epochs[1].record.step = Step::Restart;
         assert!(settled(&scene, &epochs[..2]), "it leads nowhere");
-        let patient = scene.with(|spec| spec.optimiser.patience_epochs = 0).unwrap();
-        assert!(!settled(&patient, &epochs), "it goes on to the last");
+        let patient = Settings { patience_epochs: 0, ..Settings::default() };
+        assert!(!settled_by(&scene, patient, &epochs), "it goes on to the last");
         let greedy = scene.with(|spec| spec.objective.aim = Aim::All).unwrap();
         assert!(!settled(&greedy, &epochs), "there is always more");
     }
@@ -300,8 +336,8 @@ mod tests {
     fn an_epoch_whose_rounded_motion_misses_makes_room_for_the_next_within_the_tolerance() {
         let scene = Scene::load("bench").unwrap();
         let amounts = Amounts::from(&scene);
-        let mut epochs = judged(&[1000, 1180, 1200, 1205, 1190], &[90.0, 15.0, 17.0, 12.0, 16.0], &[3]);
-        for (epoch, rims) in [(1, 0), (2, 2), (3, 0), (4, 1)] {
+        let mut epochs = judged(&[1000, 1195, 1200, 1205, 1197], &[90.0, 15.0, 17.0, 12.0, 16.0], &[3]);
+        for (epoch, rims) in [(1, 0), (2, 9), (3, 0), (4, 4)] {
             epochs[epoch].record.census.rims = rims;
         }
         assert_eq!(Rule::LeastLost.candidates(&amounts, &epochs), [1, 4, 2], "3 is blocked, 0 is off");
@@ -315,6 +351,7 @@ mod tests {
                 scene: &scene,
                 seed: 1,
                 precision: Precision::F32,
+                settings: Settings::default(),
                 epochs: &epochs,
                 ended_of: None,
                 shipped: Some(&shipped),
@@ -354,6 +391,7 @@ mod tests {
             scene: &scene,
             seed: 1,
             precision: Precision::F32,
+            settings: Settings::default(),
             epochs: &epochs,
             ended_of: None,
             shipped: Some(&shipped),

@@ -1,20 +1,26 @@
 //! Which epochs the arm may perform, and which of these becomes the plan.
 
 use super::amounts::Amounts;
-use crate::optim::EpochRecord;
+use super::tries::Try;
+use crate::able::obstacle;
+use crate::optim::{EpochRecord, World};
 use powderline_simulator::{
-    arm::arm_motion,
+    rollout::Census,
     scene::{Aim, Scene},
-    skill::{SkillMap, Theta, collision},
+    skill::SkillMap,
 };
 use serde::Serialize;
 use std::cmp::Ordering;
 
-/// How the plan is chosen among the epochs whose motion the arm may perform.
+/// A gain that is worth going on for, over the tolerance.
+const WORTH_GOING_ON: f64 = 0.25;
+
+/// How the plan is chosen among the epochs of the scene itself whose motion the arm may perform.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Rule {
-    /// Of the epochs within the tolerance the one that loses least powder; if there are none, the smallest miss. Ties by loss.
+    /// Of the epochs within the tolerance the one with the least powder lost, missing or too much; if there are none, the smallest miss. Ties
+    /// by loss.
     LeastLost,
     /// The lowest loss: as much as can be had is wanted.
     LowestLoss,
@@ -32,7 +38,9 @@ impl Rule {
     /// Of which epochs it is which one, where the epoch that it chose is within the tolerance, or is not.
     pub fn words(self, within: bool) -> [&'static str; 2] {
         match self {
-            Self::LeastLost if within => [" within the tolerance", "loses least powder (ties by loss)"],
+            Self::LeastLost if within => {
+                [" within the tolerance", "has least powder lost, missing or too much (ties by loss)"]
+            }
             Self::LeastLost => {
                 ["", "misses the wanted amount least (ties by loss), and none is within the tolerance"]
             }
@@ -58,24 +66,53 @@ impl Rule {
         if within.is_empty() { first.into_iter().collect() } else { within }
     }
 
+    /// The last epoch that brought a gain worth going on for: the first within the tolerance, and each that has by a quarter of the tolerance
+    /// less powder lost, missing or too much than all before it. None as long as none is within the tolerance.
+    pub fn last_gain(self, amounts: &Amounts, epochs: &[Judged]) -> Option<u32> {
+        let least = WORTH_GOING_ON * amounts.tolerance?;
+        let mut last: Option<(u32, f64)> = None;
+        for epoch in epochs.iter().filter(|epoch| epoch.counts()) {
+            let record = &epoch.record;
+            let off = amounts.off_share(&record.census);
+            let is_met = amounts.is_met(record.census.target) == Some(true);
+            if is_met && last.is_none_or(|(_, before)| off <= before - least) {
+                last = Some((record.epoch, off));
+            }
+        }
+        last.map(|(epoch, _)| epoch)
+    }
+
+    /// Of motions of the same world the one that stands for them.
+    pub fn best<'a>(self, amounts: &Amounts, tries: impl Iterator<Item = &'a Try>) -> Option<&'a Try> {
+        let of = |one: &Try| self.key(amounts, &one.census, one.loss);
+        tries.min_by(|a, b| ordered(&of(a), &of(b)))
+    }
+
+    /// What makes one motion better than another: what is smaller, the first number before the second.
+    fn key(self, amounts: &Amounts, census: &Census, loss: f64) -> [f64; 3] {
+        match self {
+            Self::LeastLost if amounts.is_met(census.target) == Some(true) => {
+                // To a millionth: sums are rounded.
+                [0.0, (amounts.off_share(census) * 1e6).round(), loss]
+            }
+            Self::LeastLost => [1.0, amounts.miss(census.target).abs(), loss],
+            Self::LowestLoss => [loss; 3],
+        }
+    }
+
     /// The epochs whose motion the arm may perform, the best first.
     fn rank(self, amounts: &Amounts, epochs: &[Judged]) -> Vec<usize> {
-        let key = |record: &EpochRecord| match self {
-            Self::LeastLost if amounts.is_met(record.census.target) == Some(true) => {
-                [0.0, amounts.kg(record.census.lost()), record.loss]
-            }
-            Self::LeastLost => [1.0, amounts.miss(record.census.target).abs(), record.loss],
-            Self::LowestLoss => [record.loss; 3],
-        };
-        let order = |a: &&Judged, b: &&Judged| {
-            let pairs = key(&a.record).into_iter().zip(key(&b.record));
-            pairs.fold(Ordering::Equal, |order, (a, b)| order.then(a.total_cmp(&b)))
-        };
-        let mut able: Vec<&Judged> = epochs.iter().filter(|epoch| epoch.obstacle.is_none()).collect();
+        let of = |judged: &Judged| self.key(amounts, &judged.record.census, judged.record.loss);
+        let order = |a: &&Judged, b: &&Judged| ordered(&of(a), &of(b));
+        let mut able: Vec<&Judged> = epochs.iter().filter(|epoch| epoch.counts()).collect();
         // Stable: the earliest of equals comes first.
         able.sort_by(order);
         able.into_iter().map(|epoch| epoch.record.epoch as usize).collect()
     }
+}
+
+fn ordered(a: &[f64; 3], b: &[f64; 3]) -> Ordering {
+    a.iter().zip(b).fold(Ordering::Equal, |order, (a, b)| order.then(a.total_cmp(b)))
 }
 
 /// An epoch, and what keeps the arm from performing its motion.
@@ -87,26 +124,22 @@ pub struct Judged {
     pub obstacle: Option<String>,
 }
 
-impl Judged {
-    /// Judges the motion of an epoch's skill: the limits that it keeps, walls in the tool's way, and whether the scene's arm can.
-    pub fn new(scene: &Scene, map: &SkillMap, record: EpochRecord) -> Self {
-        Self { record, obstacle: obstacle(scene, map, &record.theta) }
+impl Amounts {
+    /// What is lost, missing or too much, over what is wanted.
+    fn off_share(&self, census: &Census) -> f64 {
+        self.kg(census.lost()) / self.wanted_kg + self.miss(census.target).abs()
     }
 }
 
-fn obstacle(scene: &Scene, map: &SkillMap, theta: &Theta) -> Option<String> {
-    let quantised = match map.quantise(theta).and_then(|quantised| {
-        map.check_limits(&quantised)?;
-        Ok(quantised)
-    }) {
-        Ok(quantised) => quantised,
-        Err(error) => return Some(error.to_string()),
-    };
-    let unable = || {
-        let label = scene.arm.as_ref()?.kind.label();
-        let refusal = arm_motion(scene, map, &quantised).err()?;
-        Some(format!("the {label} cannot make the motion: {refusal}"))
-    };
-    let collision = collision(scene, map.start_pose(), &quantised.controls);
-    collision.map(|collision| collision.to_string()).or_else(unable)
+impl Judged {
+    /// Whether it could be the plan.
+    fn counts(&self) -> bool {
+        self.obstacle.is_none() && self.record.world == World::Fine
+    }
+
+    /// Judges the motion of an epoch's skill: the limits that it keeps, walls in the tool's way, and whether the scene's arm can.
+    pub fn new(scene: &Scene, map: &SkillMap, record: EpochRecord) -> Self {
+        let obstacle = obstacle(scene, map, &record.theta);
+        Self { record, obstacle }
+    }
 }

@@ -12,5 +12,6 @@ pub mod record;
 pub(crate) mod sealed;
 pub mod state;
 mod summary;
+pub mod tries;
 pub mod view;
 pub(crate) mod words;

@@ -6,7 +6,7 @@ use super::{
     folder::{FolderError, PLAN, SCENE, STATE, read_file},
     judged::Judged,
     sealed::StateError,
-    state::RunState,
+    state::{Evaluated, RunState},
 };
 use crate::optim::EpochRecord;
 use powderline_shared::plan::{
@@ -75,8 +75,8 @@ impl RunRecord {
     /// A run with the epochs of its state.
     pub fn new(scene: Scene, state: RunState) -> Self {
         let map = SkillMap::new(&scene);
-        let judged = |record: &EpochRecord| Judged::new(&scene, &map, *record);
-        let epochs = state.search.history().iter().map(judged).collect();
+        let judged = |record: EpochRecord| Judged::new(&scene, &map, record);
+        let epochs = state.history().into_iter().map(judged).collect();
         Self { scene, map, state, epochs, shipped: None }
     }
 
@@ -105,8 +105,9 @@ impl RunRecord {
     }
 
     /// Takes an epoch that was evaluated.
-    pub fn push(&mut self, epoch: EpochRecord) {
-        self.epochs.push(Judged::new(&self.scene, &self.map, epoch));
+    pub fn push(&mut self, epoch: Evaluated) {
+        self.epochs.push(Judged::new(&self.scene, &self.map, epoch.record.clone()));
+        self.state.epochs.push(epoch);
     }
 
     /// Takes the bytes of the plan that was made of it.
@@ -133,7 +134,8 @@ impl RunRecord {
             seed: self.state.seed,
             precision: self.state.precision,
             epochs: &self.epochs,
-            ended_of: self.state.search.is_settled().then(|| self.state.search.epochs()),
+            settings: self.state.settings,
+            ended_of: self.state.is_settled().then_some(self.state.settings.epochs),
             shipped: self.shipped.as_ref(),
         })
     }

@@ -1,13 +1,33 @@
 //! The `state` file: all that a run needs to go on with the same bits.
+//!
+//! A search is made again from what it was told. So that, and nothing of the search itself, is kept.
 
 use super::sealed::Seal;
 pub use super::sealed::StateError;
-use crate::optim::Search;
+use super::tries::Try;
+use crate::optim::{EpochRecord, Method};
 use powderline_shared::plan::Precision;
 use powderline_simulator::{PHYSICS_VERSION, scene::Digest};
 use serde::{Deserialize, Serialize};
 
-const SEAL: Seal = Seal { magic: *b"PLSTATE\0", version: 8 };
+const SEAL: Seal = Seal { magic: *b"PLSTATE\0", version: 9 };
+
+/// How a run searches.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Settings {
+    /// The way.
+    pub method: Method,
+    /// Epochs after epoch 0, at most.
+    pub epochs: u32,
+    /// The search ends when the amount is met and so many epochs in a row have gained nothing; with 0 it goes on to its last epoch.
+    pub patience_epochs: u32,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self { method: Method::default(), epochs: 16, patience_epochs: 2 }
+    }
+}
 
 /// A run between two epochs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -16,20 +36,74 @@ pub struct RunState {
     pub physics: u32,
     /// Digest of the resolved scene.
     pub scene: Digest,
-    /// Seed of packing and initial theta.
+    /// Seed of packing and search.
     pub seed: u64,
     /// Precision of the simulation.
     pub precision: Precision,
-    /// The search, with all evaluated epochs.
-    pub search: Search,
+    /// How it searches.
+    pub settings: Settings,
+    /// The evaluated epochs, in order.
+    pub epochs: Vec<Evaluated>,
+    /// Whether the search was ended before its last epoch: what was found is good enough.
+    pub settled: bool,
     /// Whether the plan is written.
     pub finished: bool,
 }
 
+/// An epoch, and what the search was told until it ended.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Evaluated {
+    /// What is written down of it.
+    pub record: EpochRecord,
+    /// What it was told at once, again and again.
+    pub rounds: Vec<Vec<Try>>,
+}
+
 impl RunState {
-    /// A run of this version of the program that is not finished.
-    pub fn new(scene: Digest, seed: u64, precision: Precision, search: Search) -> Self {
-        Self { physics: PHYSICS_VERSION, scene, seed, precision, search, finished: false }
+    /// A run of this version of the program that has not begun to search.
+    pub fn new(scene: Digest, seed: u64, precision: Precision, settings: Settings) -> Self {
+        let (physics, epochs) = (PHYSICS_VERSION, Vec::new());
+        Self { physics, scene, seed, precision, settings, epochs, settled: false, finished: false }
+    }
+
+    /// Whether all epochs are evaluated.
+    fn is_complete(&self) -> bool {
+        self.epochs.len() > self.settings.epochs as usize
+    }
+
+    /// Whether nothing is left to evaluate.
+    pub fn is_done(&self) -> bool {
+        self.settled || self.is_complete()
+    }
+
+    /// Whether it was ended before its last epoch.
+    pub fn is_settled(&self) -> bool {
+        self.settled && !self.is_complete()
+    }
+
+    /// Whether no epoch follows that of this number.
+    pub fn is_last(&self, epoch: usize) -> bool {
+        epoch >= self.settings.epochs as usize
+    }
+
+    /// Prolongs a run that is not settled to so many epochs. The last epoch of one that was done is taken back, to be evaluated again as one
+    /// that others follow: the result has the bits of a run that was this long from the start.
+    pub fn extend(&mut self, epochs: u32) {
+        if self.is_complete() && epochs > self.settings.epochs {
+            self.epochs.pop();
+            self.finished = false;
+        }
+        self.settings.epochs = self.settings.epochs.max(epochs);
+    }
+
+    /// What is written down of the epochs.
+    pub fn history(&self) -> Vec<EpochRecord> {
+        self.epochs.iter().map(|epoch| epoch.record.clone()).collect()
+    }
+
+    /// All that was simulated, in order.
+    pub fn tries(&self) -> impl Iterator<Item = &Try> {
+        self.epochs.iter().flat_map(|epoch| epoch.rounds.iter().flatten())
     }
 
     /// The file's bytes.
@@ -44,24 +118,47 @@ impl RunState {
     pub fn from_bytes(bytes: &[u8]) -> Result<Self, StateError> {
         let state: Self = SEAL.open(bytes)?;
         match state.physics {
-            PHYSICS_VERSION if state.search.is_sound() => Ok(state),
+            PHYSICS_VERSION if state.is_sound() => Ok(state),
             PHYSICS_VERSION => Err(StateError::Nonsense),
             found => Err(StateError::Physics { found }),
         }
     }
-}
 
+    /// Whether epochs can have led here, so that more of them can follow. Numbers that are only written down or added up may
+    /// be anything.
+    fn is_sound(&self) -> bool {
+        let tries = |epoch: &Evaluated| epoch.rounds.iter().flatten().all(Try::is_sound);
+        self.epochs.len() <= self.settings.epochs as usize + 1
+            && !(self.settled && self.epochs.is_empty())
+            && !(self.finished && !self.is_done())
+            && (0..).zip(&self.epochs).all(|(epoch, one)| one.record.is_sound(epoch) && tries(one))
+    }
+}
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::optim::{Epoch, Found, Step, Trial, World};
     use crate::report::sealed::{CHECKSUM, HEAD};
-    use powderline_simulator::skill::Theta;
+    use powderline_simulator::rollout::{Census, Evaluation};
     use sha2::{Digest as _, Sha256};
 
     fn state() -> RunState {
-        let theta = Theta::new([0.1, -0.2, 1.0 / 3.0, 0.0, -1.0]).unwrap();
-        let search = Search::new(theta, 30);
-        RunState::new([7; 32], 3, Precision::F32, search)
+        let theta = vec![0.1, -0.2, 1.0 / 3.0, 0.0, -1.0];
+        let evaluation = Evaluation::new(2.5, 7, Census { target: 9, ..Census::default() });
+        let trial = Trial {
+            point: theta.clone(),
+            world: World::Fine,
+            is_rounded: true,
+            adjoint: None,
+            may_fail: true,
+        };
+        let found = Found { evaluation, gradient: None };
+        let tried = Try::new(0, &trial, &found, 1.5);
+        let ended = Epoch { trial, evaluation, has_peers: true, step: Step::Update, slopes: None };
+        let record = EpochRecord::new(0, &ended, tried.work(), 2.0).unwrap();
+        let mut state = RunState::new([7; 32], 3, Precision::F32, Settings::default());
+        state.epochs.push(Evaluated { record, rounds: vec![vec![tried]] });
+        state
     }
 
     #[test]
@@ -96,26 +193,57 @@ mod tests {
 
     #[test]
     fn what_no_run_leaves_behind_is_refused_whatever_its_checksum() {
-        let with_angle = |value: f64| {
-            let bytes = &state().to_bytes()[..state().to_bytes().len() - CHECKSUM];
-            let at = bytes.windows(8).position(|eight| eight == (-0.2f64).to_le_bytes()).unwrap();
-            [&bytes[..at], &value.to_le_bytes(), &bytes[at + 8..]].concat()
-        };
-        let physics_only = [&state().to_bytes()[..HEAD], &[2]].concat();
-        let longer = [&state().to_bytes()[..state().to_bytes().len() - CHECKSUM], &[0]].concat();
+        let whole = state().to_bytes();
+        let body = &whole[..whole.len() - CHECKSUM];
+        let physics_only = [&whole[..HEAD], &[2]].concat();
+        let longer = [body, &[0]].concat();
         let sealed = |bytes: Vec<u8>| [&bytes[..], &Sha256::digest(&bytes)].concat();
-        assert!(RunState::from_bytes(&sealed(with_angle(-0.3))).is_ok());
-        let outside = [2.0, -1.001, f64::NAN].map(with_angle);
-        for bytes in outside.into_iter().chain([physics_only, longer]) {
+        assert!(RunState::from_bytes(&sealed(body.into())).is_ok());
+        for bytes in [physics_only, longer] {
             assert_eq!(RunState::from_bytes(&sealed(bytes)), Err(StateError::Nonsense));
         }
+        let defects: [fn(&mut RunState); 8] = [
+            |state| state.settings.epochs = 0,
+            |state| state.finished = true,
+            |state| (state.settled, state.epochs) = (true, Vec::new()),
+            |state| state.epochs[0].record.epoch = 1,
+            |state| state.epochs[0].record.loss = f64::NAN,
+            |state| state.epochs[0].record.seconds = f64::INFINITY,
+            |state| state.epochs[0].rounds[0][0].loss = -1.0,
+            |state| state.epochs[0].rounds[0][0].cpu_seconds = f64::NAN,
+        ];
+        for (index, defect) in defects.into_iter().enumerate() {
+            let mut state = state();
+            state.epochs.push(Evaluated {
+                record: EpochRecord { epoch: 1, ..state.epochs[0].record.clone() },
+                ..state.epochs[0].clone()
+            });
+            assert_eq!(RunState::from_bytes(&state.to_bytes()), Ok(state.clone()));
+            defect(&mut state);
+            assert_eq!(RunState::from_bytes(&state.to_bytes()), Err(StateError::Nonsense), "{index}");
+        }
+    }
+
+    #[test]
+    fn the_last_epoch_of_a_run_that_is_prolonged_is_taken_back() {
+        let mut state = state();
+        state.settings.epochs = 0;
+        state.finished = true;
+        assert!(state.is_done() && state.is_last(0) && !state.is_settled());
+        state.extend(5);
+        assert!(state.epochs.is_empty() && !state.finished && !state.is_done() && !state.is_last(0));
+        // One that ended early keeps what it has.
+        let mut settled = RunState { settled: true, ..super::tests::state() };
+        assert!(settled.is_done() && settled.is_settled());
+        settled.extend(50);
+        assert_eq!((settled.epochs.len(), settled.settings.epochs), (1, 50));
     }
 
     #[test]
     fn version_from_the_future_is_refused_with_both_numbers() {
         let mut bytes = state().to_bytes();
-        bytes[8] = 9;
+        bytes[8] = 10;
         let error = RunState::from_bytes(&bytes).unwrap_err().to_string();
-        assert!(error.contains("version 9") && error.contains("version 8"), "{error}");
+        assert!(error.contains("version 10") && error.contains("version 9"), "{error}");
     }
 }

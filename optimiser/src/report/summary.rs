@@ -71,9 +71,10 @@ impl Finding {
             false => String::new(),
         };
         format!(
-            "Epoch {epoch} of {} is the plan: of the epochs{which}{able} it {why}. Its loss is {:.3} m;{before} epoch 0 had {:.3} m and brought {}.",
+            "Epoch {epoch} of {} is the plan: of the epochs{which}{able} it {why}. Its loss is {:.3} m;{before} epoch 0{} had {:.3} m and brought {}.",
             self.last_epoch,
             self.plan.unwrap_or(best).loss_m,
+            if self.coarse_epochs.first() == Some(&0) { ", in the coarse world," } else { "" },
             self.first.loss_m,
             self.amounts.powder(self.first.census.target),
         )
@@ -183,12 +184,12 @@ fn listed(words: &[String]) -> String {
 #[cfg(test)]
 mod tests {
     use crate::{
-        optim::{EpochRecord, Search},
+        optim::EpochRecord,
         report::{
             finding::{Finding, Outcome, Shipped},
             judged::Judged,
             record::RunRecord,
-            state::RunState,
+            state::{RunState, Settings},
         },
     };
     use powderline_shared::plan::Precision;
@@ -196,7 +197,7 @@ mod tests {
 
     fn found(arrives: [u32; 3], blocked: Option<&str>, planned: u32) -> (Finding, RunRecord) {
         let scene = Scene::load("bench").unwrap();
-        let state = RunState::new(scene.digest(), 1, Precision::F32, Search::new(Theta::MIDDLE, 2));
+        let state = RunState::new(scene.digest(), 1, Precision::F32, Settings::default());
         let mut run = RunRecord::new(scene, state);
         run.epochs = (0..)
             .zip(arrives)
@@ -230,7 +231,7 @@ mod tests {
             text.starts_with(
                 "The plan brings 9.584 g (1,198 particles) of the 9.6 g wanted: 0.17 % too little, within the tolerance of 2 %.\n\
                  64 mg are lost, all spilled; 56 mg stay in the source.\n\
-                 Epoch 1 of 2 is the plan: of the epochs within the tolerance it loses least powder (ties by loss). Its loss is \
+                 Epoch 1 of 2 is the plan: of the epochs within the tolerance it has least powder lost, missing or too much (ties by loss). Its loss is \
                  99.100 m; before its motion was rounded to whole counts it brought 9.52 g (1,190 particles), with a loss of \
                  99.000 m; epoch 0 had 100.000 m and brought 800 mg (100 particles).\n"
             ),

@@ -5,12 +5,13 @@
 use libfuzzer_sys::fuzz_target;
 use powderline_fuzz::{assert_sentence, plant};
 use powderline_optimiser::cli::{Progress, Stream};
-use powderline_optimiser::optim::{Answer, Method, Probe, Search};
-use powderline_optimiser::report::{amounts::Amounts, curves::Curves, state::RunState};
+use powderline_optimiser::optim::{EpochRecord, Found, Method, Problem, Search, Work};
+use powderline_optimiser::report::state::{Evaluated, RunState, Settings};
+use powderline_optimiser::report::{amounts::Amounts, curves::Curves, tries::Try};
 use powderline_shared::plan::Precision;
 use powderline_simulator::rollout::{Census, Evaluation};
 use powderline_simulator::scene::{DEFAULT_SCENE, Scene};
-use powderline_simulator::skill::{SkillMap, Theta};
+use powderline_simulator::skill::SkillMap;
 use sha2::{Digest, Sha256};
 use std::sync::LazyLock;
 
@@ -20,7 +21,6 @@ const HEAD_BYTES: usize = 12;
 const CHECKSUM_BYTES: usize = 32;
 
 static SCENE: LazyLock<Scene> = LazyLock::new(|| Scene::load(DEFAULT_SCENE).expect("it is shipped"));
-static METHOD: LazyLock<Method> = LazyLock::new(|| Method::new(&SCENE, 3));
 static HEAD: LazyLock<Vec<u8>> = LazyLock::new(|| state(0).to_bytes()[..HEAD_BYTES].to_vec());
 
 fuzz_target!(init: plant(seeds()), |bytes: &[u8]| {
@@ -38,69 +38,86 @@ fn check(bytes: &[u8]) {
     let written = state.to_bytes();
     let again = RunState::from_bytes(&written).expect("what is written can be read");
     assert_eq!(again.to_bytes(), written);
-    go_on(state.search);
+    go_on(state);
 }
 
-/// As a run does that is resumed: one more epoch, its line, the curves, the state.
-fn go_on(mut search: Search) {
-    search.extend(search.epochs().saturating_add(1));
+/// As a run does that is resumed: the search is made again as far as it goes along, then its line, the curves, the state.
+fn go_on(mut state: RunState) {
+    state.extend(state.settings.epochs.saturating_add(1));
+    replay(&state);
+    let history = state.history();
     let progress = Progress::new(&Stream::new(std::io::sink()), true);
-    if let Some(request) = search.next(&METHOD) {
-        progress.begin("epoch", search.epochs() - request.epoch, search.history());
-        record(&mut search);
-    }
-    if let Some(last) = search.history().last() {
-        progress.epoch(last, &Amounts::from(&*SCENE), [search.epochs(); 2], search.history());
+    progress.begin("epoch", 1, &history);
+    if let Some(last) = history.last() {
+        progress.epoch(last, &Amounts::from(&*SCENE), [state.settings.epochs; 2], &history);
     }
     let curves = Curves {
         title: ["fuzzed", "by bytes"],
-        history: search.history(),
-        epochs: search.epochs(),
-        curriculum_epochs: METHOD.rule.curriculum_epochs,
-        shipped: search.history().last().map(|record| record.epoch),
+        history: &history,
+        epochs: state.settings.epochs,
+        shipped: history.last().map(|record| record.epoch),
         plan: None,
         passed_over: &[0],
         map: &SkillMap::new(&SCENE),
         amounts: &Amounts::from(&*SCENE),
     };
     assert!(curves.to_svg().expect("curves can be drawn").ends_with("</svg>\n"));
-    let state = RunState { search, ..state(0) };
     assert!(RunState::from_bytes(&state.to_bytes()).is_ok());
 }
 
-/// One epoch, evaluated by a bowl.
-fn record(search: &mut Search) {
-    let Some(request) = search.next(&METHOD) else { return };
-    let loss = |theta: &Theta| theta.components().iter().map(|value| value * value).sum::<f64>();
-    let census = Census { target: 2, spilled: 3, tool: 4, ..Census::default() };
-    let answer = Answer {
-        evaluation: Evaluation::new(loss(&request.theta), 1, census),
-        adjoint: request.want_gradient.then_some(request.theta.components()),
-    };
-    let probes = search.probes(&METHOD, answer.adjoint.as_ref());
-    let losses = |probes: Vec<Probe>| probes.iter().map(|probe| loss(&probe.theta)).collect();
-    let mut rings: Vec<Vec<f64>> = vec![losses(probes)];
-    while let Ok(wider) = search.wider(&METHOD, &answer, &rings) {
-        match wider.is_empty() {
-            true => break,
-            false => rings.push(losses(wider)),
+/// Tells a search what the state says that it was told.
+fn replay(state: &RunState) {
+    let mut search = state.settings.method.search(&Problem::new(&SCENE, state.seed));
+    for (number, epoch) in state.epochs.iter().enumerate() {
+        for round in &epoch.rounds {
+            let found: Vec<Found> = round.iter().map(Try::found).collect();
+            if search.ask(state.is_last(number)).is_empty() || search.tell(&found).is_err() {
+                return;
+            }
         }
     }
-    // Refused where numbers of the state are too large to go on with.
-    let _ = search.record(&METHOD, &answer, &rings, 1.5);
 }
 
-/// A run of two epochs, of which some are done.
-fn state(done: usize) -> RunState {
-    let first = Theta::new([0.1, -0.2, 1.0 / 3.0, 0.0, -1.0]).expect("it is in the range");
-    let mut search = Search::new(first, 2);
-    (0..done).for_each(|_| record(&mut search));
-    RunState::new([7; 32], 3, Precision::F32, search)
+/// One epoch, evaluated by a bowl.
+fn evaluated(search: &mut dyn Search, epoch: u32) -> Evaluated {
+    let (mut rounds, mut work) = (Vec::new(), Work::default());
+    loop {
+        let trials = search.ask(false);
+        let census = Census { target: 2, spilled: 3, tool: 4, ..Census::default() };
+        let found = trials.iter().map(|trial| {
+            let loss = trial.point.iter().map(|value| value * value).sum();
+            let gradient = trial.adjoint.map(|_| trial.point.clone());
+            Found { evaluation: Evaluation::new(loss, 1, census), gradient }
+        });
+        let found: Vec<Found> = found.collect();
+        let tries: Vec<Try> =
+            trials.iter().zip(&found).map(|(trial, found)| Try::new(epoch, trial, found, 0.5)).collect();
+        tries.iter().for_each(|one| work.add(&one.work()));
+        rounds.push(tries);
+        if let Some(ended) = search.tell(&found).expect("a bowl has slopes") {
+            let record = EpochRecord::new(epoch, &ended, work, 1.5).expect("it is a skill's");
+            return Evaluated { record, rounds };
+        }
+    }
+}
+
+/// A run of three epochs, of which some are done.
+fn state(done: u32) -> RunState {
+    run(Method::Mixed, done)
+}
+
+fn run(method: Method, done: u32) -> RunState {
+    let settings = Settings { method, epochs: 2, ..Settings::default() };
+    let mut state = RunState::new(SCENE.digest(), 3, Precision::F32, settings);
+    let mut search = method.search(&Problem::new(&SCENE, 3));
+    state.epochs = (0..done).map(|epoch| evaluated(search.as_mut(), epoch)).collect();
+    state
 }
 
 /// Runs at all their ages, whole and without what the target adds.
 fn seeds() -> impl Iterator<Item = Vec<u8>> {
-    (0..=3).map(|done| state(done).to_bytes()).flat_map(|bytes| {
+    let runs = [Method::Surrogate, Method::Mixed].into_iter().flat_map(|method| (0..=3).map(move |done| run(method, done)));
+    runs.map(|state| state.to_bytes()).flat_map(|bytes| {
         let body = bytes[HEAD_BYTES..bytes.len() - CHECKSUM_BYTES].to_vec();
         [bytes, body]
     })

@@ -20,8 +20,9 @@ class Run:
     Attributes:
         folder: where it is.
         plan: the motion, a `Plan`; None before there is one.
-        epochs: a dictionary for each epoch, as in `metrics.jsonl`: `epoch`, `theta`, `loss` (m), `mass_kg`, `miss` (relative),
-            `lost_kg`, `gradient`, `seconds`, `shipped` (whether it became the plan) and more.
+        epochs: a dictionary for each epoch, as in `metrics.jsonl`: `epoch`, `world` ("coarse" or "fine"), `theta`, `loss` (m), `mass_kg`,
+            `miss` (relative), `lost_kg`, `work` (rollouts and processor time), `seconds`, `slopes` (of methods that descend),
+            `shipped` (whether it became the plan) and more.
     """
 
     def __init__(self, folder: str | PathLike[str]) -> None:
@@ -64,7 +65,9 @@ def optimise(
     scene: Scene | None = None,
     *,
     seed: int | None = None,
+    method: str | None = None,
     epochs: int | None = None,
+    patience: int | None = None,
     precision: str | None = None,
     threads: int | None = None,
     memory: str | int = "1GiB",
@@ -79,8 +82,11 @@ def optimise(
 
     Args:
         scene: the bench; `bench` if neither it nor `resume` is given.
-        seed: of the packing and the first skill; the scene's if None.
-        epochs: updates at most; the scene's if None.
+        seed: of the packing and of the search; the scene's if None.
+        method: "surrogate" (the default: a coarse copy of the scene first), "restarted", "mixed", "differences", "exact", "cma-es",
+            "sac" or "random".
+        epochs: epochs after the first, at most; 16 if None.
+        patience: ends when the amount is met and so many epochs in a row have gained nothing; 2 if None, 0 goes on to the last.
         precision: "f32" or "f64"; "f32", or that of the run, if None.
         threads: as many as the machine has processors, if None; changes no bit.
         memory: the most that the process may take, such as "2GiB" or a number of bytes.
@@ -106,7 +112,9 @@ def optimise(
     found = _native.optimise(
         scene,
         seed=seed,
+        method=method,
         epochs=epochs,
+        patience=patience,
         precision=precision,
         threads=threads,
         memory=memory,

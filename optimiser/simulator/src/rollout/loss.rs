@@ -35,7 +35,7 @@ pub(crate) fn loss(scene: &Scene, positions: &[[f64; 3]]) -> (f64, Vec<[f64; 3]>
         ranked[..wanted].sort_unstable_by_key(|(_, id)| *id);
         ranked[wanted..].sort_unstable_by_key(|(_, id)| *id);
     }
-    let away = distance(scene.objective.norm, &scene.nearest_of_source_m(), &scene.objective.p_target_m).0;
+    let away = scene.source_distance_m();
     let mut sum = 0.0;
     let mut gradient = vec![[0.0; 3]; positions.len()];
     for (rank, &(d, id)) in ranked.iter().enumerate() {
@@ -74,7 +74,7 @@ pub(crate) fn values(scene: &Scene, positions: &[[f64; 3]]) -> Vec<Option<f64>> 
         Some([at, beyond, ..]) => 0.5 * (at + beyond),
         _ => f64::INFINITY,
     };
-    let away = from_target(&scene.nearest_of_source_m());
+    let away = scene.source_distance_m();
     let mut out = vec![None; positions.len()];
     for id in seen {
         let d = from_target(&positions[id]);
@@ -110,15 +110,12 @@ fn wanted(scene: &Scene, seen: usize, all: usize) -> usize {
 /// Distance of two points, and its gradient with respect to the first.
 fn distance(norm: Norm, p: &[f64; 3], target: &[f64; 3]) -> (f64, [f64; 3]) {
     let d = [0, 1, 2].map(|i| p[i] - target[i]);
-    match norm {
-        Norm::Euclidean => {
-            let length = (d[0] * d[0] + d[1] * d[1] + d[2] * d[2]).sqrt();
-            (length, if length > 0.0 { d.map(|x| x / length) } else { [0.0; 3] })
-        }
-        Norm::L1 => {
-            (d[0].abs() + d[1].abs() + d[2].abs(), d.map(|x| if x == 0.0 { 0.0 } else { x.signum() }))
-        }
-    }
+    let length = norm.length(&d);
+    let slope = match norm {
+        Norm::Euclidean => d.map(|x| if length > 0.0 { x / length } else { 0.0 }),
+        Norm::L1 => d.map(|x| if x == 0.0 { 0.0 } else { x.signum() }),
+    };
+    (length, slope)
 }
 
 /// Which particles the loss sees, by identity.

@@ -7,6 +7,7 @@
 //! |---|---|
 //! | the loss of a skill | [`Simulate::evaluate`] |
 //! | of several skills, side by side | [`Simulate::evaluate_all`] |
+//! | of several other motions, side by side | [`Simulate::simulate_all`] |
 //! | its gradient by the five parameters | [`Simulate::evaluate_with_gradient`] |
 //! | a slope that holds over larger steps | [`Simulate::evaluate_restarted`] |
 //! | the loss of any motion of the tool | [`Simulate::simulate`] |
@@ -241,15 +242,7 @@ pub trait Simulate {
     /// # Errors
     /// See [`RolloutError`]; that of the first skill that has one.
     fn evaluate_all(&mut self, thetas: &[Theta]) -> Result<Vec<Evaluation>, RolloutError> {
-        let count = thetas.len() as f64;
-        let one = |(index, theta): (u32, &Theta)| {
-            let share = |done: u32| f64::from(done) / count;
-            let outer = self.watch().enter([share(index), share(index + 1)]);
-            let found = self.evaluate(theta);
-            self.watch().leave(outer);
-            found
-        };
-        (0..).zip(thetas).map(one).collect()
+        one_by_one(self, thetas, Self::evaluate)
     }
 
     /// Loss of a skill, and its derivative with respect to theta, metres, by the exact adjoint.
@@ -274,6 +267,14 @@ pub trait Simulate {
     /// # Errors
     /// See [`RolloutError`].
     fn simulate(&mut self, controls: &[Displacement]) -> Result<Evaluation, RolloutError>;
+
+    /// Losses of several such motions of one length side by side, in their order.
+    ///
+    /// # Errors
+    /// See [`RolloutError`]; that of the first motion that has one.
+    fn simulate_all(&mut self, motions: &[Vec<Displacement>]) -> Result<Vec<Evaluation>, RolloutError> {
+        one_by_one(self, motions, |s, controls| s.simulate(controls))
+    }
 
     /// The same for a tool that begins at `anchor` and not at the scene's start pose. Nothing is asked of the anchor: a tool that
     /// begins within the powder pushes it out while it settles.
@@ -331,6 +332,22 @@ pub trait Simulate {
         recording: &Recording<'_>,
         observer: Observer<'_>,
     ) -> Result<(Evaluation, Vec<Destination>), RolloutError>;
+}
+
+/// Evaluations one after another, each told as its share of the whole.
+fn one_by_one<S: Simulate + ?Sized, M>(
+    simulator: &mut S,
+    all: &[M],
+    evaluate: impl Fn(&mut S, &M) -> Result<Evaluation, RolloutError>,
+) -> Result<Vec<Evaluation>, RolloutError> {
+    let share = |done: usize| done as f64 / all.len() as f64;
+    let one = |(index, motion): (usize, &M)| {
+        let outer = simulator.watch().enter([share(index), share(index + 1)]);
+        let found = evaluate(simulator, motion);
+        simulator.watch().leave(outer);
+        found
+    };
+    all.iter().enumerate().map(one).collect()
 }
 
 /// How a scene is simulated. Nothing here but the seed changes a bit of the result.

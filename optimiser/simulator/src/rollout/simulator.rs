@@ -510,13 +510,8 @@ impl<T: Real> Simulate for Simulator<T> {
 
     fn evaluate_all(&mut self, thetas: &[Theta]) -> Result<Vec<Evaluation>, RolloutError> {
         let controls = |theta: &Theta| -> Result<Vec<_>, RolloutError> { Ok(self.skill.controls(theta)?) };
-        let motions = thetas.iter().map(controls).collect::<Result<_, _>>()?;
-        self.watched(|s, tick| {
-            let start = s.initial_state(tick)?;
-            let evaluations = s.evaluate_motions(&start, motions, tick);
-            s.recycle(start);
-            evaluations
-        })
+        let motions: Vec<_> = thetas.iter().map(controls).collect::<Result<_, _>>()?;
+        self.simulate_all(&motions)
     }
 
     fn evaluate_with_gradient(&mut self, theta: &Theta) -> Result<(Evaluation, ThetaGradient), RolloutError> {
@@ -546,6 +541,15 @@ impl<T: Real> Simulate for Simulator<T> {
     fn simulate(&mut self, controls: &[Displacement]) -> Result<Evaluation, RolloutError> {
         let anchor = self.anchor;
         self.simulate_from(&anchor, controls)
+    }
+
+    fn simulate_all(&mut self, motions: &[Vec<Displacement>]) -> Result<Vec<Evaluation>, RolloutError> {
+        self.watched(|s, tick| {
+            let start = s.initial_state(tick)?;
+            let evaluations = s.evaluate_motions(&start, motions.to_vec(), tick);
+            s.recycle(start);
+            evaluations
+        })
     }
 
     fn simulate_from(

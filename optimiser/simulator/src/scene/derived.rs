@@ -190,6 +190,13 @@ impl SceneSpec {
         source.map_or(*p_target_m, |source| source.nearest_m(p_target_m))
     }
 
+    /// How far the point of the source container that is nearest to the target point is from that, metres, in the objective's norm: about
+    /// what a particle costs that is missing, or one too many ([`Aim::Amount`](super::Aim::Amount)).
+    pub fn source_distance_m(&self) -> f64 {
+        let (from, to) = (self.nearest_of_source_m(), self.objective.p_target_m);
+        self.objective.norm.length(&[0, 1, 2].map(|axis| from[axis] - to[axis]))
+    }
+
     /// Volume of one particle at rest, cell^3 / particles_per_cell, m^3.
     pub fn particle_volume_m3(&self) -> f64 {
         self.domain.cell_m.powi(3) / f64::from(self.powder.particles_per_cell)

@@ -41,6 +41,7 @@ mod arm;
 mod canonical;
 mod capacity;
 mod closest_match;
+mod coarse;
 mod derived;
 mod embedded;
 mod error;
@@ -109,8 +110,6 @@ pub struct SceneSpec {
     pub arm: Option<Arm>,
     /// What is wanted.
     pub objective: Objective,
-    /// Optimiser settings.
-    pub optimiser: Optimiser,
 }
 
 /// Simulated volume `[0, size]`, floor at z = 0, z up.
@@ -425,6 +424,16 @@ pub enum Norm {
     L1,
 }
 
+impl Norm {
+    /// Of a vector, in its own unit.
+    pub fn length(self, [x, y, z]: &[f64; 3]) -> f64 {
+        match self {
+            Self::Euclidean => libm::sqrt(x * x + y * y + z * z),
+            Self::L1 => x.abs() + y.abs() + z.abs(),
+        }
+    }
+}
+
 /// Which particles the loss sees at the end of the motion.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
@@ -442,44 +451,4 @@ pub enum Observation {
         /// Edge of a square pixel on the ground, metres; 0.0001 to 0.1.
         pixel_m: f64,
     },
-}
-
-/// Optimiser settings (RMSprop with a curriculum).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Optimiser {
-    /// Epochs; 1 to 100,000, in the paper 30.
-    pub epochs: u32,
-    /// Epochs in which only depth, angle and lift are updated; 0 to 100,000, in the paper 15.
-    pub curriculum_epochs: u32,
-    /// Learning rate, in units of theta; above 0, up to 10, in the paper 0.05.
-    pub learning_rate: f64,
-    /// RMSprop's decay of the squared gradient, dimensionless; 0 to below 1, in the paper 0.9.
-    pub beta: f64,
-    /// RMSprop's guard against division by zero, in units of the gradient; above 0, up to 1,
-    /// typically 1e-8.
-    pub epsilon: f64,
-    /// What the updates go by.
-    pub gradient: GradientEstimator,
-    /// Half-step of the central differences (all but `adjoint` has them), in units of theta; above 0, up to 0.5,
-    /// typically 0.1: far enough for single grains to average out.
-    pub difference_half_step: f64,
-    /// The search ends when the amount is met and so many epochs in a row have gained nothing; 0 to 100,000, with 0 it
-    /// goes on to its last epoch, typically 2.
-    pub patience_epochs: u32,
-}
-
-/// What stands for the gradient of the loss.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-#[non_exhaustive]
-pub enum GradientEstimator {
-    /// The adjoint of the simulation.
-    Adjoint,
-    /// The adjoint and central differences, weighted in every component by their measured variances.
-    Mixed,
-    /// The adjoint that restarts ([`crate::rollout::restart`]) and central differences, weighted likewise.
-    Restarted,
-    /// Central differences.
-    Differences,
 }

@@ -8,8 +8,10 @@ use super::error::listed_path;
 use super::{DEFAULT_SCENE, SceneError, SceneSpec, embedded_scene};
 
 /// Tables of a scene, besides its [`LISTS`] of tables.
-const TABLES: [&str; 9] =
-    ["domain", "powder", "time", "tool", "skill", "limits", "arm", "objective", "optimiser"];
+const TABLES: [&str; 8] = ["domain", "powder", "time", "tool", "skill", "limits", "arm", "objective"];
+
+/// A table that scenes had once.
+const FORMER_TABLE: &str = "optimiser";
 
 /// Lists of tables, each with a name.
 const LISTS: [&str; 2] = ["container", "gate"];
@@ -79,6 +81,11 @@ impl Source<'_> {
 
     /// Serde reads a table from a list, field by field; in a scene that is a mistake, `[[tool]]` for `[tool]`.
     fn check_tables(&self, raw: &DeTable<'_>) -> Result<(), SceneError> {
+        if let Some(table) = raw.get(FORMER_TABLE) {
+            let reason = "a scene no longer says how it is searched; without this table it would be right, and `optimise run --help` says \
+                          what can be chosen instead";
+            return Err(self.structure(FORMER_TABLE, table.span().start, reason.to_owned()));
+        }
         for key in TABLES {
             if let Some(value) = raw.get(key).filter(|value| value.get_ref().is_array()) {
                 return Err(self.not_a_table(key, value.span().start));

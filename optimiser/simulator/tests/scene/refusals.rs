@@ -127,9 +127,9 @@ const STRUCTURE: &[Case] = &[
         ": skill.timing at line 73: unknown variant `exact`, expected `rounded` or `continuous`",
     ),
     (
-        r#"gradient = "mixed""#,
-        r#"gradient = "restart""#,
-        ": optimiser.gradient at line 101: unknown variant `restart`; did you mean `restarted`? Possible are `adjoint`, `mixed`, `restarted`, `differences`",
+        "norm = \"euclidean\"",
+        "norm = \"euclidian\"",
+        ": objective.norm at line 92: unknown variant `euclidian`; did you mean `euclidean`? Possible are `euclidean`, `l1`",
     ),
     (
         r#"aim = "amount""#,
@@ -157,11 +157,6 @@ const STRUCTURE: &[Case] = &[
         ": powder.cell_m at line 24: unknown field `cell_m`; that key belongs into [domain]",
     ),
     (
-        "difference_half_step = 0.1",
-        "",
-        ": optimiser at line 95: missing field `difference_half_step`; in the scene `bench` it is: difference_half_step = 0.1 # of these differences, in units of theta; above 0, at most 0.5",
-    ),
-    (
         "amount = { particles = 850 }",
         "amount = { particles = 850, mass_kg = 1.0 }",
         ": objective.amount at line 90: both `mass_kg` and `particles` are given; one of them would be right",
@@ -172,19 +167,24 @@ const STRUCTURE: &[Case] = &[
         ": objective.amount.grains at line 90: unknown field `grains`, expected one of `mass_kg`, `particles`, `tolerance`",
     ),
     (
+        "[objective]",
+        "[objectives]",
+        ": objectives at line 86: unknown field `objectives`; did you mean `objective`? Possible are `name`, `domain`, `powder`, `time`, `container`, `gate`, `tool`, `skill`, `limits`, `arm`, `objective`",
+    ),
+    (
+        "[objective]",
+        "[objective",
+        " is not valid TOML at line 86, column 11: unclosed table, expected `]`",
+    ),
+    (
+        "[objective]",
+        "[optimiser]\nepochs = 10\n\n[objective]",
+        ": optimiser at line 86: a scene no longer says how it is searched; without this table it would be right, and `optimise run --help` says what can be chosen instead",
+    ),
+    (
         "[tool]",
         "[[tool]]",
         ": tool at line 49: invalid type: a list, expected a single table",
-    ),
-    (
-        "[optimiser]",
-        "[optimizer]",
-        ": optimizer at line 95: unknown field `optimizer`; did you mean `optimiser`? Possible are `name`, `domain`, `powder`, `time`, `container`, `gate`, `tool`, `skill`, `limits`, `arm`, `objective`, `optimiser`",
-    ),
-    (
-        "[optimiser]",
-        "[optimiser",
-        " is not valid TOML at line 95, column 11: unclosed table, expected `]`",
     ),
     (
         "[domain]",
@@ -507,36 +507,6 @@ const SINGLE_FIELDS: &[Case] = &[
         "pouring_angle_deg = [30.0, 360.0]",
         ": skill.pouring_angle_deg[1] is 360, but it must be from 1 to 180",
     ),
-    (
-        "epochs = 30",
-        "epochs = 0",
-        ": optimiser.epochs is 0, but it must be from 1 to 100000",
-    ),
-    (
-        "learning_rate = 0.05",
-        "learning_rate = 0.0",
-        ": optimiser.learning_rate is 0, but it must be above 0 and at most 10",
-    ),
-    (
-        "beta = 0.9",
-        "beta = 1.0",
-        ": optimiser.beta is 1, but it must be at least 0 and below 1",
-    ),
-    (
-        "epsilon = 1.0e-8",
-        "epsilon = -1.0e-8",
-        ": optimiser.epsilon is -1e-8, but it must be above 0 and at most 1",
-    ),
-    (
-        "difference_half_step = 0.1",
-        "difference_half_step = 0.0",
-        ": optimiser.difference_half_step is 0, but it must be above 0 and at most 0.5",
-    ),
-    (
-        "difference_half_step = 0.1",
-        "difference_half_step = 0.6",
-        ": optimiser.difference_half_step is 0.6, but it must be above 0 and at most 0.5",
-    ),
 ];
 
 /// Fields at odds with each other.
@@ -801,33 +771,33 @@ const GATES_AND_COLUMNS: &[Case] = &[
     (
         r#"kind = "tube", inner_radius_m"#,
         r#"kind = "pipe", inner_radius_m"#,
-        r#": gate "ring".shape.kind at line 120: unknown variant `pipe`, expected `box` or `tube`"#,
+        r#": gate "ring".shape.kind at line 110: unknown variant `pipe`, expected `box` or `tube`"#,
     ),
     (
         r#"opening = { kind = "vanish" }"#,
         r#"opening = "vanish""#,
-        r#": gate "ring".opening at line 121: invalid type: string "vanish", expected a table with a `kind`"#,
+        r#": gate "ring".opening at line 111: invalid type: string "vanish", expected a table with a `kind`"#,
     ),
     (
         r#"shape = { kind = "box", size_m = [0.016, 0.048, 0.004] }"#,
         r#"shape = 3"#,
-        r#": gate "lid".shape at line 111: invalid type: integer `3`, expected a table with a `kind`"#,
+        r#": gate "lid".shape at line 101: invalid type: integer `3`, expected a table with a `kind`"#,
     ),
     (
         r#"opening = { kind = "vanish" }"#,
         r#"opening = { kind = "vanish", travel_m = 0.1 }"#,
-        r#": gate "ring".opening at line 121: unknown field `travel_m`, there are no fields"#,
+        r#": gate "ring".opening at line 111: unknown field `travel_m`, there are no fields"#,
     ),
     (
         "[[gate]]\nname = \"lid\"",
         "[gate]\nname = \"lid\"",
-        " is not valid TOML at line 114, column 3: duplicate key",
+        " is not valid TOML at line 104, column 3: duplicate key",
     ),
     (
         "opens_at_s = 0.5
 ",
         "",
-        r#": gate "lid" at line 105: missing field `opens_at_s`"#,
+        r#": gate "lid" at line 95: missing field `opens_at_s`"#,
     ),
     (
         r#"name = "ring""#,
@@ -966,8 +936,8 @@ const ARMS: &[Case] = &[
     ("table_height_m = -0.1", "table_height_m = 0.1", ": arm.table_height_m is 0.1, but it must be from -10 to 0"),
     ("clearance_m = 0.02", "clearance_m = -0.02", ": arm.clearance_m is -0.02, but it must be from 0 to 1"),
     ("payload_kg = 0.4", "payload_kg = 5.1", ": arm.payload_kg is 5.1, but it must be from 0 to 5"),
-    (", wrist = \"positive\"", "", ": arm.posture at line 111: missing field `wrist`; in the scene `bench` it is: posture = { shoulder = \"forward\", elbow = \"up\", wrist = \"positive\" }"),
-    ("shoulder = \"forward\"", "shoulder = \"left\"", ": arm.posture.shoulder at line 111: unknown variant `left`, expected `forward` or `backward`"),
+    (", wrist = \"positive\"", "", ": arm.posture at line 101: missing field `wrist`; in the scene `bench` it is: posture = { shoulder = \"forward\", elbow = \"up\", wrist = \"positive\" }"),
+    ("shoulder = \"forward\"", "shoulder = \"left\"", ": arm.posture.shoulder at line 101: unknown variant `left`, expected `forward` or `backward`"),
 ];
 
 #[test]

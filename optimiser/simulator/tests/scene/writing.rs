@@ -20,7 +20,6 @@ fn arbitrary_scene() -> impl Strategy<Value = Scene> {
             scene.powder.poissons_ratio = poissons_ratio;
             scene.powder.seed = seed;
             scene.domain.gravity_m_s2 = [tilt, -0.0, small];
-            scene.optimiser.epsilon = small;
             if round {
                 scene.powder.yield_surface = YieldSurface::MatsuokaNakai;
                 scene.powder.volume_correction = VolumeCorrection::Grid;

@@ -193,7 +193,9 @@ impl Work<'_> {
         let arguments = RunArgs {
             scene: None,
             seed: Some(self.case.seed),
+            method: None,
             epochs: self.campaign.file().epochs,
+            patience: None,
             precision: Some(self.precision().into()),
             resources: self.resources,
             out,

@@ -45,9 +45,19 @@ fn a_plan_becomes_a_page_with_the_arms_motion_over_it() {
 fn a_comparison_becomes_a_page() {
     let place = Place::new();
     let folder = place.text("comparison");
-    let methods = "gradient,cma-es";
-    let begin =
-        ["compare", "bench-small", "--methods", methods, "--seeds", "4", "--epochs", "2", "--out", &folder];
+    let methods = "mixed,cma-es";
+    let begin = [
+        "compare",
+        "bench-small",
+        "--methods",
+        methods,
+        "--seeds",
+        "4",
+        "--rollouts",
+        "20",
+        "--out",
+        &folder,
+    ];
     assert_eq!(optimise(&begin).code, 0);
     assert_eq!(optimise(&["report", &folder]).code, 0);
     let page = page(&folder);

@@ -15,13 +15,12 @@ pub(in crate::scene) struct Range {
     low: f64,
     high: f64,
     low_excluded: bool,
-    high_excluded: bool,
 }
 
 impl Range {
     /// From `low` to `high`, both allowed.
     pub(in crate::scene) const fn closed(low: f64, high: f64) -> Self {
-        Self { low, high, low_excluded: false, high_excluded: false }
+        Self { low, high, low_excluded: false }
     }
 
     /// Above `low`, up to `high`.
@@ -29,16 +28,10 @@ impl Range {
         Self { low_excluded: true, ..Self::closed(low, high) }
     }
 
-    /// From `low` to below `high`.
-    pub(in crate::scene) const fn below(low: f64, high: f64) -> Self {
-        Self { high_excluded: true, ..Self::closed(low, high) }
-    }
-
     /// False for NaN.
     pub(super) fn contains(&self, value: f64) -> bool {
         let above = if self.low_excluded { value > self.low } else { value >= self.low };
-        let below = if self.high_excluded { value < self.high } else { value <= self.high };
-        above && below
+        above && value <= self.high
     }
 
     /// The question after a length that would be right if it was meant in millimetres.
@@ -53,10 +46,9 @@ impl Range {
 
     fn sentence(&self) -> String {
         let (low, high) = (plain(self.low), plain(self.high));
-        match (self.low_excluded, self.high_excluded) {
-            (false, false) => format!("must be from {low} to {high}"),
-            (true, _) => format!("must be above {low} and at most {high}"),
-            (false, true) => format!("must be at least {low} and below {high}"),
+        match self.low_excluded {
+            false => format!("must be from {low} to {high}"),
+            true => format!("must be above {low} and at most {high}"),
         }
     }
 }

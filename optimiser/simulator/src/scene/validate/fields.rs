@@ -4,7 +4,7 @@ use super::checker::{Checker, Range, TURN_DEG, container_paths, gate_paths};
 use super::found::Found;
 use crate::scene::{
     Arm, Container, ContainerShape, Domain, Flow, Gate, GateOpening, GateShape, Limits, Objective,
-    Observation, Optimiser, Powder, Quantity, SceneError, SceneSpec, Skill, Time, Tool, Transfer,
+    Observation, Powder, Quantity, SceneError, SceneSpec, Skill, Time, Tool, Transfer,
 };
 use powderline_shared::plan::{PERIOD_US_MAX, PERIOD_US_MIN};
 
@@ -34,7 +34,6 @@ pub(super) fn check(checker: &Checker<'_>, scene: &SceneSpec) -> Vec<SceneError>
         arm(found, one);
     }
     objective(found, &scene.objective);
-    optimiser(found, &scene.optimiser);
     std::mem::take(&mut found.errors)
 }
 
@@ -189,14 +188,4 @@ fn objective(found: &mut Found<'_>, objective: &Objective) {
     if let Observation::VisibleFromAbove { pixel_m } = objective.observation {
         found.number("objective.observation.pixel_m", pixel_m, Range::closed(1e-4, 0.1));
     }
-}
-
-fn optimiser(found: &mut Found<'_>, optimiser: &Optimiser) {
-    found.count("optimiser.epochs", optimiser.epochs, 1, 100_000);
-    found.count("optimiser.curriculum_epochs", optimiser.curriculum_epochs, 0, 100_000);
-    found.count("optimiser.patience_epochs", optimiser.patience_epochs, 0, 100_000);
-    found.number("optimiser.learning_rate", optimiser.learning_rate, Range::above(0.0, 10.0));
-    found.number("optimiser.beta", optimiser.beta, Range::below(0.0, 1.0));
-    found.number("optimiser.epsilon", optimiser.epsilon, Range::above(0.0, 1.0));
-    found.number("optimiser.difference_half_step", optimiser.difference_half_step, Range::above(0.0, 0.5));
 }

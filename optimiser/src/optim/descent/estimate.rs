@@ -2,9 +2,9 @@
 //!
 //! The adjoint is exact but heavy-tailed: a grain balanced on the rim amplifies perturbations a thousandfold, and its
 //! derivative is a correct answer to the wrong question. The slope over a distance at which such grains average out
-//! is what the optimiser wants. [`GradientEstimator::Mixed`] weighs the two by their measured variances, component by
+//! is what a search wants. [`Source::Mixed`] weighs the two by their measured variances, component by
 //! component (Suh, Simchowitz, Zhang, Tedrake 2022, "Do differentiable simulators give better policy gradients?").
-//! [`GradientEstimator::Restarted`] does the same with the adjoint that restarts, which trades the variance for a bias
+//! [`Source::Restarted`] does the same with the adjoint that restarts, which trades the variance for a bias
 //! ([`powderline_simulator::rollout::restart`]):
 //!
 //! | symbol  | meaning                                                                                      |
@@ -29,14 +29,11 @@
 //! - A component with alpha above [`TRUSTED_WEIGHT`] needs no differences, g is g1; unless g1 surprises, that is
 //!   differs from the component's last g by more than abs(g) + 5 s0. Then it is measured at once, because a single
 //!   outlier in RMSprop's running mean would stop the component for dozens of epochs.
-//! - If alpha is below [`USELESS_WEIGHT`] in all components that take part, no adjoint is computed, g is g0.
+//! - If alpha is below [`USELESS_WEIGHT`] in all components, no adjoint is computed, g is g0.
 
-use super::search::WIDEST_HALF_STEP;
-use powderline_simulator::{
-    scene::{self, GradientEstimator},
-    skill::{SkillParameter, Theta, ThetaGradient},
-};
-use serde::{Deserialize, Serialize};
+use super::WIDEST_HALF_STEP;
+use crate::optim::Adjoint;
+use powderline_simulator::skill::{SkillParameter, Theta, ThetaGradient};
 
 /// The adjoint alone suffices where its weight was above this.
 pub const TRUSTED_WEIGHT: f64 = 0.5;
@@ -53,23 +50,49 @@ const AGREEING: u32 = 2;
 /// How far beyond the component's last gradient a trusted adjoint may lie, in standard deviations of g0.
 const SURPRISE: f64 = 5.0;
 
-/// Second differences that the shot noise is taken from: those of three epochs of five components, or five of three.
+/// Second differences that the shot noise is taken from: those of three epochs of five components.
 const RESIDUALS: usize = 15;
+
+const COMPONENTS: usize = SkillParameter::ALL.len();
 
 /// Median of the absolute value of a normal variable, in standard deviations.
 const MEDIAN_OF_NORMAL: f64 = 0.6745;
+
+/// What stands for the gradient of the loss.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Source {
+    /// The exact adjoint.
+    Exact,
+    /// The exact adjoint and central differences, weighted in every component by their measured variances.
+    Mixed,
+    /// The adjoint that restarts and central differences, weighted likewise.
+    Restarted,
+    /// Central differences.
+    Differences,
+}
+
+impl Source {
+    /// The adjoint that it takes.
+    pub(super) fn adjoint(self) -> Option<Adjoint> {
+        match self {
+            Self::Exact | Self::Mixed => Some(Adjoint::Exact),
+            Self::Restarted => Some(Adjoint::Restarted),
+            Self::Differences => None,
+        }
+    }
+}
 
 /// How the gradient is estimated.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Estimator {
     /// From what.
-    pub gradient: GradientEstimator,
+    pub gradient: Source,
     /// Half-step of the central differences, in units of theta.
     pub half_step: f64,
 }
 
 /// All that the estimate of one epoch hands to the next.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct EstimatorState {
     /// The latest second differences of the loss, absolute, metres, oldest first.
     residuals: Vec<f64>,
@@ -77,7 +100,7 @@ pub struct EstimatorState {
 }
 
 /// What is known about the adjoint in one component.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 struct Trust {
     /// Epochs in which adjoint and differences were both computed.
     measurements: u32,
@@ -100,8 +123,6 @@ pub struct Place {
     pub epoch: u32,
     /// Skill parameters.
     pub theta: Theta,
-    /// How many of them, from the first, the update changes.
-    pub active: usize,
 }
 
 /// A point near theta whose loss is needed.
@@ -140,7 +161,7 @@ pub struct Findings<'a> {
 /// The gradient, and where it comes from.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Estimate {
-    /// What the optimiser uses. In components that do not take part: the adjoint's value, 0 if there is none.
+    /// What the step uses.
     pub gradient: ThetaGradient,
     /// Its standard deviation, as far as it is known; 0 otherwise.
     pub noise: [f64; 5],
@@ -148,8 +169,8 @@ pub struct Estimate {
     pub adjoint: [Option<f64>; 5],
     /// The central differences, where they were computed.
     pub differences: [Option<f64>; 5],
-    /// Weight of the adjoint in `gradient`, where the component takes part.
-    pub first_order_weight: [Option<f64>; 5],
+    /// Weight of the adjoint in `gradient`.
+    pub first_order_weight: [f64; 5],
 }
 
 /// A central difference.
@@ -161,27 +182,21 @@ struct Difference {
     residual: Option<f64>,
 }
 
-impl From<&scene::Optimiser> for Estimator {
-    fn from(settings: &scene::Optimiser) -> Self {
-        Self { gradient: settings.gradient, half_step: settings.difference_half_step }
-    }
-}
-
 impl Estimator {
     /// With differences over 2^`ring` times the distance; none where there are no differences, or where they would be too wide.
     pub(super) fn widened(&self, ring: usize) -> Option<Self> {
         let half_step = self.half_step * libm::exp2(ring as f64);
         let is_right = ring == 0 || half_step <= WIDEST_HALF_STEP * (1.0 + 1e-9);
-        (self.gradient != GradientEstimator::Adjoint && is_right).then_some(Self { half_step, ..*self })
+        (self.gradient != Source::Exact && is_right).then_some(Self { half_step, ..*self })
     }
 
     /// Whether the adjoint has to be computed.
     pub fn wants_adjoint(&self, state: &EstimatorState, place: &Place) -> bool {
         let useless = |trust: &Trust| trust.useless >= AGREEING && trust.is_fresh(place.epoch);
         match self.gradient {
-            GradientEstimator::Adjoint => true,
-            GradientEstimator::Differences => false,
-            _ => !state.components[..place.active].iter().all(useless),
+            Source::Exact => true,
+            Source::Differences => false,
+            _ => !state.components.iter().all(useless),
         }
     }
 
@@ -193,10 +208,10 @@ impl Estimator {
         place: &Place,
         adjoint: Option<&ThetaGradient>,
     ) -> Vec<Probe> {
-        if self.gradient == GradientEstimator::Adjoint {
+        if self.gradient == Source::Exact {
             return Vec::new();
         }
-        (0..place.active)
+        (0..COMPONENTS)
             .filter(|&k| !self.adjoint_suffices(state, place, k, adjoint.map(|adjoint| adjoint[k])))
             .flat_map(|component| self.ends(place, component).map(|theta| Probe { component, theta }))
             // At a bound one of the ends is theta itself.
@@ -249,13 +264,13 @@ impl Estimator {
             noise: [0.0; 5],
             adjoint: found.adjoint.map_or([None; 5], |adjoint| adjoint.map(Some)),
             differences: differences.map(|difference| difference.map(|difference| difference.slope)),
-            first_order_weight: [None; 5],
+            first_order_weight: [0.0; 5],
         };
-        for (k, difference) in differences.iter().enumerate().take(place.active) {
+        for (k, difference) in differences.iter().enumerate() {
             let weighed = next.weigh(place.epoch, k, estimate.adjoint[k], difference.as_ref());
             estimate.gradient[k] = weighed.gradient;
             estimate.noise[k] = weighed.noise;
-            estimate.first_order_weight[k] = Some(weighed.weight);
+            estimate.first_order_weight[k] = weighed.weight;
             next.components[k].gradient = weighed.gradient;
         }
         (estimate, next)
@@ -289,11 +304,6 @@ impl Estimator {
 }
 
 impl EstimatorState {
-    /// Whether so many updates can have led here.
-    pub(super) fn is_sound(&self, updates: u32) -> bool {
-        self.residuals.len() <= RESIDUALS && self.components.iter().all(|trust| trust.is_sound(updates))
-    }
-
     /// The same noise elsewhere, where nothing is known of the adjoint.
     pub(super) fn elsewhere(&self) -> Self {
         Self { components: [Trust::default(); 5], residuals: self.residuals.clone() }
@@ -347,11 +357,6 @@ struct Weighed {
 }
 
 impl Trust {
-    fn is_sound(&self, updates: u32) -> bool {
-        let Self { measurements, measured_at, trusted, useless, .. } = *self;
-        measurements <= updates && measured_at <= updates && trusted.max(useless) <= measurements
-    }
-
     fn is_fresh(&self, epoch: u32) -> bool {
         epoch.saturating_sub(self.measured_at) < REMEASURE_EPOCHS
     }
@@ -382,15 +387,15 @@ fn median(values: &[f64]) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use super::super::{RmsProp, RmsPropState};
     use super::*;
-    use crate::optim::{RmsProp, RmsPropState};
     use rand_chacha::{
         ChaCha8Rng,
         rand_core::{Rng, SeedableRng},
     };
 
-    const MIXED: Estimator = Estimator { gradient: GradientEstimator::Mixed, half_step: 0.1 };
-    const ADJOINT: Estimator = Estimator { gradient: GradientEstimator::Adjoint, half_step: 0.1 };
+    const MIXED: Estimator = Estimator { gradient: Source::Mixed, half_step: 0.1 };
+    const ADJOINT: Estimator = Estimator { gradient: Source::Exact, half_step: 0.1 };
     const MINIMUM: [f64; 5] = [0.3, -0.2, 0.5, -0.4, 0.1];
 
     /// A quadratic with shot noise of 1 m, as the simulated bench has it.
@@ -444,11 +449,11 @@ mod tests {
         }
 
         /// Estimates at one place, epoch after epoch.
-        fn estimates(&mut self, components: [f64; 5], active: usize, epochs: u32) -> Vec<Estimate> {
+        fn estimates(&mut self, components: [f64; 5], epochs: u32) -> Vec<Estimate> {
             let mut state = EstimatorState::default();
             (0..epochs)
                 .map(|epoch| {
-                    let (estimate, next) = self.estimate(&MIXED, &state, &place(epoch, components, active));
+                    let (estimate, next) = self.estimate(&MIXED, &state, &place(epoch, components));
                     state = next;
                     estimate
                 })
@@ -457,12 +462,12 @@ mod tests {
 
         /// Distance from the minimum after a search.
         fn search(&mut self, estimator: &Estimator, epochs: u32) -> f64 {
-            let rule = RmsProp { beta: 0.9, learning_rate: 0.05, epsilon: 1e-8, curriculum_epochs: 0 };
+            let rule = RmsProp { learning_rate: 0.05, ..RmsProp::default() };
             let mut state = EstimatorState::default();
             let mut search = RmsPropState::new(Theta::new([-0.6, 0.7, -0.5, 0.5, -0.8]).unwrap());
             for epoch in 0..epochs {
                 let (estimate, next) =
-                    self.estimate(estimator, &state, &Place { epoch, theta: search.theta, active: 5 });
+                    self.estimate(estimator, &state, &Place { epoch, theta: search.theta });
                 state = next;
                 search = rule.update(&search, &estimate.gradient, &estimate.noise).unwrap();
             }
@@ -470,13 +475,8 @@ mod tests {
         }
     }
 
-    fn place(epoch: u32, components: [f64; 5], active: usize) -> Place {
-        Place { epoch, theta: Theta::new(components).unwrap(), active }
-    }
-
-    /// How often a component's differences were computed.
-    fn measured(estimates: &[Estimate], component: usize) -> Vec<bool> {
-        estimates.iter().map(|estimate| estimate.differences[component].is_some()).collect()
+    fn place(epoch: u32, components: [f64; 5]) -> Place {
+        Place { epoch, theta: Theta::new(components).unwrap() }
     }
 
     #[test]
@@ -494,8 +494,8 @@ mod tests {
         let (mut saved, mut weight) = (0, 0.0);
         for seed in 0..10 {
             let mut bench = Bench::new(seed, [0.0; 5]);
-            let estimates = bench.estimates([-0.5; 5], 5, 40);
-            let weights = estimates.last().unwrap().first_order_weight.map(Option::unwrap);
+            let estimates = bench.estimates([-0.5; 5], 40);
+            let weights = estimates.last().unwrap().first_order_weight;
             weight += weights.iter().sum::<f64>() / 50.0;
             saved += 11 * 40 - bench.forward;
         }
@@ -507,9 +507,9 @@ mod tests {
     fn heavy_tailed_adjoint_is_ignored() {
         for seed in 0..10 {
             let mut bench = Bench::new(seed, [300.0; 5]);
-            let estimates = bench.estimates([-0.5; 5], 5, 40);
+            let estimates = bench.estimates([-0.5; 5], 40);
             for estimate in &estimates[3..] {
-                let weights = estimate.first_order_weight.map(Option::unwrap);
+                let weights = estimate.first_order_weight;
                 assert!(weights.iter().all(|&weight| weight < 0.1), "seed {seed}: {weights:?}");
                 for (k, (g, m)) in estimate.gradient.iter().zip(MINIMUM).enumerate() {
                     let slope = 100.0 * (-0.5 - m);
@@ -520,11 +520,11 @@ mod tests {
         }
     }
 
-    /// A state in which everything is known about three components.
+    /// A state in which everything is known about all components.
     fn known(apart: f64) -> EstimatorState {
         let mut state = EstimatorState { residuals: vec![2.0; 3], ..EstimatorState::default() };
         let variance = state.variance(0.2);
-        for trust in &mut state.components[..3] {
+        for trust in &mut state.components {
             for epoch in 8..10 {
                 trust.measure(epoch, apart, variance);
             }
@@ -538,21 +538,21 @@ mod tests {
         let state = known(1.0);
         let adjoint = [12.0; 5];
         for epoch in 10..14 {
-            let place = place(epoch, [0.0; 5], 3);
+            let place = place(epoch, [0.0; 5]);
             assert!(MIXED.wants_adjoint(&state, &place));
             assert!(MIXED.probes(&state, &place, Some(&adjoint)).is_empty());
         }
-        assert_eq!(MIXED.probes(&state, &place(14, [0.0; 5], 3), Some(&adjoint)).len(), 6);
+        assert_eq!(MIXED.probes(&state, &place(14, [0.0; 5]), Some(&adjoint)).len(), 10);
         let surprising = [12.0, -17344.0, 12.0, 0.0, 0.0];
-        let probes = MIXED.probes(&state, &place(10, [0.0; 5], 3), Some(&surprising));
+        let probes = MIXED.probes(&state, &place(10, [0.0; 5]), Some(&surprising));
         assert_eq!(probes.iter().map(|probe| probe.component).collect::<Vec<_>>(), [1, 1]);
     }
 
     #[test]
     fn surprise_weighs_itself_down() {
         let state = known(1.0);
-        let at = place(10, [0.0; 5], 3);
-        let adjoint = Some([12.0, -17344.0, 12.0, 0.0, 0.0]);
+        let at = place(10, [0.0; 5]);
+        let adjoint = Some([12.0, -17344.0, 12.0, 12.0, 12.0]);
         let (estimate, next) =
             MIXED.combine(&state, &at, &Findings { loss: 100.0, adjoint, probes: &[99.0, 101.0] });
         assert!((estimate.gradient[1] - 10.0).abs() < 0.1, "{:?}", estimate.gradient);
@@ -562,39 +562,32 @@ mod tests {
     #[test]
     fn useless_adjoint_is_skipped_and_computed_again_in_time() {
         let state = known(1000.0);
-        for (epoch, active, wanted) in [(10, 3, false), (13, 3, false), (14, 3, true), (10, 5, true)] {
-            let place = place(epoch, [0.0; 5], active);
-            assert_eq!(MIXED.wants_adjoint(&state, &place), wanted, "epoch {epoch}, {active} components");
-            assert_eq!(MIXED.probes(&state, &place, None).len(), 2 * active);
+        for (epoch, wanted) in [(10, false), (13, false), (14, true)] {
+            let place = place(epoch, [0.0; 5]);
+            assert_eq!(MIXED.wants_adjoint(&state, &place), wanted, "epoch {epoch}");
+            assert_eq!(MIXED.probes(&state, &place, None).len(), 10);
         }
-        let found = Findings { loss: 100.0, adjoint: None, probes: &[99.0, 101.0, 99.0, 103.0, 101.0, 99.0] };
-        let (estimate, next) = MIXED.combine(&state, &place(10, [0.0; 5], 3), &found);
-        let expected = [10.0, 20.0, -10.0, 0.0, 0.0];
+        let mut doubtful = state.clone();
+        doubtful.components[4].useless = 1;
+        assert!(MIXED.wants_adjoint(&doubtful, &place(10, [0.0; 5])), "one component may still use it");
+        let losses = [99.0, 101.0, 99.0, 103.0, 101.0, 99.0, 100.0, 100.0, 98.0, 100.0];
+        let found = Findings { loss: 100.0, adjoint: None, probes: &losses };
+        let (estimate, next) = MIXED.combine(&state, &place(10, [0.0; 5]), &found);
+        let expected = [10.0, 20.0, -10.0, 0.0, 10.0];
         assert!(estimate.gradient.iter().zip(expected).all(|(g, e)| (g - e).abs() < 1e-9), "{estimate:?}");
         assert_eq!(estimate.adjoint, [None; 5]);
-        assert_eq!(estimate.first_order_weight, [Some(0.0), Some(0.0), Some(0.0), None, None]);
+        assert!(estimate.first_order_weight.iter().all(|weight| *weight == 0.0));
         // Nothing was measured.
-        assert_eq!(next.components.map(|trust| trust.measured_at), [9, 9, 9, 0, 0]);
-    }
-
-    #[test]
-    fn inactive_components_are_not_measured() {
-        let mut bench = Bench::new(1, [0.0; 5]);
-        let estimates = bench.estimates([0.0; 5], 3, 10);
-        assert!(measured(&estimates, 0)[..2] == [true; 2] && measured(&estimates, 3) == [false; 10]);
-        for estimate in estimates {
-            assert_eq!(estimate.first_order_weight[3..], [None; 2]);
-            assert_eq!(Some(estimate.gradient[4].to_bits()), estimate.adjoint[4].map(f64::to_bits));
-        }
+        assert_eq!(next.components.map(|trust| trust.measured_at), [9; 5]);
     }
 
     #[test]
     fn ends_are_clamped_and_the_distance_is_the_actual_one() {
-        let at = place(0, [1.0, -0.95, 0.0, 0.0, 0.0], 3);
+        let at = place(0, [1.0, -0.95, 0.0, 0.0, 0.0]);
         let state = EstimatorState::default();
         let probes = MIXED.probes(&state, &at, None);
         let ends: Vec<_> = probes.iter().map(|probe| (probe.component, probe.value())).collect();
-        assert_eq!(ends, [(0, 0.9), (1, -1.0), (1, -0.95 + 0.1), (2, -0.1), (2, 0.1)]);
+        assert_eq!(ends[..5], [(0, 0.9), (1, -1.0), (1, -0.95 + 0.1), (2, -0.1), (2, 0.1)]);
         let loss = |theta: &Theta| {
             let [depth, scoop, lift, ..] = theta.components();
             3.0 * depth - 2.0 * scoop + lift * lift
@@ -602,26 +595,27 @@ mod tests {
         let losses: Vec<_> = probes.iter().map(|probe| loss(&probe.theta)).collect();
         let found = Findings { loss: loss(&at.theta), adjoint: Some([5.0; 5]), probes: &losses };
         let (estimate, next) = MIXED.combine(&state, &at, &found);
-        let slopes = [3.0, -2.0, 0.0];
+        let slopes = [3.0, -2.0, 0.0, 0.0, 0.0];
         assert!(
             estimate.differences.iter().flatten().zip(slopes).all(|(d, s)| (d - s).abs() < 1e-9),
             "{:?}",
             estimate.differences
         );
-        // Clamped ends say nothing about the noise.
+        // Clamped ends say nothing about the noise, and neither does what does not change.
         assert_eq!(next.residuals.len(), 1);
     }
 
     #[test]
     fn without_any_noise_measured_the_differences_decide() {
-        let at = place(0, [0.0; 5], 3);
+        let at = place(0, [0.0; 5]);
         let found = Findings {
             loss: 1.0,
-            adjoint: Some([7.0, 0.0, 0.0, 1.0, 1.0]),
-            probes: &[0.5, 1.5, 1.0, 1.0, 1.0, 1.0],
+            adjoint: Some([7.0, 0.0, 0.0, 0.0, 0.0]),
+            probes: &[0.5, 1.5, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0],
         };
         let (estimate, _) = MIXED.combine(&EstimatorState::default(), &at, &found);
-        assert_eq!(estimate.first_order_weight[..3], [Some(0.0), Some(1.0), Some(1.0)]);
+        let weights = estimate.first_order_weight;
+        assert!(weights[0].abs() < 1e-15 && weights[1..].iter().all(|weight| (weight - 1.0).abs() < 1e-15));
         assert!((estimate.gradient[0] - 5.0).abs() < 1e-12);
     }
 
@@ -630,7 +624,7 @@ mod tests {
         let mut bench = Bench::new(3, [300.0; 5]);
         let mut state = EstimatorState::default();
         for epoch in 0..20 {
-            state = bench.estimate(&MIXED, &state, &place(epoch, [0.2; 5], 5)).1;
+            state = bench.estimate(&MIXED, &state, &place(epoch, [0.2; 5])).1;
         }
         let deviation = libm::sqrt(state.variance(0.2));
         assert!((4.0..14.0).contains(&deviation), "{deviation} where 7.07 is right");
@@ -638,27 +632,9 @@ mod tests {
     }
 
     #[test]
-    fn counts_beyond_the_updates_are_not_sound() {
-        let place = place(0, [0.0; 5], 5);
-        let (_, sound) = Bench::new(8, [1.0; 5]).estimate(&MIXED, &EstimatorState::default(), &place);
-        assert!(sound.is_sound(1) && !sound.is_sound(0));
-        let defects: [fn(&mut EstimatorState); 4] = [
-            |state| state.residuals = vec![1.0; RESIDUALS + 1],
-            |state| state.components[4].measured_at = 2,
-            |state| state.components[0].trusted = u32::MAX,
-            |state| state.components[0].useless = 2,
-        ];
-        for (index, defect) in defects.into_iter().enumerate() {
-            let mut state = sound.clone();
-            defect(&mut state);
-            assert!(!state.is_sound(1), "{index}");
-        }
-    }
-
-    #[test]
     fn adjoint_alone_is_passed_on() {
         let mut bench = Bench::new(1, [300.0; 5]);
-        let (estimate, _) = bench.estimate(&ADJOINT, &EstimatorState::default(), &place(0, [0.0; 5], 3));
+        let (estimate, _) = bench.estimate(&ADJOINT, &EstimatorState::default(), &place(0, [0.0; 5]));
         assert_eq!(
             estimate.adjoint.map(Option::unwrap).map(f64::to_bits),
             estimate.gradient.map(f64::to_bits)

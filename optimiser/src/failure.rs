@@ -11,7 +11,7 @@ use std::{fmt, io, process::ExitCode};
 
 /// One sentence for the person, and the exit code that goes with it.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum CliError {
+pub enum Failure {
     /// What was asked for makes no sense as it stands: exit code 2.
     Input(String),
     /// It made sense, and failed: exit code 1.
@@ -25,7 +25,7 @@ pub enum CliError {
     Unread,
 }
 
-impl CliError {
+impl Failure {
     /// The process's exit code.
     pub fn exit_code(&self) -> ExitCode {
         ExitCode::from(self.code())
@@ -43,7 +43,7 @@ impl CliError {
     }
 
     /// Adds a remark, separated by a semicolon, that tells what is left to do.
-    pub(super) fn with_remark(self, remark: &str) -> Self {
+    pub(crate) fn with_remark(self, remark: &str) -> Self {
         match self {
             Self::Input(text) => Self::Input(format!("{text}; {remark}")),
             Self::Failed(text) => Self::Failed(format!("{text}; {remark}")),
@@ -54,7 +54,7 @@ impl CliError {
     }
 }
 
-impl fmt::Display for CliError {
+impl fmt::Display for Failure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Input(text) | Self::Failed(text) | Self::Missed(text) | Self::Interrupted(text) => {
@@ -65,27 +65,27 @@ impl fmt::Display for CliError {
     }
 }
 
-impl std::error::Error for CliError {}
+impl std::error::Error for Failure {}
 
-impl From<SceneError> for CliError {
+impl From<SceneError> for Failure {
     fn from(error: SceneError) -> Self {
         Self::Input(error.to_string())
     }
 }
 
-impl From<SkillError> for CliError {
+impl From<SkillError> for Failure {
     fn from(error: SkillError) -> Self {
         Self::Input(error.to_string())
     }
 }
 
-impl From<ThetaError> for CliError {
+impl From<ThetaError> for Failure {
     fn from(error: ThetaError) -> Self {
         Self::Input(error.to_string())
     }
 }
 
-impl From<RolloutError> for CliError {
+impl From<RolloutError> for Failure {
     fn from(error: RolloutError) -> Self {
         match error {
             RolloutError::Stopped => Self::Interrupted(error.to_string()),
@@ -97,7 +97,7 @@ impl From<RolloutError> for CliError {
     }
 }
 
-impl From<FolderError> for CliError {
+impl From<FolderError> for Failure {
     fn from(error: FolderError) -> Self {
         match error {
             FolderError::Taken { .. } | FolderError::NoRun { .. } => Self::Input(error.to_string()),
@@ -106,7 +106,7 @@ impl From<FolderError> for CliError {
     }
 }
 
-impl From<RecordError> for CliError {
+impl From<RecordError> for Failure {
     fn from(error: RecordError) -> Self {
         match error {
             RecordError::Folder(error) => error.into(),
@@ -116,13 +116,13 @@ impl From<RecordError> for CliError {
 }
 
 /// Standard output that went away (a closed pipe) or is full.
-impl From<LoadError> for CliError {
+impl From<LoadError> for Failure {
     fn from(error: LoadError) -> Self {
         Self::Input(error.to_string())
     }
 }
 
-impl From<io::Error> for CliError {
+impl From<io::Error> for Failure {
     fn from(error: io::Error) -> Self {
         match error.kind() {
             io::ErrorKind::BrokenPipe => Self::Unread,

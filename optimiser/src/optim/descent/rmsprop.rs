@@ -1,4 +1,4 @@
-//! RMSprop with the paper's curriculum, and three changes.
+//! RMSprop, with three changes.
 //!
 //! | symbol | identifier      | equation                                              |
 //! |--------|-----------------|-------------------------------------------------------|
@@ -9,8 +9,7 @@
 //! | r      | `rate`          | r' = r / 2 if k changes sign, else min(1, 1.2 r)      |
 //! | Theta  | `theta`         | Theta' = clamp(Theta - lr r' k / (sqrt(v^) + eps))    |
 //!
-//! In the first `curriculum_epochs` updates only depth, angle and lift take part; the running mean of a component
-//! starts, from zero, with its first update. The gradient is neither clipped nor rescaled: a step is at most
+//! The gradient is neither clipped nor rescaled: a step is at most
 //! lr / sqrt(1 - beta) in any component whatever the gradient's size.
 //!
 //! The paper has v for v^, g for k, and r = 1. Without the correction for the mean's start from zero (Kingma and Ba 2015, "Adam",
@@ -22,19 +21,11 @@
 //! sign has gone too far and halves its steps, and lengthens them again while it goes on in one direction. That is the rule
 //! of Rprop (Riedmiller and Braun 1993), which RMSprop descends from.
 
+use crate::optim::SearchError;
 use powderline_shared::plan::SkillParameter;
-use powderline_simulator::{
-    scene,
-    skill::{Theta, ThetaGradient},
-};
-use serde::{Deserialize, Serialize};
-use thiserror::Error;
+use powderline_simulator::skill::{Theta, ThetaGradient};
 
-/// Components that take part from the first epoch: scooping depth, scooping angle, lift height.
-const CURRICULUM_COMPONENTS: usize = 3;
-
-/// What becomes of a component's steps when its slope changes sign, and when it does not. Saved searches do not hold these:
-/// who changes them raises the version of their files.
+/// What becomes of a component's steps when its slope changes sign, and when it does not.
 const SHORTENED: f64 = 0.5;
 const LENGTHENED: f64 = 1.2;
 
@@ -47,12 +38,17 @@ pub struct RmsProp {
     pub learning_rate: f64,
     /// Added to the root of the running mean.
     pub epsilon: f64,
-    /// Updates in which only the first three components take part.
-    pub curriculum_epochs: u32,
+}
+
+impl Default for RmsProp {
+    /// The paper's, with steps five times as long.
+    fn default() -> Self {
+        Self { beta: 0.9, learning_rate: 0.25, epsilon: 1e-8 }
+    }
 }
 
 /// What the updates of one component hand on.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pace {
     /// Running mean of the squared gradient.
     pub mean_square: f64,
@@ -65,17 +61,10 @@ pub struct Pace {
 impl Pace {
     /// Before the first update.
     pub const START: Self = Self { mean_square: 0.0, rate: 1.0, slope: 0.0 };
-
-    /// Whether updates can have led here.
-    pub(super) fn is_sound(&self) -> bool {
-        (0.0..=f64::MAX).contains(&self.mean_square)
-            && (0.0..=1.0).contains(&self.rate)
-            && self.slope.is_finite()
-    }
 }
 
 /// All that one update hands to the next.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct RmsPropState {
     /// Skill parameters.
     pub theta: Theta,
@@ -87,27 +76,6 @@ pub struct RmsPropState {
     pub before_restart: u32,
 }
 
-/// A gradient that no update can be made from.
-#[derive(Clone, Copy, Debug, PartialEq, Error)]
-#[error("the gradient with respect to the {} is {value}", parameter.name())]
-pub struct GradientError {
-    /// Which component.
-    pub parameter: SkillParameter,
-    /// Its value.
-    pub value: f64,
-}
-
-impl From<&scene::Optimiser> for RmsProp {
-    fn from(settings: &scene::Optimiser) -> Self {
-        Self {
-            beta: settings.beta,
-            learning_rate: settings.learning_rate,
-            epsilon: settings.epsilon,
-            curriculum_epochs: settings.curriculum_epochs,
-        }
-    }
-}
-
 impl RmsPropState {
     /// Before the first update.
     pub fn new(theta: Theta) -> Self {
@@ -117,11 +85,6 @@ impl RmsPropState {
     /// Anew from another theta: nothing is known of the slopes there.
     pub(super) fn restarted(&self, theta: Theta) -> Self {
         Self { theta, paces: [Pace::START; 5], updates: self.updates, before_restart: self.updates }
-    }
-
-    /// Whether updates can have led here.
-    pub(super) fn is_sound(&self) -> bool {
-        self.paces.iter().all(Pace::is_sound) && self.before_restart <= self.updates
     }
 }
 
@@ -135,16 +98,13 @@ impl RmsProp {
         state: &RmsPropState,
         gradient: &ThetaGradient,
         noise: &[f64; 5],
-    ) -> Result<RmsPropState, GradientError> {
+    ) -> Result<RmsPropState, SearchError> {
         let mut next = RmsPropState { updates: state.updates + 1, ..*state };
-        let active = self.active_components(state.updates);
-        for (parameter, &g) in SkillParameter::ALL.into_iter().zip(gradient).take(active) {
+        for (parameter, &g) in SkillParameter::ALL.into_iter().zip(gradient) {
             let index = parameter.index();
-            let late = if index < CURRICULUM_COMPONENTS { 0 } else { self.curriculum_epochs };
-            let before = late.max(state.before_restart);
             let (pace, step) = self
-                .step(&state.paces[index], g, noise[index], next.updates - before)
-                .ok_or(GradientError { parameter, value: g })?;
+                .step(&state.paces[index], g, noise[index], next.updates - state.before_restart)
+                .ok_or_else(|| SearchError::Gradient { parameter: parameter.name().into(), value: g })?;
             next.paces[index] = pace;
             next.theta = next.theta.moved(parameter, -step);
         }
@@ -152,7 +112,7 @@ impl RmsProp {
     }
 
     /// How far the `updates`-th update of a component takes it down the gradient `g`; none if the mean square is not finite.
-    pub(super) fn step(&self, pace: &Pace, g: f64, noise: f64, updates: u32) -> Option<(Pace, f64)> {
+    fn step(&self, pace: &Pace, g: f64, noise: f64, updates: u32) -> Option<(Pace, f64)> {
         let mean_square = self.beta * pace.mean_square + (1.0 - self.beta) * g * g;
         let corrected = mean_square / (1.0 - libm::pow(self.beta, f64::from(updates)));
         let slope = kept(g, noise);
@@ -161,11 +121,6 @@ impl RmsProp {
         // What stands still has not turned.
         let slope = if slope == 0.0 { pace.slope } else { slope };
         mean_square.is_finite().then_some((Pace { mean_square, rate, slope }, step))
-    }
-
-    /// How many of the five components, from the first, the update after `updates` others changes.
-    pub fn active_components(&self, updates: u32) -> usize {
-        if updates < self.curriculum_epochs { CURRICULUM_COMPONENTS } else { 5 }
     }
 }
 
@@ -189,7 +144,7 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
-    const RULE: RmsProp = RmsProp { beta: 0.9, learning_rate: 0.05, epsilon: 1e-8, curriculum_epochs: 2 };
+    const RULE: RmsProp = RmsProp { beta: 0.9, learning_rate: 0.05, epsilon: 1e-8 };
 
     const EXACT: [f64; 5] = [0.0; 5];
 
@@ -222,18 +177,17 @@ mod tests {
 
     #[test]
     fn noise_stands_still_where_a_slope_goes_on() {
-        let rule = RmsProp { curriculum_epochs: 0, ..RULE };
         let mut state = begun([0.0; 5]);
         for n in 0..20 {
             let dice = 3.0 * libm::sin(f64::from(n * n));
-            state = rule.update(&state, &[dice, 8.0 + dice, 0.0, 0.0, 0.0], &[3.0; 5]).unwrap();
+            state = RULE.update(&state, &[dice, 8.0 + dice, 0.0, 0.0, 0.0], &[3.0; 5]).unwrap();
         }
         assert!(theta(&state)[0].abs() < 1e-12 && theta(&state)[1] < -0.7, "{state:?}");
     }
 
     #[test]
     fn comes_to_rest_at_an_edge() {
-        let rule = RmsProp { curriculum_epochs: 0, learning_rate: 0.25, ..RULE };
+        let rule = RmsProp { learning_rate: 0.25, ..RULE };
         let mut state = begun([-0.9, 0.9, -0.5, 0.8, 1.0]);
         for _ in 0..25 {
             let gradient = theta(&state).map(|x| if x > 0.123 { 7.0 } else { -7.0 });
@@ -249,17 +203,6 @@ mod tests {
     }
 
     #[test]
-    fn curriculum_leaves_transport_and_pour_alone_and_their_means_at_zero() {
-        let mut state = begun([0.1; 5]);
-        for _ in 0..2 {
-            state = RULE.update(&state, &[1.0, 1.0, 1.0, f64::NAN, 1.0], &EXACT).unwrap();
-        }
-        assert_eq!((theta(&state)[3].to_bits(), state.paces[3].mean_square.to_bits()), (0.1f64.to_bits(), 0));
-        state = RULE.update(&state, &[1.0; 5], &EXACT).unwrap();
-        assert!((state.paces[3].mean_square - 0.1).abs() < 1e-15 && theta(&state)[3] < 0.1);
-    }
-
-    #[test]
     fn gradient_that_is_not_finite_is_named() {
         let error = RULE.update(&begun([0.0; 5]), &[0.0, f64::NAN, 0.0, 0.0, 0.0], &EXACT).unwrap_err();
         assert_eq!(error.to_string(), "the gradient with respect to the scooping angle is NaN");
@@ -269,7 +212,7 @@ mod tests {
     #[test]
     fn descends_a_quadratic_from_anywhere() {
         let minimum = [0.3, -0.2, 0.5, -0.6, 0.1];
-        let rule = RmsProp { curriculum_epochs: 0, learning_rate: 0.01, ..RULE };
+        let rule = RmsProp { learning_rate: 0.01, ..RULE };
         let mut state = begun([-0.9, 0.9, -0.5, 0.8, 1.0]);
         for _ in 0..400 {
             let gradient = std::array::from_fn(|k| 2.0 * (theta(&state)[k] - minimum[k]));

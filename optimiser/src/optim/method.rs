@@ -1,0 +1,160 @@
+//! The ways to search, and what they are given.
+
+use super::black_box::BlackBox;
+use super::coarse_to_fine::CoarseToFine;
+use super::descent::{Descent, Source};
+use super::{Search, World, initial_theta};
+use crate::able::obstacle;
+use clap::ValueEnum;
+use powderline_baseline::{CmaEs, RandomSearch, Sac};
+use powderline_simulator::{
+    rollout::Evaluation,
+    scene::{Aim, Scene},
+    skill::{SkillMap, Theta},
+};
+use serde::{Deserialize, Serialize};
+use std::rc::Rc;
+
+/// Trials of an epoch of searches that see losses alone: as many as a skill and five central differences take.
+const TRIALS_PER_EPOCH: usize = 11;
+
+/// A way to search for a motion.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, ValueEnum)]
+#[serde(rename_all = "kebab-case")]
+pub enum Method {
+    /// Gaussian processes of a coarse copy of the scene and of the scene itself
+    #[default]
+    Surrogate,
+    /// RMSprop by the restarted adjoint mixed with central differences
+    Restarted,
+    /// RMSprop by the exact adjoint mixed with central differences
+    Mixed,
+    /// RMSprop by central differences
+    Differences,
+    /// RMSprop by the exact adjoint
+    Exact,
+    /// Covariance matrix adaptation
+    CmaEs,
+    /// Soft actor-critic, one motion an episode
+    Sac,
+    /// Motions drawn uniformly
+    Random,
+}
+
+impl Method {
+    /// As the command line and figures name it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Surrogate => "surrogate",
+            Self::Restarted => "restarted",
+            Self::Mixed => "mixed",
+            Self::Differences => "differences",
+            Self::Exact => "exact",
+            Self::CmaEs => "cma-es",
+            Self::Sac => "sac",
+            Self::Random => "random",
+        }
+    }
+
+    /// All of them.
+    pub fn all() -> &'static [Self] {
+        Self::value_variants()
+    }
+
+    /// Whether it takes the adjoint.
+    pub fn has_adjoint(self) -> bool {
+        self.source().is_some_and(|source| source != Source::Differences)
+    }
+
+    fn source(self) -> Option<Source> {
+        match self {
+            Self::Restarted => Some(Source::Restarted),
+            Self::Mixed => Some(Source::Mixed),
+            Self::Differences => Some(Source::Differences),
+            Self::Exact => Some(Source::Exact),
+            Self::Surrogate | Self::CmaEs | Self::Sac | Self::Random => None,
+        }
+    }
+
+    /// A search that begins.
+    pub fn search(self, problem: &Problem) -> Box<dyn Search> {
+        let (dimensions, seed) = (problem.first.len(), problem.seed);
+        let black_box = |search| Box::new(BlackBox::new(search, TRIALS_PER_EPOCH));
+        if let Some(source) = self.source() {
+            return Box::new(Descent::new(source, &problem.ranges, seed));
+        }
+        match self {
+            Self::CmaEs => black_box(Box::new(CmaEs::new(dimensions, seed))),
+            Self::Sac => black_box(Box::new(Sac::new(dimensions, seed))),
+            Self::Random => black_box(Box::new(RandomSearch::new(dimensions, seed))),
+            _ => Box::new(CoarseToFine::new(problem.clone())),
+        }
+    }
+}
+
+/// What a search has to know beforehand.
+#[derive(Clone)]
+pub struct Problem {
+    /// Seed of whatever it draws.
+    pub seed: u64,
+    /// Where it begins, as the seed draws it from `ranges`.
+    pub(super) first: Vec<f64>,
+    /// `[low, high]` of each component, to begin in.
+    pub(super) ranges: [[f64; 2]; 5],
+    /// What it costs if all that is wanted is missing, metres; 0 where as much as can be had is wanted.
+    pub(super) unit_m: f64,
+    /// Particles that are wanted.
+    wanted: f64,
+    has_coarse: bool,
+    is_able: Rc<dyn Fn(&Theta) -> bool>,
+}
+
+impl Problem {
+    /// Of a scene, with the seed of the search.
+    pub fn new(scene: &Scene, seed: u64) -> Self {
+        let ranges = scene.skill.initial_theta;
+        let unit_m = match scene.objective.aim {
+            Aim::Amount => scene.target_count() as f64 * scene.source_distance_m(),
+            Aim::All => 0.0,
+        };
+        let (map, bench) = (SkillMap::new(scene), scene.clone());
+        Self {
+            seed,
+            first: initial_theta(&ranges, seed).components().to_vec(),
+            ranges,
+            unit_m,
+            wanted: scene.target_count() as f64,
+            has_coarse: scene.coarse().is_some(),
+            is_able: Rc::new(move |theta| obstacle(&bench, &map, theta).is_none()),
+        }
+    }
+
+    /// Whether the arm may perform it, as far as that is known before it is simulated.
+    pub(super) fn is_able(&self, point: &[f64]) -> bool {
+        let theta = point.try_into().ok().and_then(|point| Theta::new(point).ok());
+        theta.is_some_and(|theta| (self.is_able)(&theta))
+    }
+
+    /// The cheapest world.
+    pub(super) fn coarsest(&self) -> World {
+        if self.has_coarse { World::Coarse } else { World::Fine }
+    }
+
+    /// What arrives, over what is wanted.
+    pub(super) fn amount(&self, found: &Evaluation) -> f64 {
+        f64::from(found.census.target) / self.wanted
+    }
+}
+
+#[cfg(test)]
+impl Problem {
+    /// The same where the arm may perform anything.
+    pub(super) fn without_obstacles(self) -> Self {
+        self.with_obstacle(|_| false)
+    }
+
+    /// The same where this is what the arm may not perform.
+    pub(super) fn with_obstacle(self, is_blocked: impl Fn(&Theta) -> bool + 'static) -> Self {
+        Self { is_able: Rc::new(move |theta| !is_blocked(theta)), ..self }
+    }
+}

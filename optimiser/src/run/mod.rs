@@ -1,0 +1,428 @@
+//! A run: a search for a motion in a folder that it can be gone on with from, to the same bits, and the plan that comes of it.
+//!
+//! ```text
+//! Search (optim) -- trials --> Worlds -- what came of them --> Search, state, epochs --> Finding --> plan
+//! ```
+//!
+//! The program `optimise` and the Python package drive a [`Run`] and say how it goes; a program of one's own does likewise.
+
+mod worlds;
+
+pub use worlds::{Simulators, Worlds};
+
+use crate::{
+    failure::Failure,
+    optim::{Epoch, EpochRecord, Found, Problem, Search, Work, World},
+    report::{
+        amounts::Amounts,
+        curves::Curves,
+        finding::{Finding, Outcome},
+        folder::{CURVES, METRICS, PLAN, RunFolder, SCENE, STATE, TRIES},
+        judged::Rule,
+        plan::PlanParts,
+        record::RunRecord,
+        state::{Evaluated, RunState, Settings},
+        tries::Try,
+    },
+};
+use powderline_shared::plan::{Mounting, Precision};
+use powderline_simulator::{
+    arm::arm_motion,
+    rollout::{Evaluation, Places, RolloutError},
+    scene::Scene,
+    skill::{QuantisedControls, SkillMap, Theta},
+};
+use serde::Serialize;
+use std::{collections::BTreeMap, time::Instant};
+
+/// Most epochs of a run.
+pub const MAX_EPOCHS: u32 = 10_000;
+
+/// Who is told how a run goes, and may end it.
+pub trait Watcher {
+    /// A piece of work begins; about so many like the epochs of the history follow it.
+    fn begin(&self, task: &str, later: u32, history: &[EpochRecord]);
+
+    /// Whether to stop where it can be gone on from.
+    fn is_stopped(&self) -> bool;
+
+    /// An epoch is saved: its line of `metrics.jsonl`, what is wanted, the last epoch that is to come and the last that there might be.
+    fn epoch(&self, line: &str, amounts: &Amounts, last_and_all: [u32; 2], history: &[EpochRecord]);
+
+    /// Something else that a person would want to know.
+    fn say(&self, text: &str);
+}
+
+/// A run whose folder is open and locked.
+pub struct Run {
+    folder: RunFolder,
+    record: RunRecord,
+    search: Box<dyn Search>,
+    /// What epochs' motions bring once they are rounded to whole counts, as far as that was asked.
+    rounded: BTreeMap<usize, Evaluation>,
+}
+
+/// A skill, its motion in whole counts, and what that brings.
+struct Performed {
+    theta: Theta,
+    quantised: QuantisedControls,
+    evaluation: Evaluation,
+}
+
+/// A line of `metrics.jsonl`.
+#[derive(Serialize)]
+struct Line<'a> {
+    #[serde(flatten)]
+    record: &'a EpochRecord,
+    /// What arrives, kilogram, and how far that is off the wanted mass, relative.
+    mass_kg: f64,
+    miss: f64,
+    /// What is lost, and all the powder by where it is, kilogram.
+    lost_kg: f64,
+    powder_kg: Places<f64>,
+    /// Why the arm may not perform the motion.
+    passed_over: Option<&'a str>,
+    /// Whether the plan is made of it.
+    shipped: bool,
+}
+
+impl Run {
+    /// A run that begins in a folder.
+    ///
+    /// # Errors
+    /// Not every skill of the scene is a motion, or the folder cannot be written.
+    pub fn begin(
+        folder: RunFolder,
+        scene: Scene,
+        (seed, precision): (u64, Precision),
+        settings: Settings,
+    ) -> Result<Self, Failure> {
+        SkillMap::new(&scene).check_all_corners()?;
+        let state = RunState::new(scene.digest(), seed, precision, settings);
+        folder.replace(SCENE, scene.to_toml().as_bytes())?;
+        // A scene without a state would be in the way of a second attempt, and nothing to resume from either.
+        folder.replace(STATE, &state.to_bytes()).inspect_err(|_| folder.discard(SCENE))?;
+        Self::of(folder, RunRecord::new(scene, state))
+    }
+
+    /// The run in a folder, to be gone on with; with so many epochs in all, if it has fewer.
+    ///
+    /// # Errors
+    /// There is none, or it cannot be gone on with.
+    pub fn resume(folder: RunFolder, mut record: RunRecord, epochs: Option<u32>) -> Result<Self, Failure> {
+        if let Some(epochs) = epochs {
+            prolong(&mut record, epochs)?;
+        }
+        record.map.check_all_corners()?;
+        let run = Self::of(folder, record)?;
+        // The state leads: a line too many or too few, from a run that was ended between two writes, is put right.
+        run.write_metrics()?;
+        let tries: String = run.record.state.tries().map(json_line).collect();
+        run.folder.replace(TRIES, tries.as_bytes())?;
+        run.save()?;
+        Ok(run)
+    }
+
+    /// With the search made again from what it was told.
+    fn of(folder: RunFolder, record: RunRecord) -> Result<Self, Failure> {
+        let RunRecord { scene, state, .. } = &record;
+        let mut search = state.settings.method.search(&Problem::new(scene, state.seed));
+        let nonsense = || {
+            let file = folder.file(STATE);
+            Failure::Input(format!(
+                "{} cannot be resumed from: this version of the search would have gone elsewhere; start a new run",
+                file.display()
+            ))
+        };
+        for (number, epoch) in state.epochs.iter().enumerate() {
+            let mut ended = None;
+            for round in &epoch.rounds {
+                let trials = search.ask(state.is_last(number));
+                if trials.len() != round.len()
+                    || !round.iter().zip(&trials).all(|(tried, trial)| tried.is_of(trial))
+                {
+                    return Err(nonsense());
+                }
+                let found: Vec<_> = round.iter().map(Try::found).collect();
+                ended = search.tell(&found).map_err(|_| nonsense())?;
+            }
+            let EpochRecord { work, seconds, .. } = epoch.record;
+            let ended = ended.map(|ended| standing(scene, ended, &epoch.rounds));
+            let again = ended.and_then(|ended| EpochRecord::new(number as u32, &ended, work, seconds));
+            if again.as_ref() != Some(&epoch.record) {
+                return Err(nonsense());
+            }
+        }
+        Ok(Self { folder, record, search, rounded: BTreeMap::new() })
+    }
+
+    /// All that it knows.
+    pub fn record(&self) -> &RunRecord {
+        &self.record
+    }
+
+    /// Where it is.
+    pub fn folder(&self) -> &RunFolder {
+        &self.folder
+    }
+
+    /// What it has found so far.
+    ///
+    /// # Errors
+    /// Nothing yet.
+    pub fn finding(&self) -> Result<Finding, Failure> {
+        self.record.finding().ok_or_else(|| Failure::Failed("the run has no epoch yet".into()))
+    }
+
+    /// Evaluates the epochs that are left, then writes the plan: of a motion that brings the wanted amount also in whole counts, if one is
+    /// found before the last epoch.
+    ///
+    /// # Errors
+    /// One sentence; everything evaluated before is saved.
+    pub fn complete(&mut self, worlds: &mut Worlds<'_>, watcher: &dyn Watcher) -> Result<(), Failure> {
+        loop {
+            while !self.record.state.is_done() {
+                self.epoch(worlds, watcher)?;
+            }
+            let performed = self.performed(worlds, watcher)?;
+            let is_met = Amounts::from(&self.record.scene).is_met(performed.evaluation.census.target);
+            if !self.record.state.is_settled() || is_met == Some(true) {
+                return self.write_plan(&performed);
+            }
+            watcher
+                .say("  rounded to whole counts, no motion stays within the tolerance: the search goes on");
+            self.record.state.settled = false;
+        }
+    }
+
+    /// Evaluates epochs until that was enough, or until the last, and makes no plan.
+    ///
+    /// # Errors
+    /// One sentence; everything evaluated before is saved.
+    pub fn search_until(
+        &mut self,
+        is_enough: impl Fn(&RunState) -> bool,
+        worlds: &mut Worlds<'_>,
+        watcher: &dyn Watcher,
+    ) -> Result<(), Failure> {
+        while !self.record.state.is_done() && !is_enough(&self.record.state) {
+            self.epoch(worlds, watcher)?;
+        }
+        Ok(())
+    }
+
+    /// One epoch.
+    fn epoch(&mut self, worlds: &mut Worlds<'_>, watcher: &dyn Watcher) -> Result<(), Failure> {
+        let state = &self.record.state;
+        let (number, epochs) = (state.epochs.len(), state.settings.epochs);
+        let (is_last, history) = (state.is_last(number), state.history());
+        let (mut rounds, mut work, begun): (Vec<Vec<Try>>, _, _) =
+            (Vec::new(), Work::default(), Instant::now());
+        let ended = loop {
+            let trials = self.search.ask(is_last);
+            let is_coarse = trials.iter().all(|trial| trial.world == World::Coarse);
+            if let Some(words) = turn(&history, is_coarse).filter(|_| rounds.is_empty()) {
+                watcher.say(words);
+            }
+            watcher.begin(&format!("epoch {number}/{epochs}"), epochs - number as u32, &history);
+            if watcher.is_stopped() {
+                return Err(RolloutError::Stopped.into());
+            }
+            let tried = worlds.evaluate(number as u32, &trials)?;
+            let found: Vec<Found> = tried.iter().map(Try::found).collect();
+            let failed = |error| Failure::Failed(format!("epoch {number}: {error}"));
+            let ended = self.search.tell(&found).map_err(failed)?;
+            tried.iter().for_each(|one| work.add(&one.work()));
+            rounds.push(tried);
+            if let Some(ended) = ended {
+                break ended;
+            }
+        };
+        let seconds = (begun.elapsed().as_secs_f64() * 1e3).round() / 1e3;
+        let ended = standing(&self.record.scene, ended, &rounds);
+        let record = EpochRecord::new(number as u32, &ended, work, seconds)
+            .ok_or_else(|| Failure::Failed(format!("epoch {number} ended with no skill")))?;
+        self.save_epoch(Evaluated { record, rounds }, watcher)
+    }
+
+    fn save_epoch(&mut self, epoch: Evaluated, watcher: &dyn Watcher) -> Result<(), Failure> {
+        let record = epoch.record.clone();
+        let tries: String = epoch.rounds.iter().flatten().map(json_line).collect();
+        self.record.push(epoch);
+        let finding = self.finding()?;
+        let state = &mut self.record.state;
+        state.settled |= finding.is_settled() && !state.is_done();
+        let all = state.settings.epochs;
+        let last = if state.is_done() { record.epoch } else { all };
+        let line = self.line(&finding, &record);
+        self.folder.append(TRIES, tries.as_bytes())?;
+        self.folder.append(METRICS, line.as_bytes())?;
+        self.save()?;
+        self.write_curves(&finding)?;
+        watcher.epoch(&line, &finding.amounts, [last, all], &self.record.state.history());
+        Ok(())
+    }
+
+    fn save(&self) -> Result<(), Failure> {
+        Ok(self.folder.replace(STATE, &self.record.state.to_bytes())?)
+    }
+
+    fn line(&self, finding: &Finding, record: &EpochRecord) -> String {
+        let outcome = Outcome::of_epoch(&finding.amounts, record);
+        json_line(&Line {
+            record,
+            mass_kg: outcome.mass_kg,
+            miss: outcome.miss,
+            lost_kg: outcome.lost_kg,
+            powder_kg: outcome.powder_kg,
+            passed_over: finding.obstacle(record.epoch),
+            shipped: finding.is_shipped(record.epoch),
+        })
+    }
+
+    fn write_metrics(&self) -> Result<(), Failure> {
+        let lines: String = self.record.finding().map_or(String::new(), |finding| {
+            self.record.epochs.iter().map(|epoch| self.line(&finding, &epoch.record)).collect()
+        });
+        Ok(self.folder.replace(METRICS, lines.as_bytes())?)
+    }
+
+    fn write_curves(&self, finding: &Finding) -> Result<(), Failure> {
+        let RunRecord { scene, map, state, .. } = &self.record;
+        let curves = Curves {
+            title: [&format!("{}, seed {}", scene.name, state.seed), &finding.headline()],
+            history: &state.history(),
+            epochs: state.settings.epochs,
+            shipped: finding.epoch,
+            plan: finding.plan.as_ref(),
+            passed_over: &finding.passed_over.iter().map(|passed| passed.epoch).collect::<Vec<_>>(),
+            map,
+            amounts: &finding.amounts,
+        };
+        let svg = curves.to_svg().map_err(|error| Failure::Failed(error.to_string()))?;
+        Ok(self.folder.replace(CURVES, svg.as_bytes())?)
+    }
+
+    /// Writes the chosen skill's motion, and what it brings as it will be performed.
+    fn write_plan(&mut self, Performed { theta, quantised, evaluation }: &Performed) -> Result<(), Failure> {
+        let RunRecord { scene, map, state, .. } = &self.record;
+        let arm = arm_motion(scene, map, quantised).map_err(|refusal| {
+            Failure::Failed(format!("the arm cannot make the plan's motion: {refusal}"))
+        })?;
+        let parts = PlanParts {
+            scene,
+            map,
+            seed: state.seed,
+            precision: state.precision,
+            theta,
+            quantised,
+            evaluation,
+            arm: arm.as_ref().map(|arm| Mounting::from(&arm.model)),
+        };
+        let unfit = |error| Failure::Failed(format!("no plan can be made: {error}"));
+        let plan = parts.to_bytes().map_err(unfit)?;
+        self.folder.replace(PLAN, &plan)?;
+        self.record.ship(&plan).map_err(unfit)?;
+        self.record.state.finished = true;
+        self.save()?;
+        self.write_metrics()?;
+        self.write_curves(&self.finding()?)
+    }
+
+    /// The best skill whose motion still brings the wanted amount when it is rounded to whole counts; if none does, the one that then
+    /// misses it least.
+    fn performed(&mut self, worlds: &mut Worlds<'_>, watcher: &dyn Watcher) -> Result<Performed, Failure> {
+        let Finding { rule, amounts, passed_over, .. } = self.finding()?;
+        let mut nearest: Option<Performed> = None;
+        for epoch in rule.candidates(&amounts, &self.record.epochs) {
+            let record = &self.record.epochs[epoch].record;
+            let (theta, known) = (record.theta, record.rounded.then(|| record.evaluation()));
+            let quantised = self.record.map.quantise(&theta)?;
+            let evaluation = match known.or(self.rounded.get(&epoch).copied()) {
+                Some(found) => found,
+                None => rehearsed(&quantised, worlds, watcher)?,
+            };
+            self.rounded.insert(epoch, evaluation);
+            let miss = |found: &Evaluation| amounts.miss(found.census.target).abs();
+            let is_nearer = nearest.as_ref().is_none_or(|other| miss(&evaluation) < miss(&other.evaluation));
+            let is_met = amounts.is_met(evaluation.census.target) == Some(true);
+            if is_met || is_nearer {
+                nearest = Some(Performed { theta, quantised, evaluation });
+            }
+            if is_met {
+                break;
+            }
+        }
+        nearest.ok_or_else(|| {
+            Failure::Failed(format!(
+                "no evaluated skill is a motion that the arm may perform: {}",
+                passed_over.first().map_or("there is none", |passed| &passed.reason)
+            ))
+        })
+    }
+}
+
+/// What is said where a search turns to another world.
+fn turn(history: &[EpochRecord], is_coarse: bool) -> Option<&'static str> {
+    match (history.last().map_or(World::Fine, |record| record.world), is_coarse) {
+        (World::Fine, true) => Some("  in a coarse copy of the scene, to see where to look:"),
+        (World::Coarse, false) => Some("  in the scene itself, in whole counts:"),
+        _ => None,
+    }
+}
+
+/// The epoch with the trial that stands for it by what the scene wants, where several could.
+fn standing(scene: &Scene, ended: Epoch, rounds: &[Vec<Try>]) -> Epoch {
+    let best = Rule::of(scene).best(&Amounts::from(scene), rounds.iter().flatten());
+    match best.filter(|_| ended.has_peers) {
+        Some(best) => Epoch { trial: best.trial(), evaluation: best.evaluation(), ..ended },
+        None => ended,
+    }
+}
+
+/// What a motion in whole counts brings.
+fn rehearsed(
+    quantised: &QuantisedControls,
+    worlds: &mut Worlds<'_>,
+    watcher: &dyn Watcher,
+) -> Result<Evaluation, Failure> {
+    if watcher.is_stopped() {
+        return Err(RolloutError::Stopped.into());
+    }
+    watcher.begin("the plan, as shipped", 0, &[]);
+    Ok(worlds.rehearse(&quantised.controls)?)
+}
+
+/// Epochs as given, if there are not too many.
+///
+/// # Errors
+/// There are.
+pub fn checked_epochs(epochs: u32) -> Result<u32, Failure> {
+    if epochs <= MAX_EPOCHS {
+        return Ok(epochs);
+    }
+    Err(Failure::Input(format!("--epochs is {epochs}, but at most {MAX_EPOCHS} are possible")))
+}
+
+/// A line of a file of JSON lines.
+fn json_line(record: &impl Serialize) -> String {
+    let line = serde_json::to_string(record).expect("a record holds nothing that JSON cannot express");
+    line + "\n"
+}
+
+fn prolong(record: &mut RunRecord, epochs: u32) -> Result<(), Failure> {
+    let state = &mut record.state;
+    let now = state.settings.epochs;
+    if epochs < now {
+        return Err(Failure::Input(format!(
+            "--epochs is {epochs}, but the run has {now}; it can only be prolonged"
+        )));
+    }
+    if epochs > now && !state.is_settled() {
+        state.extend(epochs);
+        // The last epoch is evaluated again, as one that others follow.
+        record.epochs.truncate(record.state.epochs.len());
+        record.shipped = None;
+    }
+    Ok(())
+}
