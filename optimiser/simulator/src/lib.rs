@@ -69,7 +69,9 @@
 //! | volume held to the grid's density | `mpm/density.rs` | after Dunatunga and Kamrin 2015 |
 //! | velocity residue, given back | `mpm/residue.rs` | after Fei et al. 2021, AFLIP |
 //! | contact, friction | `mpm/contact.rs`, `mpm/grid_update.rs` | Coulomb; Stomakhin et al. 2013 |
+//! | walls with two sides: who sees which nodes | `mpm/walls.rs`, `mpm/layers.rs` | after Hu et al. 2018, CPIC, without its ghost velocities |
 //! | signed distances, with second derivatives | `shape`, a file per solid | |
+//! | faces of solids, continued beyond their edges | `shape/face.rs` | |
 //! | what a tool's shape answers | `scene/tool`, a file per shape | |
 //! | which states are kept | `rollout/schedule.rs` | Griewank and Walther 2000, revolve |
 //! | the loss | `rollout/loss.rs` | the paper's, and one that asks for an amount |

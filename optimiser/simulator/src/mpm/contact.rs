@@ -5,7 +5,7 @@
 //! | `s`, `n` | `s`, `n` | signed distance and outward normal of the body at the point |
 //! | `v_b` | `vb` | velocity of the body at the point |
 //! | `beta` | `beta` | blend: 1 inside, falling to 0 at the band's end |
-//! | `r` | `separation_factor` | part of a separating velocity that is left: 1, or 0 at nodes in a wall with two sides |
+//! | `r` | `separation_factor` | part of a separating velocity that is left: 1, or 0 at nodes that both sides of a wall share |
 //! | `mu_f` | `friction` | Coulomb coefficient |
 //!
 //! `v_r = v - v_b`, `v_n = v_r.n`, `v_t = v_r - v_n n`. The normal part becomes `a = r max(v_n, push)`,
@@ -13,10 +13,11 @@
 //!
 //! Two choices differ from the usual `min(exp(-k s), 1)` on velocities that approach. The blend is a cubic with
 //! compact support: it has a derivative everywhere, also at the surface, and it is exactly 0 beyond the band, so
-//! that leaving out bodies that are farther away changes no bit. And a node in a wall that has two sides moves with it along
-//! its normal (`r = 0`), whatever the powder wants there: a node sees powder on both sides and cannot tell which of
+//! that leaving out bodies that are farther away changes no bit. And a node that both sides of a wall share moves with it along
+//! its normal (`r = 0`), whatever the powder wants there: it sees powder on both sides and cannot tell which of
 //! them pushes, so that a node near the far face would take powder pressed on the near one for powder that leaves,
-//! and hand its pressure on. What this costs is that powder lets go of a wall more slowly than it should.
+//! and hand its pressure on. What this costs is that powder lets go of a wall more slowly than it should. Where either side has
+//! nodes of its own ([`super::walls`]) all let go (`r = 1`).
 
 use crate::real::Real;
 use crate::shape::{Dual, SignedDistance};

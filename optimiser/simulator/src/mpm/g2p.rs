@@ -9,14 +9,14 @@ use crate::mpm::bodies::Bodies;
 use crate::mpm::contact::BodyStateBar;
 use crate::mpm::density::{hold_volume, hold_volume_adjoint};
 use crate::mpm::gather::{Rows, Sent, gather_all, gather_gradient, gather_gradient_of_four, gather_sum};
-use crate::mpm::grid_update::{contact_lanes, contact_lanes_adjoint, find_near, meet};
+use crate::mpm::grid_update::{Meeting, contact_lanes, contact_lanes_adjoint, find_near, meet};
 use crate::mpm::layout::{Block, Grid, Nodes, empty_tile, load_tile};
 use crate::mpm::p2g::at_base;
 use crate::mpm::particles::{Group, LANES, Lanes, mat_of, set_mat, set_vec, vec_of};
 use crate::mpm::residue::Residue;
 use crate::mpm::sleep::BlockStatus;
 use crate::mpm::stencil::{TILE_EDGE, Tile, scatter};
-use crate::mpm::stencil_positions::StencilPositions;
+use crate::mpm::stencil_positions::{Reach, StencilPositions};
 use crate::real::Real;
 use crate::small::{dot, three, tr_mul_vec};
 
@@ -133,10 +133,12 @@ pub(crate) struct TileToParticlesAdjoint<'a, T> {
 }
 
 impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
-    type Output = BodyStateBar;
+    /// Of the tool; and which neighbours they send to.
+    type Output = (BodyStateBar, u32);
 
     #[inline(always)]
-    fn call(mut self) -> BodyStateBar {
+    fn call(mut self) -> (BodyStateBar, u32) {
+        let mut reach = Reach::NOTHING;
         let model = self.model;
         let shift = Grid::tile_shift(self.block.coord).map(T::from_f64);
         let mut tile = empty_tile();
@@ -155,6 +157,7 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
         for g in 0..self.input.len() {
             let (input, bar) = (&self.input[g], &mut self.bar[g]);
             let places = StencilPositions::of(model.inverse_dx, shift, &input.x);
+            reach.add(&places.start);
             let (occupied, weights) = (self.block.occupied(g), places.weights());
             let v_bar = bar.v;
             // x' = x + dt u
@@ -163,7 +166,8 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
                     bar.v[axis][l] += model.dt * bar.x[axis][l];
                 }
             }
-            find_near(&touching, |piece| &piece.particle_law, &input.x, &mut met);
+            let meetings = touching.iter().copied().map(Meeting::of_all);
+            find_near(meetings, |piece| &piece.particle_law, &input.x, &mut met);
             if !met.is_empty() {
                 meet(&mut met, &input.x, gather_sum(&tile, &places, &weights, occupied));
             }
@@ -223,6 +227,6 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
                 bar.v = back.v;
             }
         }
-        tool_bar
+        (tool_bar, reach.neighbours())
     }
 }

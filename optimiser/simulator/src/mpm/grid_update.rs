@@ -3,9 +3,9 @@
 use crate::mpm::Model;
 use crate::mpm::bodies::Bodies;
 use crate::mpm::contact::{BodyStateBar, ContactParams, contact, contact_adjoint};
-use crate::mpm::density::{inverse_room, room_beside};
-use crate::mpm::layout::{BLOCK_EDGE, BLOCK_NODES, NodeBlock, Nodes};
-use crate::mpm::obstacle::{Collider, NearbyCollider};
+use crate::mpm::density::inverse_room;
+use crate::mpm::layout::{BLOCK_EDGE, BLOCK_NODES, NodeBlock, Nodes, Side};
+use crate::mpm::obstacle::{Collider, Colliders, NearbyCollider, room_of};
 use crate::mpm::particles::{LANES, Lanes, set_vec, vec_of};
 use crate::mpm::residue::{unforced_velocity, unforced_velocity_adjoint};
 use crate::mpm::sleep::can_wake;
@@ -16,7 +16,7 @@ use crate::shape::{SignedDistance, with_solid};
 use crate::small::{cross, mul_vec, scale, sub, three, tr_mul_vec};
 
 /// Groups of lanes in a block's nodes.
-const CHUNKS: usize = BLOCK_NODES / LANES;
+pub(crate) const CHUNKS: usize = BLOCK_NODES / LANES;
 
 /// Positions or velocities of a block's nodes.
 pub(crate) type NodeLanes<T> = [[Lanes<T>; 3]; CHUNKS];
@@ -66,24 +66,28 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodes<'_, T> {
             return false;
         }
         *self.momentum = self.tiles.sum(self.node);
+        if !any_mass(self.momentum) {
+            *self.velocity = [[T::ZERO; 4]; BLOCK_NODES];
+            if let Some((_, unforced)) = self.unforced {
+                *unforced = [[T::ZERO; 4]; BLOCK_NODES];
+            }
+            return false;
+        }
         if let Some((tiles, unforced)) = self.unforced {
             *unforced = Tiles { fresh: tiles, sleepers_send: false, ..self.tiles }.sum(self.node);
             for (unforced, momentum) in unforced.iter_mut().zip(&*self.momentum) {
                 *unforced = unforced_velocity(*unforced, momentum[3]);
             }
         }
-        if !any_mass(self.momentum) {
-            *self.velocity = [[T::ZERO; 4]; BLOCK_NODES];
-            return false;
-        }
         let mut v = free_velocity(self.model, self.momentum);
-        let touching = self.model.obstacles.at_nodes(&self.model.grid, self.node.coord, self.bodies);
+        let touching = self.model.obstacles.at_nodes(&self.model.grid, self.node, self.bodies);
+        let mut meetings = Meetings::new(&self.model.obstacles, &touching, &self.node.sides);
         if !touching.is_empty() {
             let x = positions(self.model, self.node);
-            for ((x, v), nodes) in x.iter().zip(&mut v).zip(self.momentum.chunks(LANES)) {
+            for (chunk, (v, nodes)) in v.iter_mut().zip(self.momentum.chunks(LANES)).enumerate() {
                 if any_mass(nodes) {
-                    for t in &touching {
-                        contact_lanes(t, &t.piece.node_law, x, v);
+                    for m in meetings.of(chunk) {
+                        contact_of_some(m, &m.with.piece.node_law, &x[chunk], v);
                     }
                 }
             }
@@ -93,7 +97,7 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodes<'_, T> {
             *out = [lanes[0][n % LANES], lanes[1][n % LANES], lanes[2][n % LANES], T::ZERO];
         }
         if self.holds_volume {
-            let rooms = inverse_rooms(self.model, self.node, &touching);
+            let rooms = inverse_rooms(self.model, self.bodies, self.node, &mut meetings);
             for (n, (out, momentum)) in self.velocity.iter_mut().zip(&*self.momentum).enumerate() {
                 out[3] = self.model.density_per_mass * momentum[3] * rooms[n / LANES][n % LANES];
             }
@@ -131,21 +135,83 @@ fn positions<T: Real>(model: &Model<T>, node: &NodeBlock) -> NodeLanes<T> {
     x
 }
 
-/// `1/a` of a block's nodes: what the fixed pieces leave of their room is known, and the moving ones take theirs from it.
-#[inline(always)]
-fn inverse_rooms<T: Real>(
-    model: &Model<T>,
-    node: &NodeBlock,
-    touching: &[NearbyCollider<'_, T>],
-) -> [Lanes<T>; CHUNKS] {
-    let mut rooms = fixed_rooms(model, node);
-    if touching.iter().any(|t| !t.is_fixed) {
-        for (x, rooms) in positions(model, node).iter().zip(&mut rooms) {
-            for t in touching.iter().filter(|t| !t.is_fixed) {
-                *rooms = take_room(t, model.inverse_dx, x, rooms);
+/// A piece, or a face of it that goes on beyond its edges, and which of [`LANES`] points meet it.
+#[derive(Clone, Copy)]
+pub(crate) struct Meeting<'a, T> {
+    with: NearbyCollider<'a, T>,
+    /// They are behind it.
+    is_behind: bool,
+    /// Bit `l` for lane `l`.
+    lanes: u16,
+}
+
+impl<'a, T: Real> Meeting<'a, T> {
+    /// Of all points with a piece as it is.
+    #[inline(always)]
+    pub(crate) fn of_all(with: NearbyCollider<'a, T>) -> Self {
+        Self { with, is_behind: false, lanes: u16::MAX }
+    }
+
+    #[inline(always)]
+    fn has(&self, l: usize) -> bool {
+        self.lanes >> l & 1 == 1
+    }
+}
+
+/// What the nodes of a block meet, in the order of pieces: those behind a face meet the face, those in a solid that is hidden from beyond
+/// its edge do not meet it.
+struct Meetings<'a, T> {
+    obstacles: &'a Colliders<T>,
+    touching: &'a [NearbyCollider<'a, T>],
+    sides: &'a [Side],
+    /// Of which nodes these are.
+    chunk: Option<usize>,
+    found: Vec<Meeting<'a, T>>,
+}
+
+impl<'a, T: Real> Meetings<'a, T> {
+    #[inline(always)]
+    fn new(obstacles: &'a Colliders<T>, touching: &'a [NearbyCollider<'a, T>], sides: &'a [Side]) -> Self {
+        Self { obstacles, touching, sides, chunk: None, found: Vec::with_capacity(touching.len()) }
+    }
+
+    /// Those of one of the block's [`CHUNKS`].
+    #[inline(always)]
+    fn of(&mut self, chunk: usize) -> &[Meeting<'a, T>] {
+        if self.chunk != Some(chunk) && (self.chunk.is_none() || !self.sides.is_empty()) {
+            self.find(chunk);
+        }
+        self.chunk = Some(chunk);
+        &self.found
+    }
+
+    fn find(&mut self, chunk: usize) {
+        self.found.clear();
+        for t in self.touching {
+            let mut others = u16::MAX;
+            for side in self.sides.iter().filter(|side| side.of.piece == t.number) {
+                let lanes = (side.nodes >> (chunk * LANES)) as u16;
+                others &= !lanes;
+                let face = self.obstacles.face(t.number, side.of.face).filter(|_| lanes != 0);
+                let behind = |piece| Meeting { with: NearbyCollider { piece, ..*t }, is_behind: true, lanes };
+                self.found.extend(face.map(behind));
+            }
+            if others != 0 {
+                self.found.push(Meeting { with: *t, is_behind: false, lanes: others });
             }
         }
     }
+}
+
+/// `1/a` of a block's nodes.
+#[inline(always)]
+fn inverse_rooms<T: Real>(
+    model: &Model<T>,
+    bodies: &Bodies<T>,
+    node: &NodeBlock,
+    meetings: &mut Meetings<'_, T>,
+) -> [Lanes<T>; CHUNKS] {
+    let mut rooms = rooms(model, bodies, node, meetings);
     for lanes in &mut rooms {
         for l in 0..LANES {
             lanes[l] = inverse_room(lanes[l]).0;
@@ -154,12 +220,49 @@ fn inverse_rooms<T: Real>(
     rooms
 }
 
+/// `a` of a block's nodes: what the fixed pieces leave of their room is known, unless a node is behind one of them, and the moving ones
+/// take theirs from it.
 #[inline(always)]
-fn fixed_rooms<T: Real>(model: &Model<T>, node: &NodeBlock) -> [Lanes<T>; CHUNKS] {
+fn rooms<T: Real>(
+    model: &Model<T>,
+    bodies: &Bodies<T>,
+    node: &NodeBlock,
+    meetings: &mut Meetings<'_, T>,
+) -> [Lanes<T>; CHUNKS] {
     let mut out = [Lanes([T::ONE; LANES]); CHUNKS];
     if let Some(rooms) = model.obstacles.rooms(&model.grid, node.coord) {
         for (n, room) in rooms.iter().enumerate() {
             out[n / LANES][n % LANES] = *room;
+        }
+    }
+    let moved = meetings.touching.iter().any(|t| !t.is_fixed);
+    let behind = node.sides.iter().filter(|side| model.obstacles.is_fixed(side.of.piece));
+    let behind = behind.fold(0, |nodes, side| nodes | side.nodes);
+    if !moved && behind == 0 {
+        return out;
+    }
+    let x = positions(model, node);
+    if behind != 0 {
+        let touching = model.obstacles.taking_room(&model.grid, node, bodies);
+        let mut fixed = Meetings::new(&model.obstacles, &touching, &node.sides);
+        for (chunk, (x, out)) in x.iter().zip(&mut out).enumerate() {
+            let lanes = (behind >> (chunk * LANES)) as u16;
+            if lanes == 0 {
+                continue;
+            }
+            let mut known = *out;
+            for l in 0..LANES {
+                known[l] = if lanes >> l & 1 == 1 { T::ONE } else { known[l] };
+            }
+            for m in fixed.of(chunk).iter().filter(|m| m.with.is_fixed) {
+                known = take_room(&Meeting { lanes: m.lanes & lanes, ..*m }, model.inverse_dx, x, &known);
+            }
+            *out = known;
+        }
+    }
+    for (chunk, (x, out)) in x.iter().zip(&mut out).enumerate().filter(|_| moved) {
+        for m in meetings.of(chunk).iter().filter(|m| !m.with.is_fixed) {
+            *out = take_room(m, model.inverse_dx, x, out);
         }
     }
     out
@@ -167,18 +270,28 @@ fn fixed_rooms<T: Real>(model: &Model<T>, node: &NodeBlock) -> [Lanes<T>; CHUNKS
 
 /// The room that a piece leaves of what there is.
 #[inline(always)]
-fn take_room<T: Real>(
-    t: &NearbyCollider<'_, T>,
+fn take_room<T: Real>(m: &Meeting<'_, T>, inverse_dx: T, x: &[Lanes<T>; 3], rooms: &Lanes<T>) -> Lanes<T> {
+    if m.with.piece.is_two_sided {
+        room_left::<T, true>(m, inverse_dx, x, rooms)
+    } else {
+        room_left::<T, false>(m, inverse_dx, x, rooms)
+    }
+}
+
+#[inline(always)]
+fn room_left<T: Real, const TWO_SIDED: bool>(
+    m: &Meeting<'_, T>,
     inverse_dx: T,
     x: &[Lanes<T>; 3],
     rooms: &Lanes<T>,
 ) -> Lanes<T> {
     let mut left = *rooms;
-    let thickness = inverse_dx * t.piece.thickness();
+    let t = &m.with;
     with_solid!(t.piece.shape, solid => {
         for l in 0..LANES {
             let y = tr_mul_vec(&t.motion.rotation, sub(vec_of(x, l), t.motion.position));
-            left[l] = rooms[l] * room_beside(inverse_dx * solid.distance::<T>(y).0, thickness).0;
+            let (_, (room, _)) = room_of::<T, _, TWO_SIDED>(&solid, inverse_dx, y);
+            left[l] = rooms[l] * if m.has(l) { room } else { T::ONE };
         }
     });
     left
@@ -188,35 +301,31 @@ fn take_room<T: Real>(
 #[inline(always)]
 fn density_adjoint<T: Real>(
     model: &Model<T>,
-    node: &NodeBlock,
-    touching: &[NearbyCollider<'_, T>],
+    (bodies, node): (&Bodies<T>, &NodeBlock),
+    meetings: &mut Meetings<'_, T>,
     [momentum, density_bar]: [&Nodes<T>; 2],
     momentum_bar: &mut Nodes<T>,
     tool_bar: &mut BodyStateBar,
 ) {
-    let inverse = inverse_rooms(model, node, touching);
+    let rooms = rooms(model, bodies, node, meetings);
     for n in 0..BLOCK_NODES {
-        let mass_bar = model.density_per_mass * inverse[n / LANES][n % LANES] * density_bar[n][3];
+        let (inverse, _) = inverse_room(rooms[n / LANES][n % LANES]);
+        let mass_bar = model.density_per_mass * inverse * density_bar[n][3];
         momentum_bar[n][3] += mass_bar.only_if(momentum[n][3] > T::ZERO);
     }
-    if !touching.iter().any(|t| t.of_tool) {
+    if !meetings.touching.iter().any(|t| t.of_tool) {
         return;
     }
-    let fixed = fixed_rooms(model, node);
     for (chunk, x) in positions(model, node).iter().enumerate() {
         // Cotangent of the logarithm of the room: the density is mass over room.
         let mut log_bar = Lanes::ZERO;
-        let mut rooms = fixed[chunk];
-        for t in touching.iter().filter(|t| !t.is_fixed) {
-            rooms = take_room(t, model.inverse_dx, x, &rooms);
-        }
         for l in 0..LANES {
-            let (n, (inverse, is_least)) = (chunk * LANES + l, inverse_room(rooms[l]));
+            let (n, (inverse, is_least)) = (chunk * LANES + l, inverse_room(rooms[chunk][l]));
             let density = model.density_per_mass * momentum[n][3] * inverse;
             log_bar[l] = -(density * density_bar[n][3]).only_if(!is_least);
         }
-        for t in touching.iter().filter(|t| t.of_tool) {
-            take_room_adjoint(t, model.inverse_dx, x, &log_bar, tool_bar);
+        for m in meetings.of(chunk).iter().filter(|m| m.with.of_tool) {
+            take_room_adjoint(m, model.inverse_dx, x, &log_bar, tool_bar);
         }
     }
 }
@@ -224,21 +333,36 @@ fn density_adjoint<T: Real>(
 /// Adjoint of [`take_room`] for the logarithm of the room.
 #[inline(always)]
 fn take_room_adjoint<T: Real>(
-    t: &NearbyCollider<'_, T>,
+    m: &Meeting<'_, T>,
     inverse_dx: T,
     x: &[Lanes<T>; 3],
     log_bar: &Lanes<T>,
     tool_bar: &mut BodyStateBar,
 ) {
-    let thickness = inverse_dx * t.piece.thickness();
+    if m.with.piece.is_two_sided {
+        room_left_adjoint::<T, true>(m, inverse_dx, x, log_bar, tool_bar);
+    } else {
+        room_left_adjoint::<T, false>(m, inverse_dx, x, log_bar, tool_bar);
+    }
+}
+
+#[inline(always)]
+fn room_left_adjoint<T: Real, const TWO_SIDED: bool>(
+    m: &Meeting<'_, T>,
+    inverse_dx: T,
+    x: &[Lanes<T>; 3],
+    log_bar: &Lanes<T>,
+    tool_bar: &mut BodyStateBar,
+) {
+    let t = &m.with;
     let mut sums = [Lanes::ZERO; 6];
     with_solid!(t.piece.shape, solid => {
         for l in 0..LANES {
             let arm = sub(vec_of(x, l), t.motion.position);
-            let (s, normal) = solid.distance::<T>(tr_mul_vec(&t.motion.rotation, arm));
-            let (left, slope) = room_beside(inverse_dx * s, thickness);
+            let y = tr_mul_vec(&t.motion.rotation, arm);
+            let (normal, (left, slope)) = room_of::<T, _, TWO_SIDED>(&solid, inverse_dx, y);
             let least = T::from_f64(1e-6);
-            let s_bar = inverse_dx * log_bar[l] * slope / left.at_least(least);
+            let s_bar = (inverse_dx * log_bar[l] * slope / left.at_least(least)).only_if(m.has(l));
             let g = scale(s_bar, mul_vec(&t.motion.rotation, normal));
             let turn = cross(g, arm);
             for i in 0..3 {
@@ -303,17 +427,19 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodesAdjoint<'_, T> {
             set_vec(&mut bar[n / LANES], n % LANES, [b[0], b[1], b[2]]);
         }
         let mut tool_bar = BodyStateBar::default();
-        let touching = self.model.obstacles.at_nodes(&self.model.grid, self.node.coord, self.bodies);
+        let touching = self.model.obstacles.at_nodes(&self.model.grid, self.node, self.bodies);
+        let mut meetings = Meetings::new(&self.model.obstacles, &touching, &self.node.sides);
         if !touching.is_empty() {
             let x = positions(self.model, self.node);
             let v = free_velocity(self.model, self.momentum);
             let mut met = Vec::with_capacity(touching.len());
-            for (((x, v), bar), nodes) in x.iter().zip(v).zip(&mut bar).zip(self.momentum.chunks(LANES)) {
+            for (chunk, (bar, nodes)) in bar.iter_mut().zip(self.momentum.chunks(LANES)).enumerate() {
                 if !any_mass(nodes) {
                     continue;
                 }
-                find_near(&touching, |piece| &piece.node_law, x, &mut met);
-                meet(&mut met, x, v);
+                let x = &x[chunk];
+                find_near(meetings.of(chunk).iter().copied(), |piece| &piece.node_law, x, &mut met);
+                meet(&mut met, x, v[chunk]);
                 for m in met.iter().rev() {
                     contact_lanes_adjoint(m, x, bar, None, &mut tool_bar);
                 }
@@ -332,15 +458,16 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodesAdjoint<'_, T> {
         }
         if self.holds_volume {
             let (momentum, out) = ([self.momentum, &incoming], &mut *self.momentum_bar);
-            density_adjoint(self.model, self.node, &touching, momentum, out, &mut tool_bar);
+            let on = (self.bodies, self.node);
+            density_adjoint(self.model, on, &mut meetings, momentum, out, &mut tool_bar);
         }
         tool_bar
     }
 }
 
-/// Whether any of [`LANES`] points is within the reach of a piece. Beyond it contact changes nothing, exactly.
+/// Which of [`LANES`] points are within the reach of a piece: 1 for those. Beyond it contact changes nothing, exactly.
 #[inline(always)]
-fn is_near<T: Real>(t: &NearbyCollider<'_, T>, law: &ContactParams<T>, x: &[Lanes<T>; 3]) -> bool {
+fn near<T: Real>(t: &NearbyCollider<'_, T>, law: &ContactParams<T>, x: &[Lanes<T>; 3]) -> Lanes<T> {
     let mut near = Lanes::ZERO;
     with_solid!(t.piece.shape, solid => {
         for l in 0..LANES {
@@ -348,7 +475,20 @@ fn is_near<T: Real>(t: &NearbyCollider<'_, T>, law: &ContactParams<T>, x: &[Lane
             near[l] = T::ONE.only_if(solid.distance::<T>(y).0 < law.reach());
         }
     });
-    near.iter().any(|n| *n > T::ZERO)
+    near
+}
+
+/// Whether any of the points is.
+#[inline(always)]
+fn is_near<T: Real>(t: &NearbyCollider<'_, T>, law: &ContactParams<T>, x: &[Lanes<T>; 3]) -> bool {
+    near(t, law, x).iter().any(|n| *n > T::ZERO)
+}
+
+/// The same of those that meet it.
+#[inline(always)]
+fn some_near<T: Real>(m: &Meeting<'_, T>, law: &ContactParams<T>, x: &[Lanes<T>; 3]) -> bool {
+    let near = near(&m.with, law, x);
+    (0..LANES).any(|l| m.has(l) && near[l] > T::ZERO)
 }
 
 /// Contact of [`LANES`] points with one piece.
@@ -381,9 +521,40 @@ fn after_contact<T: Real>(
     after
 }
 
-/// A piece that [`LANES`] points met, and their velocities just before.
+/// The same for some of the points.
+#[inline(always)]
+fn contact_of_some<T: Real>(
+    m: &Meeting<'_, T>,
+    law: &ContactParams<T>,
+    x: &[Lanes<T>; 3],
+    v: &mut [Lanes<T>; 3],
+) {
+    if m.lanes == u16::MAX {
+        contact_lanes(&m.with, law, x, v);
+    } else if m.is_behind || some_near(m, law, x) {
+        *v = after_meeting(m, law, x, v);
+    }
+}
+
+#[inline(always)]
+fn after_meeting<T: Real>(
+    m: &Meeting<'_, T>,
+    law: &ContactParams<T>,
+    x: &[Lanes<T>; 3],
+    v: &[Lanes<T>; 3],
+) -> [Lanes<T>; 3] {
+    let mut after = after_contact(&m.with, law, x, v);
+    for axis in 0..3 {
+        for l in 0..LANES {
+            after[axis][l] = if m.has(l) { after[axis][l] } else { v[axis][l] };
+        }
+    }
+    after
+}
+
+/// A piece that some of [`LANES`] points met, and their velocities just before.
 pub(crate) struct ContactRecord<'a, T> {
-    touching: NearbyCollider<'a, T>,
+    meeting: Meeting<'a, T>,
     law: &'a ContactParams<T>,
     before: [Lanes<T>; 3],
 }
@@ -391,16 +562,16 @@ pub(crate) struct ContactRecord<'a, T> {
 /// Notes the pieces that are within reach.
 #[inline(always)]
 pub(crate) fn find_near<'a, T: Real>(
-    touching: &[NearbyCollider<'a, T>],
+    meetings: impl Iterator<Item = Meeting<'a, T>>,
     law: impl Fn(&'a Collider<T>) -> &'a ContactParams<T>,
     x: &[Lanes<T>; 3],
     met: &mut Vec<ContactRecord<'a, T>>,
 ) {
     met.clear();
-    for t in touching {
-        let law = law(t.piece);
-        if is_near(t, law, x) {
-            met.push(ContactRecord { touching: *t, law, before: [Lanes::ZERO; 3] });
+    for meeting in meetings {
+        let law = law(meeting.with.piece);
+        if meeting.is_behind || some_near(&meeting, law, x) {
+            met.push(ContactRecord { meeting, law, before: [Lanes::ZERO; 3] });
         }
     }
 }
@@ -410,7 +581,7 @@ pub(crate) fn find_near<'a, T: Real>(
 pub(crate) fn meet<T: Real>(met: &mut [ContactRecord<'_, T>], x: &[Lanes<T>; 3], mut v: [Lanes<T>; 3]) {
     for m in met {
         m.before = v;
-        v = after_contact(&m.touching, m.law, x, &m.before);
+        v = after_meeting(&m.meeting, m.law, x, &m.before);
     }
 }
 
@@ -424,7 +595,8 @@ pub(crate) fn contact_lanes_adjoint<T: Real>(
     x_bar: Option<&mut [Lanes<T>; 3]>,
     tool_bar: &mut BodyStateBar,
 ) {
-    let ContactRecord { touching: t, law, before: v } = met;
+    let ContactRecord { meeting, law, before: v } = met;
+    let t = &meeting.with;
     // Here the loop stays scalar without copies of all that is read, too.
     let (motion, law, x, v, bar_after) = (*t.motion, **law, *x, *v, *bar);
     let mut bar_before = bar_after;
@@ -441,6 +613,12 @@ pub(crate) fn contact_lanes_adjoint<T: Real>(
             }
         }
     });
+    if meeting.lanes != u16::MAX {
+        for l in (0..LANES).filter(|l| !meeting.has(*l)) {
+            set_vec(&mut bar_before, l, vec_of(&bar_after, l));
+            sums.iter_mut().for_each(|sum| sum[l] = T::ZERO);
+        }
+    }
     *bar = bar_before;
     if let Some(x_bar) = x_bar {
         for i in 0..3 {

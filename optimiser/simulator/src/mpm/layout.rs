@@ -7,11 +7,15 @@
 //!
 //! The tile has one cell of slack on every side: a particle may leave its block by up to a cell before
 //! the particles have to be sorted again.
+//!
+//! Where walls have two sides ([`super::walls`]), particles of a block that are before different faces have tiles of their own,
+//! and a block of nodes has several layers where some of those do not see the same nodes.
 
 use crate::mpm::particles::LANES;
 use crate::mpm::stencil::{TILE_EDGE, TILE_LENGTH, Tile};
 use crate::real::Real;
 use crate::scene::{BLOCK_CELLS, PADDING_BLOCKS, Scene};
+use crate::shape::Face;
 
 /// Cells along one edge of a block.
 pub(crate) const BLOCK_EDGE: usize = BLOCK_CELLS;
@@ -22,6 +26,8 @@ pub(crate) const NO_BLOCK: u32 = u32::MAX;
 /// The 27 neighbours of a block, itself included, in the order of [`neighbour_offsets`].
 type Neighbours = [u32; 27];
 
+/// Where a block is in the grid of blocks.
+pub(crate) type Coord = [i32; 3];
 /// Four numbers at each node that a block owns.
 pub(crate) type Nodes<T> = [[T; 4]; BLOCK_NODES];
 
@@ -84,14 +90,39 @@ impl Grid {
     }
 }
 
-/// The particles of one block.
+/// A face of one of the pieces that stand in the powder's way.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct WallFace {
+    /// Number of the piece.
+    pub(crate) piece: u16,
+    pub(crate) face: Face,
+}
+
+/// Some of the nodes that a block owns: bit `n` stands for node `n`.
+pub(crate) type NodeSet = u64;
+
+/// The particles of one block; of those that are before the same faces.
 #[derive(Clone, Debug)]
 pub(crate) struct Block {
     pub(crate) coord: [i32; 3],
+    /// What they are before, by pieces in order; none of pieces that are too far off to matter.
+    pub(crate) faces: Vec<WallFace>,
     pub(crate) first_group: usize,
     pub(crate) particles: usize,
-    /// Node blocks around it.
+    /// Node blocks around it: their first layer.
     pub(crate) nodes: Neighbours,
+    /// Nodes that are in another layer.
+    pub(crate) detours: Vec<Detour>,
+}
+
+/// Nodes around a block that are not in the first layer of those of their place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Detour {
+    /// Which of the 27 neighbours.
+    pub(crate) neighbour: u8,
+    /// The layer.
+    pub(crate) node_block: u32,
+    pub(crate) nodes: NodeSet,
 }
 
 impl Block {
@@ -103,13 +134,51 @@ impl Block {
     pub(crate) fn occupied(&self, g: usize) -> usize {
         (self.particles - g * LANES).min(LANES)
     }
+
+    /// Places of its particles in memory.
+    pub(crate) fn places(&self) -> impl Iterator<Item = usize> {
+        let first = self.first_group * LANES;
+        first..first + self.particles
+    }
+
+    /// The parts of the node blocks around it that are its own: which neighbour, which node block, and which of its nodes.
+    fn parts(&self) -> impl Iterator<Item = (usize, u32, NodeSet)> {
+        let shared = const { shared_by_neighbours() };
+        self.nodes.into_iter().enumerate().flat_map(move |(n, first)| {
+            let detours = self.detours.iter().filter(move |d| usize::from(d.neighbour) == n);
+            let elsewhere = detours.clone().fold(0, |nodes, d| nodes | d.nodes);
+            let own = (n, first, shared[26 - n] & !elsewhere);
+            std::iter::once(own).chain(detours.map(move |d| (n, d.node_block, d.nodes)))
+        })
+    }
 }
 
-/// One block of nodes, and the particle blocks whose tiles overlap it.
+/// A tile that adds to a block of nodes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Source {
+    /// Number of the particle block.
+    pub(crate) tile: u32,
+    /// Which of the 27 neighbours that is.
+    pub(crate) neighbour: u8,
+    /// Which of the nodes that they share it adds to; all, if all bits are set.
+    pub(crate) nodes: NodeSet,
+}
+
+/// Nodes that lie behind a face, or in the solid for those beyond an edge.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Side {
+    pub(crate) of: WallFace,
+    pub(crate) nodes: NodeSet,
+}
+
+/// One block of nodes, or one layer of them, and the particle blocks whose tiles overlap it.
 #[derive(Clone, Debug)]
 pub(crate) struct NodeBlock {
     pub(crate) coord: [i32; 3],
-    pub(crate) tiles: Neighbours,
+    /// In the order in which they are added up.
+    pub(crate) sources: Vec<Source>,
+    /// What its nodes are behind for those who send to them, by pieces in order.
+    pub(crate) sides: Vec<Side>,
 }
 
 /// Blocks in use.
@@ -117,6 +186,52 @@ pub(crate) struct NodeBlock {
 pub(crate) struct Layout {
     pub(crate) blocks: Vec<Block>,
     pub(crate) nodes: Vec<NodeBlock>,
+    /// What moving pieces hide of the nodes, as it was when the layers were made.
+    pub(crate) moving: Vec<HiddenBy>,
+}
+
+impl Layout {
+    /// Nothing.
+    pub(crate) fn empty() -> Self {
+        Self { blocks: Vec::new(), nodes: Vec::new(), moving: Vec::new() }
+    }
+
+    /// Bytes.
+    pub(crate) fn bytes(&self) -> usize {
+        let of_block = |b: &Block| size_of_val(b) + size_of_val(&b.faces[..]) + size_of_val(&b.detours[..]);
+        let of_node =
+            |n: &NodeBlock| size_of_val(n) + size_of_val(&n.sources[..]) + size_of_val(&n.sides[..]);
+        let blocks = self.blocks.iter().map(of_block).sum::<usize>();
+        blocks + self.nodes.iter().map(of_node).sum::<usize>() + size_of_val(&self.moving[..])
+    }
+}
+
+/// What a piece hides of a block's nodes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Hidden {
+    /// Nodes in it.
+    pub(crate) solid: NodeSet,
+    /// Nodes before each of its faces, continued beyond their edges.
+    pub(crate) before: [NodeSet; Face::PAIRED],
+}
+
+impl Hidden {
+    pub(crate) const NOTHING: Self = Self { solid: 0, before: [0; Face::PAIRED] };
+
+    /// From those who are before a face, or beyond an edge.
+    pub(crate) fn from(&self, face: Face) -> NodeSet {
+        self.solid | face.opposite().map_or(0, |opposite| self.before[opposite.number()])
+    }
+}
+
+/// What a piece hides of a block of the grid.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct HiddenBy {
+    /// Number of the block.
+    pub(crate) block: u32,
+    /// Number of the piece.
+    pub(crate) piece: u16,
+    pub(crate) nodes: Hidden,
 }
 
 pub(crate) fn neighbour_offsets() -> impl Iterator<Item = [i32; 3]> {
@@ -133,25 +248,63 @@ pub(crate) const fn overlap(offset: i32) -> (usize, usize, usize) {
     }
 }
 
-/// Whether a condition holds for any node that a block's tile shares with a node block that is asked for:
+/// The nodes of a node block that it shares with the tile of a neighbour.
+pub(crate) const fn shared_nodes(neighbour: usize) -> NodeSet {
+    let mut nodes = 0;
+    let offset = [neighbour as i32 / 9 - 1, neighbour as i32 / 3 % 3 - 1, neighbour as i32 % 3 - 1];
+    let [(ax, _, nx), (ay, _, ny), (az, _, nz)] =
+        [overlap(offset[0]), overlap(offset[1]), overlap(offset[2])];
+    let mut n = 0;
+    while n < BLOCK_NODES {
+        let [i, j, k] = [n / (BLOCK_EDGE * BLOCK_EDGE), n / BLOCK_EDGE % BLOCK_EDGE, n % BLOCK_EDGE];
+        if i >= ax && i < ax + nx && j >= ay && j < ay + ny && k >= az && k < az + nz {
+            nodes |= 1 << n;
+        }
+        n += 1;
+    }
+    nodes
+}
+
+/// The same for all neighbours.
+const fn shared_by_neighbours() -> [NodeSet; 27] {
+    let mut out = [0; 27];
+    let mut n = 0;
+    while n < 27 {
+        out[n] = shared_nodes(n);
+        n += 1;
+    }
+    out
+}
+
+/// These nodes of a node block, each with its place in the tile of a neighbour that shares it.
+#[inline(always)]
+pub(crate) fn places_in_tile(neighbour: usize, nodes: NodeSet) -> impl Iterator<Item = (usize, usize)> {
+    let offset = [neighbour / 9, neighbour / 3 % 3, neighbour % 3].map(|o| overlap(o as i32 - 1));
+    let first = offset.map(|(a, t, _)| t as i32 - a as i32);
+    let edge = TILE_EDGE as i32;
+    let first = (first[0] * edge + first[1]) * edge + first[2];
+    let mut left = nodes;
+    std::iter::from_fn(move || {
+        let n = left.trailing_zeros() as usize;
+        left &= left.checked_sub(1)?;
+        let [i, j, k] = [n / (BLOCK_EDGE * BLOCK_EDGE), n / BLOCK_EDGE % BLOCK_EDGE, n % BLOCK_EDGE];
+        let at = ((i * TILE_EDGE + j) * TILE_EDGE + k) as i32 + first;
+        Some((n, at as usize))
+    })
+}
+
+/// Whether a condition holds for any node that a block's tile shares with a node block that is asked for, `ask(neighbour, node block)`:
 /// `test(node block, place in it, place in the tile)`.
 pub(crate) fn any_shared(
     block: &Block,
-    ask: impl Fn(usize) -> bool,
+    ask: impl Fn(usize, usize) -> bool,
     test: impl Fn(usize, usize, usize) -> bool,
 ) -> bool {
-    neighbour_offsets().zip(block.nodes).filter(|(_, node_block)| ask(*node_block as usize)).any(
-        |(offset, node_block)| {
-            // Seen from the node block, the tile's block lies in the opposite direction.
-            let [(ax, tx, nx), (ay, ty, ny), (az, tz, nz)] = offset.map(|o| overlap(-o));
-            (0..nx * ny * nz).any(|n| {
-                let [i, j, k] = [n / (ny * nz), n / nz % ny, n % nz];
-                let node = ((ax + i) * BLOCK_EDGE + ay + j) * BLOCK_EDGE + az + k;
-                let at = ((tx + i) * TILE_EDGE + ty + j) * TILE_EDGE + tz + k;
-                test(node_block as usize, node, at)
-            })
-        },
-    )
+    let mut asked = block.parts().filter(|(neighbour, node_block, _)| ask(*neighbour, *node_block as usize));
+    asked.any(|(neighbour, node_block, nodes)| {
+        // Seen from the node block, the tile's block lies in the opposite direction.
+        places_in_tile(26 - neighbour, nodes).any(|(node, at)| test(node_block as usize, node, at))
+    })
 }
 
 /// Along one axis, for each node of a tile: which neighbour (0, 1, 2) owns it, and its place there.
@@ -177,6 +330,12 @@ pub(crate) fn load_tile<T: Real>(block: &Block, nodes: &[Nodes<T>], tile: &mut T
                 to[1..5].copy_from_slice(b);
                 to[5..8].copy_from_slice(&c[..3]);
             }
+        }
+    }
+    for detour in &block.detours {
+        let nodes = &nodes[detour.node_block as usize];
+        for (n, at) in places_in_tile(26 - usize::from(detour.neighbour), detour.nodes) {
+            tile[at] = nodes[n];
         }
     }
 }

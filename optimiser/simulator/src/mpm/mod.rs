@@ -16,11 +16,13 @@
 )]
 
 pub(crate) mod bodies;
+pub(crate) mod connect;
 pub(crate) mod contact;
 pub(crate) mod density;
 pub(crate) mod g2p;
 pub(crate) mod gather;
 pub(crate) mod grid_update;
+pub(crate) mod layers;
 pub(crate) mod layout;
 pub(crate) mod material;
 pub(crate) mod matrix_polynomial;
@@ -39,6 +41,7 @@ pub(crate) mod substep;
 pub(crate) mod tests;
 pub(crate) mod tiles;
 pub(crate) mod timings;
+pub(crate) mod walls;
 
 /// Raised with every change of what a substep or a gradient computes: a run is not resumed by another physics.
 pub const PHYSICS_VERSION: u32 = 6;
@@ -68,6 +71,8 @@ impl<T: Real> Arch<T> {
 pub(crate) struct Model<T> {
     pub(crate) grid: layout::Grid,
     pub(crate) obstacles: obstacle::Colliders<T>,
+    /// What walls hide, where they have two sides.
+    pub(crate) walls: Option<walls::Walls>,
     pub(crate) gates: bodies::Gates,
     pub(crate) material: material::Material<T>,
     pub(crate) dt: T,
@@ -115,15 +120,18 @@ impl<T: Real> Model<T> {
         let dt = f64::from(scene.time.control_period_us) * 1e-6 / f64::from(scene.time.substeps);
         let volume = dx * dx * dx / f64::from(scene.powder.particles_per_cell);
         let mass = volume * scene.powder.density_kg_m3;
+        let (node_places, arch) = (grid_update::node_places(T::from_f64(dx)), Arch::new());
+        let obstacles = obstacle::Colliders::new(scene, &grid);
         Self {
             grid,
-            obstacles: obstacle::Colliders::new(scene, &grid),
+            walls: walls::Walls::new(&grid, &obstacles, &node_places, arch),
+            obstacles,
             gates: bodies::Gates::new(scene),
             material: material::Material::of(&scene.powder),
             dt: T::from_f64(dt),
             inverse_dx: T::from_f64(1.0 / dx),
             four_per_dx: T::from_f64(4.0 / dx),
-            node_places: grid_update::node_places(T::from_f64(dx)),
+            node_places,
             mass: T::from_f64(mass),
             mass_dx: T::from_f64(mass * dx),
             stress_dx: T::from_f64(dt * volume * 4.0 / dx),
@@ -134,7 +142,7 @@ impl<T: Real> Model<T> {
             sleep_speed: T::from_f64(scene.domain.sleep_speed_m_s),
             quiet_substeps: (sleep::QUIET_S / dt).ceil() as u32,
             gravity_dt: scene.domain.gravity_m_s2.map(|g| T::from_f64(g * dt)),
-            arch: Arch::new(),
+            arch,
         }
     }
 }

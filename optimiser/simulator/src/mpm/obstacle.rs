@@ -7,10 +7,10 @@
 use crate::mpm::bodies::{Bodies, turned};
 use crate::mpm::contact::{BodyState, ContactParams};
 use crate::mpm::density::room_beside;
-use crate::mpm::layout::{BLOCK_EDGE, BLOCK_NODES, Grid};
+use crate::mpm::layout::{BLOCK_EDGE, BLOCK_NODES, Coord, Grid, NodeBlock, Side};
 use crate::real::Real;
-use crate::scene::{Container, ContainerShape, Gate, GateShape, Scene, Tool, VolumeCorrection};
-use crate::shape::{AlignedBox, HalfSpace, Shape, SignedDistance, Tube, with_solid};
+use crate::scene::{Container, ContainerShape, Gate, GateShape, Scene, Tool, VolumeCorrection, Walls};
+use crate::shape::{AlignedBox, Face, HalfSpace, Shape, SignedDistance, Tube, with_solid};
 use crate::small::{sub, tr_mul_vec};
 
 /// One piece of a body.
@@ -19,15 +19,19 @@ pub(crate) struct Collider<T> {
     pub(crate) shape: Shape<T>,
     pub(crate) node_law: ContactParams<T>,
     pub(crate) particle_law: ContactParams<T>,
+    /// It is a wall with two sides: what is on the other one is not seen.
+    pub(crate) is_two_sided: bool,
 }
 
 impl<T: Real> Collider<T> {
-    /// From one side of a wall to the other, m; of what has no other side, more than any spline is wide.
-    #[inline(always)]
-    pub(crate) fn thickness(&self) -> T {
-        self.shape.half_thickness().map_or(T::from_f64(1e3), |half| half + half)
+    /// One of its faces, continued beyond its edges.
+    fn continued(&self, face: Face) -> Option<Self> {
+        Some(Self { shape: self.shape.continued(face)?, ..*self })
     }
 }
+
+/// Of what has no other side: more than any spline is wide, in cells.
+const ENDLESS: f64 = 1e3;
 
 /// A piece that never moves.
 #[derive(Clone, Copy, Debug)]
@@ -43,10 +47,14 @@ pub(crate) struct Colliders<T> {
     /// One of each gate.
     pub(crate) gates: Vec<Collider<T>>,
     pub(crate) tool: Vec<Collider<T>>,
+    /// Where walls have two sides, the faces of each piece by its number; else nothing.
+    faces: Vec<Faces<T>>,
     /// For each block of the grid the fixed pieces that its nodes can touch.
     near_nodes: Vec<Vec<u16>>,
     /// For each block of the grid the fixed pieces that its particles can touch.
     near_particles: Vec<Vec<u16>>,
+    /// For each block of the grid the fixed pieces that take room from its nodes, if anybody asks.
+    near_rooms: Vec<Vec<u16>>,
     /// Distance within which a piece takes room from a node, m; 0 if nobody asks.
     room_reach: T,
     /// For each block of the grid what the fixed pieces leave of the room of its nodes; none where they leave all.
@@ -54,7 +62,7 @@ pub(crate) struct Colliders<T> {
 }
 
 /// Half the diagonal of a cube of `cells`, m.
-fn half_diagonal(cells: usize, dx: f64) -> f64 {
+pub(crate) fn half_diagonal(cells: usize, dx: f64) -> f64 {
     0.5 * 3f64.sqrt() * cells as f64 * dx
 }
 
@@ -81,14 +89,67 @@ impl<T: Real> Colliders<T> {
         };
         let contact = |piece: &Collider<T>| piece.node_law.reach();
         let (near_nodes, near_particles) = (near(BLOCK_EDGE, &contact), near(BLOCK_EDGE + 4, &contact));
-        let (room_reach, rooms) = if scene.powder.volume_correction == VolumeCorrection::Grid {
+        let (room_reach, rooms, near_rooms) = if scene.powder.volume_correction == VolumeCorrection::Grid {
             let reach = T::from_f64(ROOM_REACH_CELLS * grid.dx);
             let near = near(BLOCK_EDGE, &|_| reach);
-            (reach, near.iter().enumerate().map(|(index, near)| rooms(grid, index, near, &fixed)).collect())
+            let rooms = near.iter().enumerate().map(|(index, near)| rooms(grid, index, near, &fixed));
+            (reach, rooms.collect(), near)
         } else {
-            (T::ZERO, Vec::new())
+            (T::ZERO, Vec::new(), Vec::new())
         };
-        Self { fixed, gates, tool, near_nodes, near_particles, room_reach, rooms }
+        let pieces = || fixed.iter().map(|f| &f.piece).chain(&gates).chain(&tool);
+        let faces = match scene.domain.walls {
+            Walls::Shared => Vec::new(),
+            Walls::TwoSided => pieces().map(faces_of).collect(),
+        };
+        Self { fixed, gates, tool, faces, near_nodes, near_particles, near_rooms, room_reach, rooms }
+    }
+
+    /// Whether walls have two sides.
+    pub(crate) fn have_two_sides(&self) -> bool {
+        !self.faces.is_empty()
+    }
+
+    pub(crate) fn is_fixed(&self, number: u16) -> bool {
+        usize::from(number) < self.fixed.len()
+    }
+
+    /// The faces of a piece, where walls have two sides.
+    pub(crate) fn faces(&self, number: u16) -> &Faces<T> {
+        &self.faces[usize::from(number)]
+    }
+
+    /// A face of a piece, continued beyond its edges; none where there is only an edge.
+    #[inline(always)]
+    pub(crate) fn face(&self, number: u16, face: Face) -> Option<&Collider<T>> {
+        self.faces(number).get(face.number())?.as_ref()
+    }
+
+    /// The fixed pieces.
+    pub(crate) fn at_rest(&self) -> impl Iterator<Item = NearbyCollider<'_, T>> {
+        (0..self.fixed.len() as u16).map(|number| self.fixed_piece(number))
+    }
+
+    pub(crate) fn fixed_piece(&self, number: u16) -> NearbyCollider<'_, T> {
+        let f = &self.fixed[usize::from(number)];
+        NearbyCollider { number, piece: &f.piece, motion: &f.motion, is_fixed: true, of_tool: false }
+    }
+
+    /// Gates that are there, then the tool's pieces.
+    pub(crate) fn moving<'a>(&'a self, bodies: &'a Bodies<T>) -> impl Iterator<Item = NearbyCollider<'a, T>> {
+        let moved = |number, piece, motion, of_tool| NearbyCollider {
+            number,
+            piece,
+            motion,
+            is_fixed: false,
+            of_tool,
+        };
+        let first = self.fixed.len() as u16;
+        let gates = (first..).zip(self.gates.iter().zip(&bodies.gates));
+        let there = gates.filter(|(_, (_, gate))| gate.is_there);
+        let gates = there.map(move |(number, (piece, gate))| moved(number, piece, &gate.motion, false));
+        let tool = (first + self.gates.len() as u16..).zip(&self.tool);
+        gates.chain(tool.map(move |(number, piece)| moved(number, piece, &bodies.tool, true)))
     }
 
     /// What the fixed pieces leave of the room of a block's nodes; none if all.
@@ -97,14 +158,25 @@ impl<T: Real> Colliders<T> {
         self.rooms.get(grid.index(coord))?.as_deref()
     }
 
-    /// Pieces that nodes of the block may touch, in the order of application: fixed ones, gates that are there, then the tool's.
+    /// Pieces that nodes of the block may touch, in the order of application: fixed ones, gates that are there, then the tool's. Among
+    /// them those that some nodes are behind.
     pub(crate) fn at_nodes<'a>(
         &'a self,
         grid: &Grid,
-        coord: [i32; 3],
+        node: &NodeBlock,
         bodies: &'a Bodies<T>,
     ) -> Vec<NearbyCollider<'a, T>> {
-        self.touching(grid, coord, bodies, &self.near_nodes, BLOCK_EDGE)
+        self.touching(grid, (node.coord, &node.sides), bodies, &self.near_nodes, BLOCK_EDGE)
+    }
+
+    /// The same for pieces that take room from the block's nodes.
+    pub(crate) fn taking_room<'a>(
+        &'a self,
+        grid: &Grid,
+        node: &NodeBlock,
+        bodies: &'a Bodies<T>,
+    ) -> Vec<NearbyCollider<'a, T>> {
+        self.touching(grid, (node.coord, &node.sides), bodies, &self.near_rooms, BLOCK_EDGE)
     }
 
     /// Pieces that particles of the block (slack included) may touch.
@@ -114,7 +186,7 @@ impl<T: Real> Colliders<T> {
         coord: [i32; 3],
         bodies: &'a Bodies<T>,
     ) -> Vec<NearbyCollider<'a, T>> {
-        self.touching(grid, coord, bodies, &self.near_particles, BLOCK_EDGE + 4)
+        self.touching(grid, (coord, &[]), bodies, &self.near_particles, BLOCK_EDGE + 4)
     }
 
     /// Whether the tool is within so many cells of the block's.
@@ -147,27 +219,65 @@ impl<T: Real> Colliders<T> {
     fn touching<'a>(
         &'a self,
         grid: &Grid,
-        coord: [i32; 3],
+        (coord, sides): (Coord, &[Side]),
         bodies: &'a Bodies<T>,
         near: &[Vec<u16>],
         cells: usize,
     ) -> Vec<NearbyCollider<'a, T>> {
-        let fixed = near[grid.index(coord)].iter().map(|i| {
-            let f = &self.fixed[usize::from(*i)];
-            NearbyCollider { piece: &f.piece, motion: &f.motion, is_fixed: true, of_tool: false }
-        });
+        let near = &near[grid.index(coord)];
+        let behind = sides.iter().map(|side| side.of.piece);
+        let mut far: Vec<u16> =
+            behind.filter(|n| usize::from(*n) < self.fixed.len() && !near.contains(n)).collect();
+        let mut out: Vec<_> = near.iter().map(|number| self.fixed_piece(*number)).collect();
+        if !far.is_empty() {
+            far.dedup();
+            out.extend(far.into_iter().map(|number| self.fixed_piece(number)));
+            out.sort_by_key(|piece| piece.number);
+        }
         let centre = block_centre(grid, coord);
         let reach = T::from_f64(half_diagonal(cells, grid.dx));
-        let is_near = move |n: &NearbyCollider<'a, T>| {
+        let is_near = |n: &NearbyCollider<'a, T>| {
             let own = n.piece.node_law.reach().at_least(self.room_reach);
             distance(n.piece, n.motion, centre) <= reach + own
+                || sides.iter().any(|side| side.of.piece == n.number)
         };
-        let there = self.gates.iter().zip(&bodies.gates).filter(|(_, gate)| gate.is_there);
-        let moved = |piece, motion, of_tool| NearbyCollider { piece, motion, is_fixed: false, of_tool };
-        let gates = there.map(|(piece, gate)| moved(piece, &gate.motion, false));
-        let tool = self.tool.iter().map(|piece| moved(piece, &bodies.tool, true));
-        fixed.chain(gates.chain(tool).filter(is_near)).collect()
+        out.extend(self.moving(bodies).filter(is_near));
+        out
     }
+}
+
+/// The faces of a piece, continued beyond its edges: those that there are, by their numbers.
+pub(crate) type Faces<T> = [Option<Collider<T>>; Face::PAIRED + 1];
+
+fn faces_of<T: Real>(piece: &Collider<T>) -> Faces<T> {
+    std::array::from_fn(|number| piece.continued(Face::from_number(number as i32)))
+}
+
+/// From a wall to the farthest node behind it that a particle before it can reach, in cells: half the width of a spline along each
+/// axis, and what a particle may move before it is looked at again.
+pub(crate) const HIDDEN_REACH_CELLS: f64 = 3.1;
+
+/// The outward normal of a piece at a point in its frame, and the part of a node's spline there that it leaves, with the derivative along
+/// the normal. A surface that bends is as one that is flat and lies where it is on average over the spline, whose variance along
+/// each axis is a quarter of a cell's square. `TWO_SIDED` is whether the piece is.
+#[inline(always)]
+pub(crate) fn room_of<T: Real, D: SignedDistance<T>, const TWO_SIDED: bool>(
+    solid: &D,
+    inverse_dx: T,
+    y: [T; 3],
+) -> ([T; 3], (T, T)) {
+    let (s, normal) = solid.distance::<T>(y);
+    let s = inverse_dx * s;
+    let endless = T::from_f64(ENDLESS);
+    let own = solid.half_thickness().map_or(endless, |half| inverse_dx * (half + half));
+    if !TWO_SIDED {
+        return (normal, room_beside(s, own));
+    }
+    let hides = solid.face(y) < Face::PAIRED as i32;
+    let (eighth, dx) = (T::from_f64(0.125), T::ONE / inverse_dx);
+    let [bend, slope] = solid.bend(y);
+    let (room, by_distance) = room_beside(s + eighth * dx * bend, if hides { endless } else { own });
+    (normal, (room, by_distance * (T::ONE + eighth * dx * dx * slope)))
 }
 
 /// Half the width of a node's spline, in cells: nothing farther off takes room from it.
@@ -190,8 +300,12 @@ fn rooms<T: Real>(
         let pieces = near.iter().map(|i| &fixed[usize::from(*i)]);
         pieces.fold(T::ONE, |room, f| {
             let inverse_dx = T::from_f64(1.0 / grid.dx);
-            let s = distance(&f.piece, &f.motion, x) * inverse_dx;
-            room * room_beside(s, f.piece.thickness() * inverse_dx).0
+            let y = tr_mul_vec(&f.motion.rotation, sub(x, f.motion.position));
+            room * with_solid!(f.piece.shape, solid => if f.piece.is_two_sided {
+                room_of::<T, _, true>(&solid, inverse_dx, y).1.0
+            } else {
+                room_of::<T, _, false>(&solid, inverse_dx, y).1.0
+            })
         })
     };
     Some(Box::new(std::array::from_fn(node)))
@@ -200,6 +314,8 @@ fn rooms<T: Real>(
 /// A piece near a block, with its motion at this instant.
 #[derive(Clone, Copy)]
 pub(crate) struct NearbyCollider<'a, T> {
+    /// Fixed pieces first, then gates, then the tool's.
+    pub(crate) number: u16,
     pub(crate) piece: &'a Collider<T>,
     pub(crate) motion: &'a BodyState<T>,
     /// Never moves nor goes.
@@ -207,7 +323,7 @@ pub(crate) struct NearbyCollider<'a, T> {
     pub(crate) of_tool: bool,
 }
 
-fn block_centre<T: Real>(grid: &Grid, coord: [i32; 3]) -> [T; 3] {
+pub(crate) fn block_centre<T: Real>(grid: &Grid, coord: [i32; 3]) -> [T; 3] {
     grid.block_origin(coord).map(|o| T::from_f64(o + 0.5 * BLOCK_EDGE as f64 * grid.dx))
 }
 
@@ -226,6 +342,7 @@ struct Builder {
     band: f64,
     dt: f64,
     dx: f64,
+    two_sided: bool,
 }
 
 impl Builder {
@@ -235,19 +352,21 @@ impl Builder {
             band: scene.domain.contact_band_cells * scene.domain.cell_m,
             dt: period / f64::from(scene.time.substeps),
             dx: scene.domain.cell_m,
+            two_sided: scene.domain.walls == Walls::TwoSided,
         }
     }
 
     fn piece<T: Real>(&self, solid: Shape<f64>, friction: f64) -> Collider<T> {
         let shape = solid.rounded::<T>();
-        // Walls thinner than a cell could lie between two nodes and stop none of them.
+        let is_two_sided = self.two_sided && shape.has_two_sides();
+        // Walls thinner than a cell could lie between two nodes and stop none of them, unless those behind them count.
+        let inflation = |h: T| (T::from_f64(0.5 * self.dx) - h).at_least(T::ZERO).only_if(!is_two_sided);
+        let lets_go = self.two_sided || shape.half_thickness().is_none();
         let node_law = ContactParams {
             friction: T::from_f64(friction),
             band: T::from_f64(self.band),
-            inflation: shape
-                .half_thickness()
-                .map_or(T::ZERO, |h| (T::from_f64(0.5 * self.dx) - h).at_least(T::ZERO)),
-            separation_factor: if shape.half_thickness().is_some() { T::ZERO } else { T::ONE },
+            inflation: shape.half_thickness().map_or(T::ZERO, inflation),
+            separation_factor: T::ONE.only_if(lets_go),
             pushout_rate: T::ZERO,
             max_pushout_speed: T::ZERO,
         };
@@ -259,7 +378,7 @@ impl Builder {
             max_pushout_speed: T::from_f64(PUSH_LIMIT),
             ..node_law
         };
-        Collider { shape, node_law, particle_law }
+        Collider { shape, node_law, particle_law, is_two_sided }
     }
 
     /// Floor, four sides and lid of the simulated volume.

@@ -12,7 +12,7 @@ use crate::mpm::particles::{Group, LANES, Lanes, mat_of, set_mat, set_vec, vec_o
 use crate::mpm::principal;
 use crate::mpm::residue::{unforced, unforced_adjoint};
 use crate::mpm::stencil::{Affine, Tile, scatter, scatter_all};
-use crate::mpm::stencil_positions::StencilPositions;
+use crate::mpm::stencil_positions::{Reach, StencilPositions};
 use crate::real::Real;
 use crate::small::{Mat3, Sym3, Vec3, full, mul_vec, scale, sub, three, tr_mul_vec};
 
@@ -63,10 +63,12 @@ pub(crate) struct ParticlesToTile<'a, T> {
 }
 
 impl<T: Real> pulp::NullaryFnOnce for ParticlesToTile<'_, T> {
-    type Output = ();
+    /// Which neighbours they send to.
+    type Output = u32;
 
     #[inline(always)]
-    fn call(mut self) {
+    fn call(mut self) -> u32 {
+        let mut reach = Reach::NOTHING;
         let shift = Grid::tile_shift(self.block.coord).map(T::from_f64);
         *self.tile = empty_tile();
         if let Some(tile) = &mut self.unforced {
@@ -77,6 +79,7 @@ impl<T: Real> pulp::NullaryFnOnce for ParticlesToTile<'_, T> {
         for g in 0..self.state.len() {
             let input = self.from.map_or(&self.state[g], |from| &from[g]);
             let places = StencilPositions::of(self.model.inverse_dx, shift, &input.x);
+            reach.add(&places.start);
             let mut returned = Returned::ZERO;
             stress(self.model, input, &TrialStrains::new(self.model, input), &places, &mut returned);
             let unforced = self.unforced.as_mut().map(|tile| (tile, unforced(self.model, input, &places)));
@@ -99,6 +102,7 @@ impl<T: Real> pulp::NullaryFnOnce for ParticlesToTile<'_, T> {
                 scatter(self.tile, occupied, |l| stencils.of(l), affine);
             }
         }
+        reach.neighbours()
     }
 }
 

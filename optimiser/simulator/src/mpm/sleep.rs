@@ -44,6 +44,8 @@ pub(crate) struct SleepState<T> {
 struct SleepingBlock<T> {
     /// What its particles send to the grid.
     tile: Tile<T>,
+    /// To which neighbours.
+    reached: u32,
     /// Its nodes that could wake it already when it fell asleep, in order, and their velocities then.
     unquiet: Vec<(u16, [T; 4])>,
     /// The particles. All states in which it sleeps share them, and need not have them among their own.
@@ -71,10 +73,10 @@ impl<T: Copy> SleepState<T> {
         self.sleeper.is_some()
     }
 
-    /// What a sleeper sends to the grid.
+    /// What a sleeper sends to the grid, and to which neighbours.
     #[inline(always)]
-    pub(crate) fn tile(&self) -> Option<&Tile<T>> {
-        self.sleeper.as_ref().map(|sleeper| &sleeper.tile)
+    pub(crate) fn sent(&self) -> Option<(&Tile<T>, u32)> {
+        self.sleeper.as_ref().map(|sleeper| (&sleeper.tile, sleeper.reached))
     }
 
     /// Puts a sleeper's particles where they belong.
@@ -129,7 +131,7 @@ pub(crate) fn is_disturbed<T: Real>(
     let Some(sleeper) = &rest.sleeper else { return false };
     any_shared(
         block,
-        |node_block| moving[node_block],
+        |neighbour, node_block| moving[node_block] && sleeper.reached >> neighbour & 1 == 1,
         |node_block, node, at| sleeper.is_woken_by(model, at, &velocity[node_block][node]),
     )
 }
@@ -174,9 +176,11 @@ pub(crate) fn fall_asleep<T: Real>(
         }
         let groups = &groups[block.first_group..block.first_group + block.groups()];
         unused.resize(groups.len(), Group::ZERO);
-        let mut sleeper = SleepingBlock { tile: empty_tile(), unquiet: Vec::new(), groups: groups.to_vec() };
+        let (tile, groups_asleep) = (empty_tile(), groups.to_vec());
+        let mut sleeper = SleepingBlock { tile, reached: 0, unquiet: Vec::new(), groups: groups_asleep };
         let (from, state, tile) = (Some(groups), &mut unused[..], &mut sleeper.tile);
-        model.arch.dispatch(ParticlesToTile { model, block, from, state, tile, unforced: None });
+        sleeper.reached =
+            model.arch.dispatch(ParticlesToTile { model, block, from, state, tile, unforced: None });
         load_tile(block, velocity, &mut velocities);
         let unquiet = |at: &usize| sleeper.sends_to(*at) && can_wake(model, &velocities[*at]);
         sleeper.unquiet = (0..TILE_LENGTH).filter(unquiet).map(|at| (at as u16, velocities[at])).collect();

@@ -1,8 +1,12 @@
 //! Sorting: particles into the order of the grid's blocks and cells, and the layout of blocks that follows from it.
 
-use crate::mpm::layout::{BLOCK_NODES, Block, Grid, Layout, NO_BLOCK, NodeBlock, neighbour_offsets};
+use crate::mpm::Model;
+use crate::mpm::bodies::Bodies;
+use crate::mpm::connect::connected;
+use crate::mpm::layout::{BLOCK_NODES, Block, Coord, Grid, Layout, NO_BLOCK, WallFace};
 use crate::mpm::particles::{EMPTY_LANE, Group, LANES, Lanes, Particles, vec_of};
 use crate::mpm::spare::{BufferPool, fit};
+use crate::mpm::walls;
 use crate::real::{Real, RealOps};
 
 /// A particle that is no longer anywhere on the grid.
@@ -11,49 +15,161 @@ pub(crate) struct EscapedParticle {
     pub(crate) particle: u32,
 }
 
-/// Particles in the order of blocks and cells, the layout, and where each lane came from (place in the old
-/// memory order, [`EMPTY_LANE`] for padding). Stable: particles of one cell keep their order.
+/// Particles in another order, the layout, and where each lane came from (place in the old memory order, [`EMPTY_LANE`] for padding).
+pub(crate) type Sorted<T> = (Particles<T>, Layout, Vec<u32>);
+
+/// Particles in the order of blocks, of the faces that they are before, and of cells. Stable: particles of one cell keep their order.
 pub(crate) fn sort<T: Real>(
-    grid: &Grid,
+    model: &Model<T>,
+    bodies: &Bodies<T>,
     old: &Particles<T>,
     spare: &mut BufferPool<T>,
-) -> Result<(Particles<T>, Layout, Vec<u32>), EscapedParticle> {
+) -> Result<Sorted<T>, EscapedParticle> {
     let mut keys = Vec::with_capacity(old.groups.len() * LANES);
     for (g, lane, particle) in old.occupied() {
         let x = vec_of(&old.groups[g].x, lane).map(RealOps::to_f64);
-        let key = grid.key(x).ok_or(EscapedParticle { particle })?;
-        keys.push(u64::from(key) << 32 | (g * LANES + lane) as u64);
+        let key = model.grid.key(x).ok_or(EscapedParticle { particle })?;
+        keys.push(keyed(key, g * LANES + lane));
     }
     keys.sort_unstable();
-
-    let block_of = |key: &u64| (*key >> 32) as usize / BLOCK_NODES;
-    let by_block = || keys.chunk_by(|a, b| block_of(a) == block_of(b));
-    let count = by_block().map(|keys| keys.len().div_ceil(LANES)).sum();
-    let mut groups = spare.acquire_groups(count);
-    let mut ids = vec![[EMPTY_LANE; LANES]; count];
-    let mut order = vec![EMPTY_LANE; count * LANES];
-    let mut blocks: Vec<Block> = Vec::with_capacity(by_block().count());
-    let mut first_group = 0;
-    for keys in by_block() {
-        let block = Block {
-            coord: grid.coord(block_of(&keys[0])),
-            first_group,
-            particles: keys.len(),
-            nodes: [NO_BLOCK; 27],
-        };
-        let resting = resting_group(grid, block.coord);
-        groups[first_group..first_group + block.groups()].fill(resting);
-        for (at, key) in (first_group * LANES..).zip(keys) {
-            let place = (key & 0xffff_ffff) as usize;
-            groups[at / LANES].copy_lane(at % LANES, &old.groups[place / LANES], place % LANES);
-            ids[at / LANES][at % LANES] = old.ids[place / LANES][place % LANES];
-            order[at] = place as u32;
-        }
-        first_group += block.groups();
-        blocks.push(block);
+    let mut cut = Cut::new(keys.len());
+    for keys in keys.chunk_by(|a, b| block_of(*a) == block_of(*b)) {
+        cut.part(model, bodies, model.grid.coord(block_of(keys[0])), keys, old);
     }
-    let nodes = connect(grid, &mut blocks);
-    Ok((Particles { groups, ids: ids.into() }, Layout { blocks, nodes }, order))
+    Ok(cut.sorted(model, bodies, old, spare))
+}
+
+/// The same for those of some blocks alone, which are before other faces than they were. The others stay where they are.
+pub(crate) fn sort_by_faces<T: Real>(
+    model: &Model<T>,
+    bodies: &Bodies<T>,
+    (old, layout): (&Particles<T>, &Layout),
+    is_wrong: &[bool],
+    spare: &mut BufferPool<T>,
+) -> Sorted<T> {
+    let mut cut = Cut::new(old.groups.len() * LANES);
+    let mut first = 0;
+    for blocks in layout.blocks.chunk_by(|a, b| a.coord == b.coord) {
+        let is_wrong = &is_wrong[first..first + blocks.len()];
+        first += blocks.len();
+        if !is_wrong.contains(&true) {
+            blocks.iter().for_each(|block| cut.keep(block));
+            continue;
+        }
+        let places = blocks.iter().flat_map(Block::places);
+        // Some may have left the block's cells since the last sort: that they are in its tile is enough.
+        let key = |place: usize| {
+            let x = vec_of(&old.groups[place / LANES].x, place % LANES);
+            model.grid.key(x.map(RealOps::to_f64)).unwrap_or_default()
+        };
+        let mut keys: Vec<u64> = places.map(|place| keyed(key(place), place)).collect();
+        keys.sort_unstable();
+        cut.part(model, bodies, blocks[0].coord, &keys, old);
+    }
+    cut.sorted(model, bodies, old, spare)
+}
+
+/// Sort key, and the particle's place in the old memory order.
+fn keyed(key: u32, place: usize) -> u64 {
+    u64::from(key) << 32 | place as u64
+}
+
+fn block_of(key: u64) -> usize {
+    (key >> 32) as usize / BLOCK_NODES
+}
+
+/// Place in the old memory order of a key's particle.
+fn place_of(key: u64) -> usize {
+    (key & 0xffff_ffff) as usize
+}
+
+/// Blocks, one after another, and from which places their particles come.
+struct Cut {
+    blocks: Vec<Block>,
+    places: Vec<u32>,
+    groups: usize,
+}
+
+impl Cut {
+    fn new(particles: usize) -> Self {
+        Self { blocks: Vec::new(), places: Vec::with_capacity(particles), groups: 0 }
+    }
+
+    fn push(&mut self, coord: Coord, faces: Vec<WallFace>, places: impl Iterator<Item = usize>) {
+        let before = self.places.len();
+        self.places.extend(places.map(|place| place as u32));
+        let (nodes, detours) = ([NO_BLOCK; 27], Vec::new());
+        let particles = self.places.len() - before;
+        let block = Block { coord, faces, first_group: self.groups, particles, nodes, detours };
+        self.groups += block.groups();
+        self.blocks.push(block);
+    }
+
+    /// A block as it was.
+    fn keep(&mut self, block: &Block) {
+        self.push(block.coord, block.faces.clone(), block.places());
+    }
+
+    /// The particles of a block, by the faces that they are before.
+    fn part<T: Real>(
+        &mut self,
+        model: &Model<T>,
+        bodies: &Bodies<T>,
+        coord: Coord,
+        keys: &[u64],
+        old: &Particles<T>,
+    ) {
+        let place = |particle: usize| place_of(keys[particle]);
+        let x = |particle: usize| vec_of(&old.groups[place(particle) / LANES].x, place(particle) % LANES);
+        match walls::parted(model, bodies, coord, x, keys.len()) {
+            None => self.push(coord, Vec::new(), keys.iter().map(|key| place_of(*key))),
+            Some(parts) => parts.into_iter().for_each(|part| {
+                self.push(coord, part.faces, part.particles.iter().map(|particle| place(*particle as usize)));
+            }),
+        }
+    }
+
+    /// Brings the particles there.
+    fn sorted<T: Real>(
+        mut self,
+        model: &Model<T>,
+        bodies: &Bodies<T>,
+        old: &Particles<T>,
+        spare: &mut BufferPool<T>,
+    ) -> Sorted<T> {
+        let mut groups = spare.acquire_groups(self.groups);
+        let mut ids = vec![[EMPTY_LANE; LANES]; self.groups];
+        let mut order = vec![EMPTY_LANE; self.groups * LANES];
+        let mut places = &self.places[..];
+        for block in &self.blocks {
+            let (own, others) = places.split_at(block.particles);
+            places = others;
+            let resting = resting_group(&model.grid, block.coord);
+            let to = &mut groups[block.first_group..block.first_group + block.groups()];
+            to.fill(resting);
+            for (group, places) in own.chunks(LANES).enumerate() {
+                let first = places[0] as usize;
+                let as_they_were = first.is_multiple_of(LANES)
+                    && places.len() == LANES
+                    && places.iter().zip(first..).all(|(place, at)| *place as usize == at);
+                if as_they_were {
+                    to[group] = old.groups[first / LANES];
+                } else {
+                    for (lane, place) in places.iter().enumerate() {
+                        let place = *place as usize;
+                        to[group].copy_lane(lane, &old.groups[place / LANES], place % LANES);
+                    }
+                }
+            }
+            for (at, place) in (block.first_group * LANES..).zip(own) {
+                let from = *place as usize;
+                ids[at / LANES][at % LANES] = old.ids[from / LANES][from % LANES];
+                order[at] = *place;
+            }
+        }
+        let layout = connected(model, bodies, std::mem::take(&mut self.blocks));
+        (Particles { groups, ids: ids.into() }, layout, order)
+    }
 }
 
 /// Padding lanes sit at rest in the middle of their block, so that every formula stays finite there.
@@ -64,28 +180,6 @@ fn resting_group<T: Real>(grid: &Grid, coord: [i32; 3]) -> Group<T> {
         group.x[axis] = Lanes([T::from_f64(origin[axis] + 2.0 * grid.dx); LANES]);
     }
     group
-}
-
-/// Finds the node blocks that the particle blocks touch and links both ways.
-fn connect(grid: &Grid, blocks: &mut [Block]) -> Vec<NodeBlock> {
-    let mut touched: Vec<usize> = blocks
-        .iter()
-        .flat_map(|b| neighbour_offsets().map(|o| grid.index([0, 1, 2].map(|a| b.coord[a] + o[a]))))
-        .collect();
-    touched.sort_unstable();
-    touched.dedup();
-    let mut nodes: Vec<NodeBlock> =
-        touched.iter().map(|i| NodeBlock { coord: grid.coord(*i), tiles: [NO_BLOCK; 27] }).collect();
-    for (b, block) in blocks.iter_mut().enumerate() {
-        for (n, o) in neighbour_offsets().enumerate() {
-            let index = grid.index([0, 1, 2].map(|a| block.coord[a] + o[a]));
-            let at = touched.binary_search(&index).expect("collected above");
-            block.nodes[n] = at as u32;
-            // Seen from the node block, the particle block lies in the opposite direction.
-            nodes[at].tiles[26 - n] = b as u32;
-        }
-    }
-    nodes
 }
 
 /// Cotangents of the particles after a sort, put back into the order before it: into `out`, whatever was there.

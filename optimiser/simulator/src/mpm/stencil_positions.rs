@@ -1,5 +1,6 @@
 //! Where the particles of a group stand in their block's tile, and their weights.
 
+use crate::mpm::layout::BLOCK_EDGE;
 use crate::mpm::particles::{LANES, Lanes, vec_of};
 use crate::mpm::stencil::{Stencil, TILE_EDGE, weight_slopes, weights};
 use crate::real::Real;
@@ -12,6 +13,45 @@ pub(crate) struct StencilPositions<T> {
     pub(crate) start: [i32; LANES],
     /// Distance from that node, in cells.
     pub(crate) f: [Lanes<T>; 3],
+}
+
+/// Between which nodes of a tile the stencils of some particles begin.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Reach {
+    first: [i32; 3],
+    last: [i32; 3],
+}
+
+/// All neighbours of a block: see [`Reach::neighbours`].
+pub(crate) const ALL_NEIGHBOURS: u32 = (1 << 27) - 1;
+
+impl Reach {
+    pub(crate) const NOTHING: Self = Self { first: [i32::MAX; 3], last: [i32::MIN; 3] };
+
+    /// A group more.
+    #[inline(always)]
+    pub(crate) fn add(&mut self, start: &[i32; LANES]) {
+        let edge = TILE_EDGE as i32;
+        for l in 0..LANES {
+            let begins = [start[l] / (edge * edge), start[l] / edge % edge, start[l] % edge];
+            for axis in 0..3 {
+                self.first[axis] = self.first[axis].min(begins[axis]);
+                self.last[axis] = self.last[axis].max(begins[axis]);
+            }
+        }
+    }
+
+    /// Which of the 27 neighbours of the block own nodes that those stencils may have: bit `n` for neighbour `n`.
+    pub(crate) fn neighbours(&self) -> u32 {
+        let along = |axis: usize| {
+            let (first, last) = (self.first[axis], self.last[axis].saturating_add(2));
+            let own = BLOCK_EDGE as i32;
+            [first < 1, first <= own && last >= 1, last > own]
+        };
+        let [x, y, z] = [along(0), along(1), along(2)];
+        let bit = |n: usize| u32::from(x[n / 9] && y[n / 3 % 3] && z[n % 3]) << n;
+        (0..27).fold(0, |bits, n| bits | bit(n))
+    }
 }
 
 /// Weights of a group along the three axes, or their derivatives: axis, node, lane. Found for all lanes at once; the loops

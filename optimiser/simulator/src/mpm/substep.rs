@@ -6,18 +6,20 @@ use rayon::prelude::*;
 
 use crate::mpm::Model;
 use crate::mpm::bodies::Bodies;
+use crate::mpm::connect::connected;
 use crate::mpm::contact::BodyStateBar;
 use crate::mpm::g2p::{TileToParticles, TileToParticlesAdjoint};
 use crate::mpm::grid_update::{UnforcedNodesBar, UpdateNodes, UpdateNodesAdjoint};
-use crate::mpm::layout::{Block, Layout, NodeBlock, Nodes, empty_tile};
+use crate::mpm::layout::{Block, Layout, Nodes, empty_tile};
 use crate::mpm::p2g::{ParticlesToTile, ParticlesToTileAdjoint, ReturnMap, ReturnMapAdjoint};
 use crate::mpm::particles::{Group, LANES, Particles};
 use crate::mpm::sleep::{self, BlockStatus, SleepState};
-use crate::mpm::sort::{EscapedParticle, sort, sort_adjoint};
+use crate::mpm::sort::{EscapedParticle, Sorted, sort, sort_adjoint, sort_by_faces};
 use crate::mpm::spare::{BufferPool, Size, fit, state_bytes};
 use crate::mpm::stencil::Tile;
 use crate::mpm::tiles::Tiles;
 use crate::mpm::timings::{Pass, Stage, StageTimings};
+use crate::mpm::walls::{self, LOOK_EVERY};
 use crate::real::Real;
 
 /// Most blocks in one parallel task. Blocks differ in their particles, so larger tasks would leave threads idle.
@@ -30,9 +32,7 @@ pub(crate) struct State<T> {
     pub(crate) layout: Arc<Layout>,
     /// If the particles were sorted on the way here: where each came from, and how many groups there were.
     pub(crate) sorted_from: Option<(Arc<[u32]>, usize)>,
-    /// The next substep cannot begin before a sort.
-    stale: bool,
-    /// Substeps since the last sort.
+    /// Substeps since the last sort of all.
     age: u32,
     /// Substeps since volumes were held to the grid's density.
     since_held: u32,
@@ -54,25 +54,21 @@ impl<T: Real> State<T> {
     }
 
     /// Sorted state of the given particles.
-    pub(crate) fn new(model: &Model<T>, particles: &Particles<T>) -> Result<Self, EscapedParticle> {
-        let (particles, layout, _) = sort(&model.grid, particles, &mut BufferPool::empty())?;
+    pub(crate) fn new(
+        model: &Model<T>,
+        bodies: &Bodies<T>,
+        particles: &Particles<T>,
+    ) -> Result<Self, EscapedParticle> {
+        let (particles, layout, _) = sort(model, bodies, particles, &mut BufferPool::empty())?;
         let rest = sleep::all_awake(&layout);
-        Ok(Self {
-            particles,
-            layout: Arc::new(layout),
-            sorted_from: None,
-            stale: false,
-            age: 0,
-            since_held: 0,
-            rest,
-        })
+        Ok(Self { particles, layout: Arc::new(layout), sorted_from: None, age: 0, since_held: 0, rest })
     }
 
     /// Nothing, to be written to.
     pub(crate) fn empty() -> Self {
-        let layout = Arc::new(Layout { blocks: Vec::new(), nodes: Vec::new() });
+        let layout = Arc::new(Layout::empty());
         let particles = Particles { groups: Vec::new(), ids: Arc::new([]) };
-        Self { particles, layout, sorted_from: None, stale: false, age: 0, since_held: 0, rest: Vec::new() }
+        Self { particles, layout, sorted_from: None, age: 0, since_held: 0, rest: Vec::new() }
     }
 
     /// The same again.
@@ -99,25 +95,38 @@ impl<T: Real> State<T> {
         self.since_held = (since_held + 1) % HOLD_EVERY;
     }
 
-    /// Sorts if a particle has come to the end of its block's reach.
-    fn sort_if_due(&mut self, model: &Model<T>, spare: &mut BufferPool<T>) -> Result<(), EscapedParticle> {
-        self.sorted_from = None;
-        if self.stale {
-            self.fill();
-            let groups = self.particles.groups.len();
-            let (particles, layout, order) = sort(&model.grid, &self.particles, spare)?;
-            let sorted = Self {
-                rest: sleep::after_sort(&self.rest, &self.layout, &layout, &order, &particles.groups),
-                particles,
-                layout: Arc::new(layout),
-                sorted_from: Some((order.into(), groups)),
-                stale: false,
-                age: 0,
-                since_held: self.since_held,
-            };
-            std::mem::replace(self, sorted).recycle_into(spare);
-        }
+    /// Sorts.
+    fn sort(
+        &mut self,
+        model: &Model<T>,
+        bodies: &Bodies<T>,
+        spare: &mut BufferPool<T>,
+    ) -> Result<(), EscapedParticle> {
+        self.fill();
+        let sorted = sort(model, bodies, &self.particles, spare)?;
+        self.take_over(sorted, spare);
+        self.age = 0;
         Ok(())
+    }
+
+    /// Sorts some blocks by the faces that their particles are before.
+    fn sort_by_faces(
+        &mut self,
+        model: &Model<T>,
+        bodies: &Bodies<T>,
+        is_wrong: &[bool],
+        spare: &mut BufferPool<T>,
+    ) {
+        self.fill();
+        let sorted = sort_by_faces(model, bodies, (&self.particles, &self.layout), is_wrong, spare);
+        self.take_over(sorted, spare);
+    }
+
+    fn take_over(&mut self, (particles, layout, order): Sorted<T>, spare: &mut BufferPool<T>) {
+        self.rest = sleep::after_sort(&self.rest, &self.layout, &layout, &order, &particles.groups);
+        self.sorted_from = Some((order.into(), self.particles.groups.len()));
+        self.layout = Arc::new(layout);
+        spare.return_groups(std::mem::replace(&mut self.particles, particles).groups);
     }
 
     /// Puts the sleepers' particles among the state's own: a state that was written elsewhere than it began lacks them.
@@ -141,18 +150,17 @@ impl<T: Real> State<T> {
     /// These tiles of those who are awake, with the sleepers'.
     #[cfg(test)]
     pub(crate) fn tiles<'a>(&'a self, fresh: &'a [Tile<T>]) -> Tiles<'a, T> {
-        Tiles { fresh, rest: &self.rest, sleepers_send: true }
+        Tiles { fresh, rest: &self.rest, reached: None, sleepers_send: true }
     }
 
     /// What keeping it takes, with what is on its grid. Some of what is beside its vectors, states share.
     pub(crate) fn size(&self, model: &Model<T>) -> Size {
-        let Layout { blocks, nodes } = &*self.layout;
         let groups = self.particles.groups.len();
         let besides = 2 * groups * LANES * size_of::<u32>()
-            + blocks.len() * (size_of::<Block>() + size_of::<SleepState<T>>())
-            + nodes.len() * size_of::<NodeBlock>();
+            + self.layout.blocks.len() * size_of::<SleepState<T>>()
+            + self.layout.bytes();
         let vectors = vectors_on_grid(model.residue.is_some());
-        Size { groups, nodes: nodes.len(), vectors, besides: besides as u64 }
+        Size { groups, nodes: self.layout.nodes.len(), vectors, besides: besides as u64 }
     }
 
     /// Bytes of that.
@@ -202,6 +210,8 @@ impl<T: Real> OnGrid<T> {
 /// Scratch memory of the substeps, reused from one to the next.
 pub(crate) struct Workspace<T> {
     tiles: Vec<Tile<T>>,
+    /// Which neighbours of their blocks hold anything of them.
+    reached: Vec<u32>,
     /// Of momentum without forces, where the velocity residue is given back; else none.
     unforced_tiles: Vec<Tile<T>>,
     /// Of the latest substep.
@@ -241,6 +251,7 @@ impl<T: Real> Workspace<T> {
     pub(crate) fn new() -> Self {
         Self {
             tiles: Vec::new(),
+            reached: Vec::new(),
             unforced_tiles: Vec::new(),
             on_grid: OnGrid::empty(),
             moving: Vec::new(),
@@ -266,6 +277,7 @@ impl<T: Real> Workspace<T> {
 
     fn fit(&mut self, model: &Model<T>, layout: &Layout) {
         fit(&mut self.tiles, layout.blocks.len(), empty_tile());
+        fit(&mut self.reached, layout.blocks.len(), 0);
         if model.residue.is_some() {
             fit(&mut self.unforced_tiles, layout.blocks.len(), empty_tile());
         }
@@ -354,14 +366,39 @@ impl<T: Real> Workspace<T> {
             .unzip();
         self.timings.mark(Stage::GridToParticles);
         state.rest = rest;
-        state.stale = seen.iter().any(|seen| !seen.inside) || state.age >= SORT_EVERY;
-        let sorted = state.sort_if_due(model, &mut self.spare);
-        // After a sort the nodes are others; those who would fall asleep do so in the next substep.
-        if state.sorted_from.is_none() {
-            sleep::fall_asleep(model, &state.layout, velocity, &state.particles.groups, &mut state.rest);
-        }
+        self.keep_in_order(model, bodies, state, seen.iter().any(|seen| !seen.inside))?;
         self.timings.mark(Stage::Sort);
-        sorted
+        Ok(())
+    }
+
+    /// Sorts and links anew what has to be, and lets fall asleep what may.
+    fn keep_in_order(
+        &mut self,
+        model: &Model<T>,
+        bodies: &Bodies<T>,
+        state: &mut State<T>,
+        some_outside: bool,
+    ) -> Result<(), EscapedParticle> {
+        state.sorted_from = None;
+        if some_outside || state.age >= SORT_EVERY {
+            return state.sort(model, bodies, &mut self.spare);
+        }
+        if model.walls.is_some() && state.age.is_multiple_of(LOOK_EVERY) {
+            let groups = &state.particles.groups;
+            let is_wrong = walls::before_other_faces(model, bodies, &state.layout, groups, &state.rest);
+            if is_wrong.contains(&true) {
+                state.sort_by_faces(model, bodies, &is_wrong, &mut self.spare);
+                return Ok(());
+            }
+            if !walls::moving_hide_the_same(model, bodies, &state.layout) {
+                state.layout = Arc::new(connected(model, bodies, state.layout.blocks.clone()));
+                return Ok(());
+            }
+        }
+        // Elsewhere the nodes are others by now; those who would fall asleep do so in the next substep.
+        let velocity = &self.on_grid.velocity;
+        sleep::fall_asleep(model, &state.layout, velocity, &state.particles.groups, &mut state.rest);
+        Ok(())
     }
 
     /// Material, scatter and grid update; leaves momentum and velocity in the workspace.
@@ -376,20 +413,21 @@ impl<T: Real> Workspace<T> {
     ) {
         self.fit(model, layout);
         let unforced = each_if_any(&mut self.unforced_tiles, layout.blocks.len());
-        let tiles = self.tiles.par_iter_mut().zip(unforced);
+        let tiles = self.tiles.par_iter_mut().zip(unforced).zip(&mut self.reached);
         let jobs = split(layout, state).into_par_iter().zip(tiles).zip(&layout.blocks).zip(rest);
         let jobs = jobs.with_max_len(MAX_BLOCKS);
-        jobs.for_each(|(((state, (tile, unforced)), block), rest)| {
+        jobs.for_each(|(((state, ((tile, unforced), reached)), block), rest)| {
             let from = from.map(|from| &from[block.first_group..block.first_group + block.groups()]);
             if !rest.is_asleep() {
-                model.arch.dispatch(ParticlesToTile { model, block, from, state, tile, unforced });
+                *reached = model.arch.dispatch(ParticlesToTile { model, block, from, state, tile, unforced });
             }
         });
         self.timings.mark(Stage::ParticlesToGrid);
         let OnGrid { momentum, velocity, unforced } = &mut self.on_grid;
         let unforced = each_if_any(unforced, layout.nodes.len());
         let unforced_tiles = &self.unforced_tiles[..];
-        let tiles = Tiles { fresh: &self.tiles, rest, sleepers_send: true };
+        let (fresh, reached) = (&self.tiles[..], Some(&self.reached[..]));
+        let tiles = Tiles { fresh, rest, reached, sleepers_send: true };
         let nodes = layout.nodes.par_iter().zip(momentum).zip(velocity).zip(unforced);
         nodes
             .map(|(((node, momentum), velocity), unforced)| {
@@ -437,14 +475,14 @@ impl<T: Real> Workspace<T> {
         let unforced_tiles = each_if_any(&mut self.unforced_tiles, layout.blocks.len());
         let at_particles: Vec<BodyStateBar> = split(layout, bar)
             .into_par_iter()
-            .zip(self.tiles.par_iter_mut().zip(unforced_tiles))
+            .zip(self.tiles.par_iter_mut().zip(unforced_tiles).zip(&mut self.reached))
             .zip(&layout.blocks)
             .zip(&state.rest)
             .with_max_len(MAX_BLOCKS)
             .filter(|(_, rest)| !rest.is_asleep())
-            .map(|(((bar, (tile_bar, unforced_bar)), block), _)| {
+            .map(|(((bar, ((tile_bar, unforced_bar), reached)), block), _)| {
                 let input = &input[block.first_group..block.first_group + block.groups()];
-                model.arch.dispatch(TileToParticlesAdjoint {
+                let (tool_bar, sent_to) = model.arch.dispatch(TileToParticlesAdjoint {
                     model,
                     bodies,
                     block,
@@ -455,11 +493,14 @@ impl<T: Real> Workspace<T> {
                     bar,
                     tile_bar,
                     unforced_bar,
-                })
+                });
+                *reached = sent_to;
+                tool_bar
             })
             .collect();
         self.timings.mark(Stage::GridToParticlesAdjoint);
-        let tiles = Tiles { fresh: &self.tiles, rest: &state.rest, sleepers_send: false };
+        let (fresh, reached) = (&self.tiles[..], Some(&self.reached[..]));
+        let tiles = Tiles { fresh, rest: &state.rest, reached, sleepers_send: false };
         let unforced_tiles = &self.unforced_tiles[..];
         let unforced_bar = each_if_any(&mut self.unforced_bar, layout.nodes.len());
         let at_nodes: Vec<BodyStateBar> = layout
@@ -515,7 +556,12 @@ impl<T: Real> Workspace<T> {
     }
 
     /// Sort, material and their adjoints by themselves, for the measuring tool. Leaves nothing behind.
-    pub(crate) fn alone(&mut self, model: &Model<T>, state: &State<T>) -> Result<(), EscapedParticle> {
+    pub(crate) fn alone(
+        &mut self,
+        model: &Model<T>,
+        bodies: &Bodies<T>,
+        state: &State<T>,
+    ) -> Result<(), EscapedParticle> {
         let (layout, input) = (&state.layout, &state.particles.groups);
         let mut output = std::mem::take(&mut self.unused);
         self.spare.fit_groups(&mut output, input.len());
@@ -531,7 +577,7 @@ impl<T: Real> Workspace<T> {
             model.arch.dispatch(ReturnMapAdjoint { model, input: of_block(block), bar });
         });
         self.timings.mark(Stage::ReturnMapAdjoint);
-        let sorted = sort(&model.grid, &state.particles, &mut self.spare);
+        let sorted = sort(model, bodies, &state.particles, &mut self.spare);
         self.timings.mark(Stage::Sort);
         let (particles, _, order) = sorted?;
         self.spare.return_groups(particles.groups);

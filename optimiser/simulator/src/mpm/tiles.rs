@@ -1,8 +1,11 @@
 //! The tiles of all blocks, those of sleepers among them, and their sums at the nodes.
 
-use crate::mpm::layout::{BLOCK_EDGE, BLOCK_NODES, NodeBlock, Nodes, neighbour_offsets, overlap};
+use crate::mpm::layout::{
+    BLOCK_EDGE, BLOCK_NODES, NodeBlock, NodeSet, Nodes, Source, overlap, places_in_tile,
+};
 use crate::mpm::sleep::SleepState;
 use crate::mpm::stencil::{TILE_EDGE, Tile};
+use crate::mpm::stencil_positions::ALL_NEIGHBOURS;
 use crate::real::Real;
 
 /// The tiles of all blocks: those of this substep, and the sleepers'.
@@ -10,32 +13,47 @@ use crate::real::Real;
 pub(crate) struct Tiles<'a, T> {
     pub(crate) fresh: &'a [Tile<T>],
     pub(crate) rest: &'a [SleepState<T>],
+    /// Of those of this substep, which neighbours of their blocks hold anything of them; all, if nobody knows.
+    pub(crate) reached: Option<&'a [u32]>,
     /// Whether sleepers send anything; in the adjoint they do not.
     pub(crate) sleepers_send: bool,
 }
 
 impl<'a, T: Real> Tiles<'a, T> {
-    /// Tile number `b`, or none where there is no block.
+    /// The tile of a source, or none if it sends nothing.
     #[inline(always)]
-    pub(crate) fn of(&self, b: u32) -> Option<&'a Tile<T>> {
-        match self.rest.get(b as usize)?.tile() {
-            None => self.fresh.get(b as usize),
-            Some(tile) => self.sleepers_send.then_some(tile),
-        }
+    fn of(&self, source: &Source) -> Option<&'a Tile<T>> {
+        let b = source.tile as usize;
+        let (tile, reached) = match self.rest[b].sent() {
+            None => (&self.fresh[b], self.reached.map_or(ALL_NEIGHBOURS, |reached| reached[b])),
+            Some(sent) if self.sleepers_send => sent,
+            Some(_) => return None,
+        };
+        (reached >> (26 - source.neighbour) & 1 == 1).then_some(tile)
     }
 
     /// Whether anyone who is awake reaches a block of nodes.
     #[inline(always)]
     pub(crate) fn any_awake(&self, node: &NodeBlock) -> bool {
-        node.tiles.iter().any(|b| self.rest.get(*b as usize).is_some_and(|rest| !rest.is_asleep()))
+        node.sources.iter().any(|source| !self.rest[source.tile as usize].is_asleep())
     }
 
     /// Adds up the tiles that overlap a node block, in a fixed order.
     #[inline(always)]
     pub(crate) fn sum(&self, node: &NodeBlock) -> Nodes<T> {
         let mut sum = [[T::ZERO; 4]; BLOCK_NODES];
-        for (n, offset) in neighbour_offsets().enumerate() {
-            let Some(tile) = self.of(node.tiles[n]) else { continue };
+        for source in &node.sources {
+            let Some(tile) = self.of(source) else { continue };
+            let neighbour = usize::from(source.neighbour);
+            if source.nodes != NodeSet::MAX {
+                for (n, at) in places_in_tile(neighbour, source.nodes) {
+                    for k in 0..4 {
+                        sum[n][k] += tile[at][k];
+                    }
+                }
+                continue;
+            }
+            let offset = [neighbour / 9, neighbour / 3 % 3, neighbour % 3].map(|o| o as i32 - 1);
             let [(ax, tx, nx), (ay, ty, ny), (az, tz, _)] = offset.map(overlap);
             for i in 0..nx {
                 for j in 0..ny {

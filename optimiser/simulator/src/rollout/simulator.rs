@@ -190,7 +190,10 @@ impl<T: Real> Simulator<T> {
     /// Runs some stages in isolation, to time them.
     pub(crate) fn alone(&mut self, state: &RolloutState<T>) -> Result<(), RolloutError> {
         let lost = |r: &Rollout<'_, T>, lost| lost_error(r.scene, 0, lost, Some(&state.state));
-        let job = |r: &mut Rollout<'_, T>| r.workspace.alone(r.model, &state.state).map_err(|l| lost(r, l));
+        let job = |r: &mut Rollout<'_, T>| {
+            let bodies = r.at_rest(&state.tool);
+            r.workspace.alone(r.model, &bodies, &state.state).map_err(|l| lost(r, l))
+        };
         self.in_pool(job, &mut quiet)
     }
 
@@ -725,10 +728,9 @@ impl<T: Real> Rollout<'_, T> {
 
     /// The powder at rest under a tool that stands still.
     fn settle_under(&mut self, tool: &Pose) -> Result<State<T>, RolloutError> {
-        let particles = Particles::at_rest(self.packing);
-        let mut state =
-            State::new(self.model, &particles).map_err(|l| lost_error::<T>(self.scene, 0, l, None))?;
-        let bodies = Bodies { tool: resting(tool), gates: self.model.gates.at(Moment::Settling) };
+        let (particles, bodies) = (Particles::at_rest(self.packing), self.at_rest(tool));
+        let mut state = State::new(self.model, &bodies, &particles)
+            .map_err(|l| lost_error::<T>(self.scene, 0, l, None))?;
         let per_step = self.scene.time.substeps as usize;
         for substep in 0..self.scene.time.settle_steps() as usize * per_step {
             if substep.is_multiple_of(per_step) {
@@ -738,6 +740,11 @@ impl<T: Real> Rollout<'_, T> {
             self.step(&mut state, substep, &bodies)?;
         }
         Ok(state)
+    }
+
+    /// A tool that stands still, and the gates before the motion.
+    fn at_rest(&self, tool: &Pose) -> Bodies<T> {
+        Bodies { tool: resting(tool), gates: self.model.gates.at(Moment::Settling) }
     }
 
     fn step(&mut self, state: &mut State<T>, substep: usize, bodies: &Bodies<T>) -> Result<(), RolloutError> {

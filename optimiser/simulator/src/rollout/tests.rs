@@ -16,12 +16,12 @@ use crate::rollout::{
     Snapshot, gradcheck, loss, outcome, quiet,
 };
 use crate::scene::{
-    Aim, Cuboid, Flow, Infeasible, Scene, Tool, ToolShape, Transfer, VolumeCorrection, YieldSurface,
+    Aim, Cuboid, Flow, Infeasible, Scene, Tool, ToolShape, Transfer, VolumeCorrection, Walls, YieldSurface,
 };
 use crate::skill::{SkillMap, SkillParameter, Theta};
 
-/// The small bench with the paper's powder, which is viscous, and with every part of it that can be another.
-fn benches() -> [Scene; 3] {
+/// The small bench with the paper's powder, which is viscous, and with every part of it that can be another; and with walls of two sides.
+fn benches() -> [Scene; 5] {
     let mut scene = Scene::load("bench-small").expect("shipped");
     scene.powder.yield_surface = YieldSurface::DruckerPrager;
     scene.powder.volume_correction = VolumeCorrection::Strain;
@@ -33,7 +33,13 @@ fn benches() -> [Scene; 3] {
     let mut gets_back = other.clone();
     gets_back.powder.transfer = Some(Transfer { residue_time_s: 0.05 });
     gets_back.powder.flow = Some(Flow { grain_diameter_m: 5e-4, grain_density_kg_m3: 1667.0 });
-    [scene, other, gets_back]
+    let two_sided = |scene: &Scene| {
+        let mut scene = scene.clone();
+        scene.domain.walls = Walls::TwoSided;
+        scene
+    };
+    let [of_simple, of_all] = [two_sided(&scene), two_sided(&gets_back)];
+    [scene, other, gets_back, of_simple, of_all]
 }
 
 #[test]

@@ -127,11 +127,29 @@ pub struct Domain {
     /// Width over which contact with tool and containers fades out beyond a surface, in cells; 0.01
     /// to 2, typically 0.25.
     pub contact_band_cells: f64,
+    /// Whether powder on one side of a wall has its own grid nodes; [`Walls::Shared`] if the file does not say.
+    #[serde(default)]
+    pub walls: Walls,
     /// Blocks of powder (4 x 4 x 4 cells) that stay slower than this for 0.03 s fall asleep: their
     /// particles stay as they are, at rest to within this speed, and cost nothing. They wake when
     /// the tool, or a gate that moves, comes within two cells, a gate as near vanishes, a node of
     /// theirs moves or a particle arrives. m/s; 0 to 0.01, typically 0.002; 0: never.
     pub sleep_speed_m_s: f64,
+}
+
+/// What the two sides of a wall have to do with each other: of containers, gates, and the tool without its handle.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum Walls {
+    /// Both share the grid's nodes in it. A sixth of a pressure is felt on the other side, powder lets go of
+    /// walls late, and is packed too densely on those that are curved.
+    #[default]
+    Shared,
+    /// Powder on either side has nodes of its own: nothing is felt through a wall, and powder that lets go falls freely. Who is on which
+    /// side is looked at every few substeps; where somebody changes sides the forward pass has a small jump, which the exact adjoint, as
+    /// any derivative, does not see. The source has the definitions, in `mpm/walls.rs`.
+    TwoSided,
 }
 
 /// Powder: its initial box, its sampling by particles and its material.

@@ -1,7 +1,10 @@
 //! The signed distance of a hemispherical shell.
 
+use super::round::bend;
 use super::signed_distance::{Scalar, SignedDistance, norm2, norm3};
+use super::{Face, Plane, Round, Shape};
 use crate::real::Real;
+use crate::small::Vec3;
 
 /// Hemispherical shell, open towards +z, centre of the sphere at the origin, rim rounded.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,5 +51,30 @@ impl<T: Real> SignedDistance<T> for Bowl<T> {
     #[inline(always)]
     fn half_thickness(&self) -> Option<T> {
         Some(self.half)
+    }
+
+    #[inline(always)]
+    fn bend(&self, y: Vec3<T>) -> [T; 2] {
+        let length = norm3::<T, T>(y);
+        let sign = if length < self.radius { -T::ONE } else { T::ONE };
+        bend(length, sign, T::from_f64(2.0)).map(|bend| bend.only_if(y[2] <= T::ZERO))
+    }
+
+    /// Inner and outer, and on top of the rim.
+    #[inline(always)]
+    fn face(&self, y: Vec3<T>) -> i32 {
+        let outer = norm3::<T, T>(y) > self.radius;
+        let over_rim = (norm2::<T, T>(y[0], y[1]) - self.radius).abs() <= self.half;
+        let above = (if over_rim { Face::RIM } else { Face::EDGE }).number() as i32;
+        if y[2] > T::ZERO { above } else { i32::from(outer) }
+    }
+
+    fn continued(&self, face: Face) -> Option<Shape<T>> {
+        let round = |radius, sign| Shape::Round(Round { radius, sign, along_z: T::ONE });
+        match face.number() {
+            0 => Some(round(self.radius - self.half, -T::ONE)),
+            1 => Some(round(self.radius + self.half, T::ONE)),
+            _ => (face == Face::RIM).then(|| Shape::Plane(Plane::across(2, self.half, false))),
+        }
     }
 }

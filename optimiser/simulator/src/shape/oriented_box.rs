@@ -1,9 +1,11 @@
 //! The signed distance of a box that is turned.
 
+use super::face::box_face;
 use super::signed_distance::{Scalar, SignedDistance};
 use super::slab::slab;
+use super::{Face, Plane, Shape};
 use crate::real::Real;
-use crate::small::{Mat3, Vec3, three};
+use crate::small::{Mat3, Vec3, dot, mul_vec, scale, sub, three};
 
 /// A box that is turned: its axes are the rows of `axes`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,5 +39,16 @@ impl<T: Real> SignedDistance<T> for OrientedBox<T> {
     #[inline(always)]
     fn half_thickness(&self) -> Option<T> {
         Some(self.half[0].at_most(self.half[1]).at_most(self.half[2]))
+    }
+
+    #[inline(always)]
+    fn face(&self, y: Vec3<T>) -> i32 {
+        box_face(mul_vec(&self.axes, sub(y, self.centre)), self.half)
+    }
+
+    fn continued(&self, face: Face) -> Option<Shape<T>> {
+        let (k, low) = face.of_box();
+        let normal = scale(if low { -T::ONE } else { T::ONE }, *self.axes.get(k)?);
+        Some(Shape::Plane(Plane { normal, offset: dot(normal, self.centre) + self.half[k] }))
     }
 }

@@ -2,7 +2,9 @@
 
 use core::ops::{Add, Mul, Neg, Sub};
 
+use super::{Face, Shape};
 use crate::real::{Real, RealOps};
+use crate::small::Vec3;
 
 /// What a signed distance may do with its numbers.
 pub(crate) trait Scalar<T: Real>:
@@ -109,6 +111,24 @@ pub(crate) trait SignedDistance<T: Real>: Copy + Sync {
 
     /// Half the wall thickness; none for what has no second side.
     fn half_thickness(&self) -> Option<T>;
+
+    /// Number of the [`Face`] that a point is before; of what has one side, one that has no opposite.
+    #[inline(always)]
+    fn face(&self, _y: Vec3<T>) -> i32 {
+        Face::RIM.number() as i32
+    }
+
+    /// The distance's Laplacian, 1/m, and its derivative along the normal, 1/m^2: how the surface bends; 0 of flat faces, and of edges,
+    /// whose bend has no scale.
+    #[inline(always)]
+    fn bend(&self, _y: Vec3<T>) -> [T; 2] {
+        [T::ZERO; 2]
+    }
+
+    /// What a face bounds if it goes on beyond its edges; none of what has one side.
+    fn continued(&self, _face: Face) -> Option<Shape<T>> {
+        None
+    }
 }
 
 /// Keeps a division by a length of zero finite; a length this small is on the edge or axis itself.

@@ -107,8 +107,9 @@ impl<T: Real> Rig<T> {
     pub(super) fn new(scene: SceneSpec, particles: &[[f64; 3]]) -> Result<Self, Halt> {
         let scene = scene.unchecked();
         let model = Model::new(&scene);
-        let state = State::new(&model, &Particles::at_rest(particles))?;
-        Ok(Self { scene, model, state, workspace: Workspace::new(), bodies: away(), forgets_volume: false })
+        let bodies = away();
+        let state = State::new(&model, &bodies, &Particles::at_rest(particles))?;
+        Ok(Self { scene, model, state, workspace: Workspace::new(), bodies, forgets_volume: false })
     }
 
     /// The same between sides without friction; the floor keeps its own.
@@ -173,7 +174,8 @@ impl<T: Real> Rig<T> {
             all.groups[last].copy_lane(n % LANES, &old.groups[g], l);
             ids[last][n % LANES] = id;
         }
-        self.state = State::new(&self.model, &Particles { groups: all.groups, ids: ids.into() })?;
+        let all = Particles { groups: all.groups, ids: ids.into() };
+        self.state = State::new(&self.model, &self.bodies, &all)?;
         Ok(())
     }
 

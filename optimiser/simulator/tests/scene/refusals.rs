@@ -272,6 +272,11 @@ const SINGLE_FIELDS: &[Case] = &[
         ": domain.contact_band_cells is 0, but it must be from 0.01 to 2",
     ),
     (
+        "contact_band_cells = 0.25",
+        "contact_band_cells = 0.25\nwalls = \"two_side\"",
+        ": domain.walls at line 11: unknown variant `two_side`; did you mean `two_sided`? Possible are `shared`, `two_sided`",
+    ),
+    (
         "sleep_speed_m_s = 0.0002",
         "sleep_speed_m_s = 0.2",
         ": domain.sleep_speed_m_s is 0.2, but it must be from 0 to 0.01",

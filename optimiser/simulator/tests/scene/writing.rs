@@ -2,7 +2,7 @@
 
 use powderline_simulator::scene::{
     Aim, Amount, ContainerShape, EMBEDDED_SCENES, FillShape, Flow, Gate, GateOpening, GateShape, Observation,
-    Quantity, Scene, ToolShape, Transfer, VolumeCorrection, YieldSurface,
+    Quantity, Scene, ToolShape, Transfer, VolumeCorrection, Walls, YieldSurface,
 };
 use proptest::prelude::*;
 
@@ -26,6 +26,9 @@ fn arbitrary_scene() -> impl Strategy<Value = Scene> {
                 scene.powder.flow =
                     Some(Flow { grain_diameter_m: 5e-4 + 1e-4 * small, grain_density_kg_m3: 1600.0 });
                 scene.powder.transfer = Some(Transfer { residue_time_s: 0.05 + 0.1 * small });
+            }
+            if column {
+                scene.domain.walls = Walls::TwoSided;
             }
             if scoop {
                 scene.powder.cohesion_pa = 7.0;

@@ -86,7 +86,7 @@ fn pile_deg(friction_angle_deg: f64, flow: Option<Flow>) -> f64 {
     let model: Model<f32> = Model::new(&scene);
     let mut positions = even_lattice([0.06, 0.06, 0.0], [0.1, 0.1, 0.024]);
     positions.retain(|p| (p[0] - 0.08).hypot(p[1] - 0.08) < 0.016);
-    let mut state = State::new(&model, &Particles::at_rest(&positions)).unwrap();
+    let mut state = State::new(&model, &far_away(), &Particles::at_rest(&positions)).unwrap();
     advance(&model, &far_away(), &mut state, 1600);
     let end = state.particles.positions_by_id();
     let mut heights: Vec<f64> = end.iter().map(|p| p[2]).collect();
@@ -143,7 +143,7 @@ fn cut_moved(powder: &Powder) -> f64 {
         .filter(|(_, x)| x[2] > height + bed - 0.004 && x[0] > 0.044 && x[0] < 0.048)
         .map(|(id, _)| id)
         .collect();
-    let mut state = State::new(&model, &Particles::at_rest(&positions)).unwrap();
+    let mut state = State::new(&model, &far_away(), &Particles::at_rest(&positions)).unwrap();
     let g = model.gravity_dt;
     let mut workspace = Workspace::new();
     let ramp = (0.3 / scene.time.substep_s()) as usize;

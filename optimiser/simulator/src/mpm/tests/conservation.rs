@@ -32,7 +32,7 @@ fn cloud_in<T: Real>(scene: &Scene) -> (Model<T>, State<T>) {
     let model = Model::<T>::new(scene);
     assert!(model.viscous_loss > T::ZERO);
     let points = lattice([0.022, 0.023, 0.021], [0.042, 0.043, 0.039], 0.002, &mut dice);
-    let mut state = State::new(&model, &Particles::at_rest(&points)).unwrap();
+    let mut state = State::new(&model, &far_away(), &Particles::at_rest(&points)).unwrap();
     let places: Vec<_> = state.particles.occupied().collect();
     for (g, l, _) in places {
         for k in 3..21 {

@@ -37,7 +37,7 @@ fn go_on<T: Real>(model: &Model<T>, state: &mut State<T>, substeps: std::ops::Ra
 
 /// The powder after so many substeps of settling.
 fn settled<T: Real>(model: &Model<T>, points: &[[f64; 3]], substeps: usize) -> State<T> {
-    let mut state = State::new(model, &Particles::at_rest(points)).unwrap();
+    let mut state = State::new(model, &bodies(model, Moment::Settling), &Particles::at_rest(points)).unwrap();
     let mut workspace = Workspace::new();
     for _ in 0..substeps {
         workspace.substep(model, &bodies(model, Moment::Settling), &mut state).unwrap();

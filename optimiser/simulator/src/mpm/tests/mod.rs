@@ -272,7 +272,7 @@ struct Settled {
 /// Every particle after `substeps` without a tool.
 fn settle(scene: &Scene, positions: &[[f64; 3]], substeps: usize) -> Vec<Settled> {
     let model: Model<f64> = Model::new(scene);
-    let mut state = State::new(&model, &Particles::at_rest(positions)).unwrap();
+    let mut state = State::new(&model, &far_away(), &Particles::at_rest(positions)).unwrap();
     advance(&model, &far_away(), &mut state, substeps);
     let mut out = vec![Settled { x: [0.0; 3], stress: [0.0; 6] }; positions.len()];
     for (g, l, id) in state.particles.occupied() {

@@ -39,7 +39,7 @@ fn bed_and_lump() -> (Vec<[f64; 3]>, usize) {
 
 /// After so many substeps without a tool.
 fn rested(model: &Model<f64>, points: &[[f64; 3]], substeps: usize) -> State<f64> {
-    let mut state = State::new(model, &Particles::at_rest(points)).unwrap();
+    let mut state = State::new(model, &far_away(), &Particles::at_rest(points)).unwrap();
     advance(model, &far_away(), &mut state, substeps);
     state
 }
@@ -98,7 +98,7 @@ fn what_falls_on_sleepers_wakes_them_and_comes_to_rest_as_on_those_awake() {
 fn falls_on_sleepers(sleep_speed: f64, transfer: Option<Transfer>) {
     let [sleepy, wakeful] = [sleep_speed, 0.0].map(|speed| model_with(speed, transfer));
     let (points, count) = bed_and_lump();
-    let mut state = State::new(&sleepy, &Particles::at_rest(&points)).unwrap();
+    let mut state = State::new(&sleepy, &far_away(), &Particles::at_rest(&points)).unwrap();
     let mut workspace = Workspace::new();
     let (mut sleepers, mut awake) = (0, 0);
     for substep in 0..1200 {
@@ -140,7 +140,7 @@ fn cotangents_of_sleepers_stay_and_those_of_others_are_what_they_are_without_the
         (0..22).for_each(|k| super::row(&mut bar[g], k)[l] = dice.roll());
     }
     let before = bar.clone();
-    let mut wide_awake = State::new(&wakeful, &state.particles).unwrap();
+    let mut wide_awake = State::new(&wakeful, &far_away(), &state.particles).unwrap();
     assert_eq!(asleep(&wide_awake), 0);
     wide_awake.particles = state.particles.clone();
     wide_awake.layout = state.layout.clone();
@@ -169,7 +169,7 @@ fn a_sort_wakes_only_blocks_whose_particles_change() {
     let blocks = state.layout.blocks.len();
     let kept = |state: &State<f64>| {
         let (particles, layout, order) =
-            sort(&model.grid, &state.particles, &mut BufferPool::empty()).unwrap();
+            sort(&model, &far_away(), &state.particles, &mut BufferPool::empty()).unwrap();
         let rest = sleep::after_sort(state.rest(), &state.layout, &layout, &order, &particles.groups);
         // Sleepers are the particles that the sort puts there, in its order.
         let mut groups = particles.groups.clone();

@@ -24,7 +24,7 @@ use crate::mpm::tests::{
     to_tiles,
 };
 use crate::real::Real;
-use crate::scene::{Flow, Transfer, VolumeCorrection, YieldSurface};
+use crate::scene::{Flow, Transfer, VolumeCorrection, Walls, YieldSurface};
 use crate::shape::SignedDistance;
 use crate::small::{Mat3, Vec3, mul_vec, sub, tr_mul_vec};
 
@@ -135,27 +135,29 @@ fn stir(state: &mut State<f64>, dice: &mut Dice) {
 }
 
 /// What can be another in a powder: its yield surface, its volume correction, whether it gets its velocity residue back, whether it
-/// has two angles.
-type Law = (YieldSurface, VolumeCorrection, Option<Transfer>, Option<Flow>);
+/// has two angles; and its walls.
+type Law = (YieldSurface, VolumeCorrection, Option<Transfer>, Option<Flow>, Walls);
 
 const GIVEN_BACK: Option<Transfer> = Some(Transfer { residue_time_s: 0.01 });
 /// Grains so large that at the rates here the slope is between both.
 const TWO_ANGLES: Option<Flow> = Some(Flow { grain_diameter_m: 2e-2, grain_density_kg_m3: 1667.0 });
 
 /// Powders of every law.
-const POWDERS: [Law; 6] = [
-    (YieldSurface::DruckerPrager, VolumeCorrection::Strain, None, None),
-    (YieldSurface::MatsuokaNakai, VolumeCorrection::Strain, None, None),
-    (YieldSurface::DruckerPrager, VolumeCorrection::Grid, None, None),
-    (YieldSurface::DruckerPrager, VolumeCorrection::Strain, GIVEN_BACK, None),
-    (YieldSurface::MatsuokaNakai, VolumeCorrection::Strain, None, TWO_ANGLES),
-    (YieldSurface::MatsuokaNakai, VolumeCorrection::Grid, GIVEN_BACK, TWO_ANGLES),
+const POWDERS: [Law; 8] = [
+    (YieldSurface::DruckerPrager, VolumeCorrection::Strain, None, None, Walls::Shared),
+    (YieldSurface::MatsuokaNakai, VolumeCorrection::Strain, None, None, Walls::Shared),
+    (YieldSurface::DruckerPrager, VolumeCorrection::Grid, None, None, Walls::Shared),
+    (YieldSurface::DruckerPrager, VolumeCorrection::Strain, GIVEN_BACK, None, Walls::Shared),
+    (YieldSurface::MatsuokaNakai, VolumeCorrection::Strain, None, TWO_ANGLES, Walls::Shared),
+    (YieldSurface::MatsuokaNakai, VolumeCorrection::Grid, GIVEN_BACK, TWO_ANGLES, Walls::Shared),
+    (YieldSurface::DruckerPrager, VolumeCorrection::Strain, None, None, Walls::TwoSided),
+    (YieldSurface::MatsuokaNakai, VolumeCorrection::Grid, GIVEN_BACK, TWO_ANGLES, Walls::TwoSided),
 ];
 
 /// A bowl that pushes down and forward into stirred powder on the floor, tilted, turning. Where volume is held to the grid's density,
 /// every seventh particle believes to be looser than it is; the others lie looser than they believe.
 fn scooping_of(
-    (yield_surface, volume_correction, transfer, flow): Law,
+    (yield_surface, volume_correction, transfer, flow, walls): Law,
 ) -> (Model<f64>, State<f64>, Bodies<f64>) {
     let mut dice = Dice::new(71);
     let mut scene = empty_bench([0.064; 3]);
@@ -163,6 +165,7 @@ fn scooping_of(
     scene.powder.volume_correction = volume_correction;
     scene.powder.transfer = transfer;
     scene.powder.flow = flow;
+    scene.domain.walls = walls;
     let model = Model::<f64>::new(&scene);
     let tool = BodyState {
         velocity: [0.12, 0.03, -0.1],
@@ -181,14 +184,15 @@ fn scooping_of(
     };
     let points = lattice([0.017, 0.021, 0.001], [0.045, 0.045, 0.019], 0.0023, &mut dice);
     let points: Vec<_> = points.into_iter().filter(clear).collect();
-    let mut state = State::new(&model, &Particles::at_rest(&points)).unwrap();
+    let bodies = Bodies { tool, gates: Vec::new() };
+    let mut state = State::new(&model, &bodies, &Particles::at_rest(&points)).unwrap();
     stir(&mut state, &mut dice);
     if model.holds_volume {
         for (g, l, _) in state.particles.clone().occupied().filter(|(.., id)| id % 7 == 0) {
             state.particles.groups[g].q[0][l] = 0.6;
         }
     }
-    (model, state, Bodies { tool, gates: Vec::new() })
+    (model, state, bodies)
 }
 
 /// Three numbers along each axis.
@@ -453,7 +457,7 @@ fn tile_units(model: &Model<f64>) -> [f64; 4] {
 
 #[test]
 fn grid_update_has_taylor_slope_two_in_momentum_mass_and_the_tools_motion() {
-    [POWDERS[0], POWDERS[2]].into_iter().for_each(grid_update_gradient);
+    [POWDERS[0], POWDERS[2], POWDERS[6], POWDERS[7]].into_iter().for_each(grid_update_gradient);
 }
 
 fn grid_update_gradient(powder: Law) {
@@ -618,7 +622,7 @@ fn grid_to_particle_gradient(powder: Law) {
     for (block, (tile_bar, unforced_bar)) in state.layout.blocks.iter().zip(both) {
         let range = block.first_group..block.first_group + block.groups();
         let input = &state.particles.groups[range.clone()];
-        tool_bar.add(&model.arch.dispatch(TileToParticlesAdjoint {
+        let (of_tool, _) = model.arch.dispatch(TileToParticlesAdjoint {
             model: &model,
             bodies: &bodies,
             block,
@@ -629,7 +633,8 @@ fn grid_to_particle_gradient(powder: Law) {
             bar: &mut bar[range],
             tile_bar,
             unforced_bar: model.residue.map(|_| unforced_bar),
-        }));
+        });
+        tool_bar.add(&of_tool);
     }
     // Only the cotangents of positions, of volume where it is held, and of velocities where they get something back are results of
     // this stage.
@@ -732,7 +737,7 @@ fn flying_cloud() -> (Model<f64>, State<f64>) {
     let mut model = Model::<f64>::new(&scene);
     model.material = Material::new(1e4, 0.2, 0.6, 4e3 / libm::tan(0.6), YieldSurface::DruckerPrager);
     let points = lattice([0.014, 0.016, 0.018], [0.026, 0.028, 0.030], 0.003, &mut dice);
-    let mut state = State::new(&model, &Particles::at_rest(&points)).unwrap();
+    let mut state = State::new(&model, &far_away(), &Particles::at_rest(&points)).unwrap();
     let middle = [0.020, 0.022, 0.024];
     let places: Vec<_> = state.particles.occupied().collect();
     for (g, l, _) in places {
@@ -777,9 +782,9 @@ fn cotangents_survive_sorting() {
     for substep in 0..SUBSTEPS {
         let groups = state.particles.groups.len();
         let order = if substep < 20 && substep % 2 == 1 {
-            let (_, _, order) = sort(&model.grid, &state.particles, &mut BufferPool::empty()).unwrap();
+            let (_, _, order) = sort(&model, &bodies, &state.particles, &mut BufferPool::empty()).unwrap();
             own += usize::from(order.iter().enumerate().any(|(to, from)| to as u32 != *from));
-            state = State::new(&model, &state.particles).unwrap();
+            state = State::new(&model, &bodies, &state.particles).unwrap();
             order
         } else {
             (0..groups * crate::mpm::particles::LANES).map(|i| i as u32).collect()

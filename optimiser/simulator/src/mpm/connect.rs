@@ -1,0 +1,135 @@
+//! Which tiles add to which blocks of nodes, and the layers of these.
+
+use crate::mpm::Model;
+use crate::mpm::bodies::Bodies;
+use crate::mpm::layers::{Class, layers};
+use crate::mpm::layout::{
+    Block, Detour, HiddenBy, Layout, NodeBlock, NodeSet, Source, WallFace, neighbour_offsets, shared_nodes,
+};
+use crate::mpm::walls::{hidden_of, moving_hidden};
+use crate::real::Real;
+use crate::shape::Face;
+
+/// Finds the node blocks that the particle blocks touch, with their layers, and links both ways.
+pub(crate) fn connected<T: Real>(model: &Model<T>, bodies: &Bodies<T>, mut blocks: Vec<Block>) -> Layout {
+    let grid = &model.grid;
+    let around = |b: &Block| {
+        let coord = b.coord;
+        neighbour_offsets().map(move |o| grid.index([0, 1, 2].map(|a| coord[a] + o[a])))
+    };
+    let mut touched: Vec<usize> = blocks.iter().flat_map(around).collect();
+    touched.sort_unstable();
+    touched.dedup();
+    let mut sources: Vec<Vec<Source>> = vec![Vec::new(); touched.len()];
+    for (tile, block) in (0..).zip(&mut blocks) {
+        for (n, index) in around(block).enumerate() {
+            let at = touched.binary_search(&index).expect("collected above");
+            block.nodes[n] = at as u32;
+            // Seen from the node block, the particle block lies in the opposite direction.
+            sources[at].push(Source { tile, neighbour: 26 - n as u8, nodes: NodeSet::MAX });
+        }
+        block.detours.clear();
+    }
+    let moving = moving_hidden(model, bodies, &blocks, touched.iter().map(|index| grid.coord(*index)));
+    let sets = FaceSets::of(&blocks);
+    let mut nodes: Vec<NodeBlock> = Vec::with_capacity(touched.len());
+    let (mut first_layers, mut later) = (Vec::with_capacity(touched.len()), &moving[..]);
+    for (index, sources) in touched.iter().zip(sources) {
+        let here = later.iter().take_while(|by| by.block as usize == *index).count();
+        let (hiding, rest) = later.split_at(here);
+        later = rest;
+        first_layers.push(nodes.len() as u32);
+        add_layers(model, (*index, hiding), sources, &sets, &mut blocks, &mut nodes);
+    }
+    for block in &mut blocks {
+        for at in &mut block.nodes {
+            *at = first_layers[*at as usize];
+        }
+    }
+    Layout { blocks, nodes, moving }
+}
+
+/// The sets of faces that particles of some block are before.
+struct FaceSets {
+    sets: Vec<Vec<WallFace>>,
+    /// Number of each block's.
+    of_block: Vec<u32>,
+}
+
+impl FaceSets {
+    fn of(blocks: &[Block]) -> Self {
+        let mut sets: Vec<Vec<WallFace>> = Vec::new();
+        let mut number = |block: &Block| {
+            let known = sets.iter().position(|set| *set == block.faces);
+            known.unwrap_or_else(|| {
+                sets.push(block.faces.clone());
+                sets.len() - 1
+            }) as u32
+        };
+        let of_block = blocks.iter().map(&mut number).collect();
+        Self { sets, of_block }
+    }
+
+    fn face(&self, set: u32, piece: u16) -> Option<Face> {
+        self.sets[set as usize].iter().find(|face| face.piece == piece).map(|face| face.face)
+    }
+}
+
+/// Adds the layers of a block of nodes, and to the particle blocks their detours.
+fn add_layers<T: Real>(
+    model: &Model<T>,
+    (index, hiding): (usize, &[HiddenBy]),
+    sources: Vec<Source>,
+    sets: &FaceSets,
+    blocks: &mut [Block],
+    nodes: &mut Vec<NodeBlock>,
+) {
+    let coord = model.grid.coord(index);
+    // Sets of faces of those who send here, and the nodes that they reach.
+    let mut senders: Vec<(u32, NodeSet)> = Vec::new();
+    let set_of = |source: &Source| sets.of_block[source.tile as usize];
+    for source in &sources {
+        let reach = shared_nodes(source.neighbour.into());
+        match senders.iter_mut().find(|(set, _)| *set == set_of(source)) {
+            Some((_, nodes)) => *nodes |= reach,
+            None => senders.push((set_of(source), reach)),
+        }
+    }
+    let is_before_it = |piece: u16| senders.iter().any(|(set, _)| sets.face(*set, piece).is_some());
+    let pieces = hidden_of(model, index, hiding, is_before_it);
+    if pieces.is_empty() {
+        nodes.push(NodeBlock { coord, sources, sides: Vec::new() });
+        return;
+    }
+    let mut classes: Vec<Class> = Vec::new();
+    let mut class_of = vec![0; sets.sets.len()];
+    for (set, reach) in senders {
+        let faces: Vec<_> = pieces.iter().map(|(piece, _)| sets.face(set, *piece)).collect();
+        let known = classes.iter().position(|class| class.faces == faces);
+        class_of[set as usize] = known.unwrap_or(classes.len());
+        match known {
+            Some(class) => classes[class].reach |= reach,
+            None => classes.push(Class { faces, reach }),
+        }
+    }
+    let found = layers(&classes, &pieces);
+    let first = nodes.len();
+    for (layer, sides) in found.sides.into_iter().enumerate() {
+        let mut in_layer = Vec::with_capacity(sources.len());
+        for source in &sources {
+            let shared = shared_nodes(source.neighbour.into());
+            let of_class = &found.of_class[class_of[set_of(source) as usize]];
+            let own = shared & of_class.get(layer).unwrap_or(&0);
+            if own == 0 {
+                continue;
+            }
+            in_layer.push(Source { nodes: if own == shared { NodeSet::MAX } else { own }, ..*source });
+            if layer > 0 {
+                let node_block = (first + layer) as u32;
+                let detour = Detour { neighbour: 26 - source.neighbour, node_block, nodes: own };
+                blocks[source.tile as usize].detours.push(detour);
+            }
+        }
+        nodes.push(NodeBlock { coord, sources: in_layer, sides });
+    }
+}
