@@ -130,7 +130,7 @@ impl RunState {
         let tries = |epoch: &Evaluated| epoch.rounds.iter().flatten().all(Try::is_sound);
         self.epochs.len() <= self.settings.epochs as usize + 1
             && !(self.settled && self.epochs.is_empty())
-            && !(self.finished && !self.is_done())
+            && (!self.finished || self.is_done())
             && (0..).zip(&self.epochs).all(|(epoch, one)| one.record.is_sound(epoch) && tries(one))
     }
 }
