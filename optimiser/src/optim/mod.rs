@@ -12,11 +12,12 @@
 //!
 //! ```
 //! use powderline_optimiser::optim::{Found, Method, Problem};
-//! use powderline_simulator::{rollout::{Simulate, Simulator, SimulatorSettings}, scene::Scene, skill::Theta};
+//! use powderline_shared::plan::Precision;
+//! use powderline_simulator::{rollout::{SimulatorSettings, boxed_simulator}, scene::Scene, skill::Theta};
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! let scene = Scene::load("bench-small")?;
-//! let mut simulator = Simulator::<f32>::new(&scene, &SimulatorSettings::default())?;
+//! let mut simulator = boxed_simulator(&scene, Precision::F32, &SimulatorSettings::default())?;
 //! let mut search = Method::Random.search(&Problem::new(&scene, 1));
 //! for _ in 0..1 {
 //!     let trials = search.ask(false);
