@@ -1,12 +1,12 @@
 //! Coarse first, fine second: a search by what a [`Surrogate`] guesses of two worlds.
 //!
 //! Epoch 0 makes [`FIRST_TRIALS`] in the coarse world: the skill that the seed draws, and others all over the range. Each further
-//! epoch makes [`COARSE_TRIALS`] there, the first where the surrogate guesses the lowest loss, the others where it expects most gain
+//! epoch makes [`COARSE_TRIALS`] there, the first where the surrogate expects the lowest loss, the others where it expects most gain
 //! below the best known (expected improvement; Mockus 1975, Jones et al. 1998), each as if those before had come out as guessed. After
 //! [`COARSE_EPOCHS`] the coarse world has told what it can.
 //!
-//! From then on each epoch makes [`FINE_TRIALS`] in the scene itself, as a plan would ship them: at first where the guess is lowest, and where
-//! it is lowest farther away, in case the former is not what it seems; then where it is lowest and where most is to be gained, both within a
+//! From then on each epoch makes [`FINE_TRIALS`] in the scene itself, as a plan would ship them: at first where the lowest loss is expected, and
+//! where it is farther away, in case the former is not what it seems; then where it is and where most is to be gained, both within a
 //! box about the best skill of that world, of a third of the range at first. The surrogate learns what the
 //! worlds differ by. How far it is to be believed, each epoch tells: where less than half of the fall came that was guessed, the box is
 //! halved, else it grows by half (a trust region: Conn, Gould and Toint 2000; with models of two worlds: Alexandrov et al. 1998).
@@ -32,8 +32,10 @@ const COARSE_EPOCHS_WITHOUT_POWDER: u32 = 14;
 /// How far from the middle the first trials go.
 const FIRST_RANGE: f64 = 0.8;
 
-/// Half the edge of the box in which the scene itself is searched: at first and at most, and how it changes.
+/// Half the edge of the box in which the scene itself is searched: at first and at most, at the least, and how it changes. In the smallest
+/// box what arrives still changes by more than its noise.
 const WIDEST_BOX: f64 = 0.3;
+const LEAST_BOX: f64 = 0.05;
 const SHRINKING: f64 = 0.5;
 const GROWING: f64 = 1.5;
 
@@ -126,14 +128,14 @@ impl CoarseToFine {
             let best = known
                 .best(&self.edge)
                 .map_or((self.problem.first.clone(), 0.0), |(at, loss)| (at.clone(), loss));
+            let draws = self.draws();
             let point = match points.len() {
-                0 => self.best_place(&whole, &best.0, &points, COARSE_APART, |place| -surrogate.loss(place)),
-                _ => {
-                    let draws = self.draws();
-                    self.best_place(&whole, &best.0, &points, COARSE_APART, |place| {
-                        surrogate.expected_gain(place, best.1, &draws)
-                    })
-                }
+                0 => self.best_place(&whole, &best.0, &points, COARSE_APART, |place| {
+                    -surrogate.expected_loss(place, &draws)
+                }),
+                _ => self.best_place(&whole, &best.0, &points, COARSE_APART, |place| {
+                    surrogate.expected_gain(place, best.1, &draws)
+                }),
             };
             known.push(point.clone(), surrogate.parts(&point));
             surrogate = surrogate.with(&known, &none);
@@ -154,19 +156,20 @@ impl CoarseToFine {
             None => (of_coarse.clone(), 2.0),
         };
         let around = bounds(&about, half_box);
-        let first = self.best_place(&around, &about, &[], 0.0, |place| -surrogate.loss(place));
-        self.guessed_fall = best.as_ref().map(|(_, loss)| loss - surrogate.loss(&first));
+        let draws = self.draws();
+        let lowest = |place: &[f64]| -surrogate.expected_loss(place, &draws);
+        let first = self.best_place(&around, &about, &[], 0.0, lowest);
+        self.guessed_fall = best.as_ref().map(|(_, loss)| loss - surrogate.expected_loss(&first, &draws));
         let mut points = vec![first];
         while points.len() < FINE_TRIALS {
             let next = match &best {
                 Some((_, loss)) => {
-                    let draws = self.draws();
                     self.best_place(&around, &about, &points, APART * self.half_box, |place| {
                         surrogate.expected_gain(place, *loss, &draws)
                     })
                 }
                 // Another basin, in case the first is not what it seems.
-                None => self.best_place(&around, &about, &points, WIDEST_BOX, |place| -surrogate.loss(place)),
+                None => self.best_place(&around, &about, &points, WIDEST_BOX, lowest),
             };
             points.push(next);
         }
@@ -228,7 +231,7 @@ impl CoarseToFine {
         let (Some(guessed), Some(before)) = (self.guessed_fall.take(), before) else { return };
         let fell = before - self.fine.best(&self.edge).map_or(before, |(_, loss)| loss);
         let factor = if fell > BELIEVED * guessed.max(0.0) { GROWING } else { SHRINKING };
-        self.half_box = (self.half_box * factor).min(WIDEST_BOX);
+        self.half_box = (self.half_box * factor).clamp(LEAST_BOX, WIDEST_BOX);
     }
 }
 

@@ -146,19 +146,29 @@ impl Surrogate {
     }
 
     /// The loss of that.
-    pub(super) fn loss(&self, place: &[f64]) -> f64 {
+    #[cfg(test)]
+    fn loss(&self, place: &[f64]) -> f64 {
         self.edge.loss(self.parts(place))
     }
 
     /// By how much the loss may be expected to fall below the best one, `draws` of two normal variables being what may be.
     pub(super) fn expected_gain(&self, place: &[f64], best: f64, draws: &[[f64; 2]]) -> f64 {
+        self.expected(place, draws, |loss| (best - loss).max(0.0))
+    }
+
+    /// The loss that may be expected: the less is known of what arrives, the farther from the edge that is, so it is higher than that of
+    /// what is most likely.
+    pub(super) fn expected_loss(&self, place: &[f64], draws: &[[f64; 2]]) -> f64 {
+        self.expected(place, draws, |loss| loss)
+    }
+
+    fn expected(&self, place: &[f64], draws: &[[f64; 2]], of: impl Fn(f64) -> f64) -> f64 {
         let (amount, rest) = (self.amount.at(place), self.rest.at(place));
         let drawn = |guess: &Guess, by: f64| guess.mean + by * guess.deviation;
-        let gain = |[a, r]: &[f64; 2]| {
-            let parts = Parts { amount: drawn(&amount, *a), rest: drawn(&rest, *r) };
-            (best - self.edge.loss(parts)).max(0.0)
+        let one = |[a, r]: &[f64; 2]| {
+            of(self.edge.loss(Parts { amount: drawn(&amount, *a), rest: drawn(&rest, *r) }))
         };
-        draws.iter().map(gain).sum::<f64>() / draws.len() as f64
+        draws.iter().map(one).sum::<f64>() / draws.len() as f64
     }
 }
 
@@ -276,6 +286,18 @@ mod tests {
         let gain = |place: [f64; 2], best| surrogate.expected_gain(&place, best, &draws);
         assert!(gain([0.0, 0.0], 40.0) > 15.0 && gain([-1.0, 0.0], 40.0) < 1e-9);
         assert!(gain([0.0, 0.0], 10.0) < 1.0);
+    }
+
+    #[test]
+    fn what_is_not_known_is_expected_to_cost() {
+        let near = known(40, parts);
+        let surrogate = Surrogate::fitted(EDGE, &near, &Known::default());
+        let draws: Vec<[f64; 2]> =
+            (0..64).map(|i| [1.4 * libm::sin(f64::from(i)), 1.4 * libm::cos(f64::from(i))]).collect();
+        let dearer = |place: [f64; 2]| surrogate.expected_loss(&place, &draws) - surrogate.loss(&place);
+        // At the edge, near what is known and far away from it.
+        assert!(dearer([0.0, 0.1]) < 1.0, "{}", dearer([0.0, 0.1]));
+        assert!(dearer([0.0, 5.0]) > 5.0 * dearer([0.0, 0.1]).max(0.1), "{}", dearer([0.0, 5.0]));
     }
 
     #[test]
