@@ -144,6 +144,12 @@ pub use real::Real;
 #[cfg_attr(doc, doc = include_str!("../examples/restarted_gradient.rs"))]
 /// ```
 ///
+/// # What a scene's coarse copy is worth: `coarse_copy`
+///
+/// ```ignore
+#[cfg_attr(doc, doc = include_str!("../examples/coarse_copy.rs"))]
+/// ```
+///
 /// # What its settings do, and what happens at its cuts: `restarted_ablation`
 ///
 /// ```ignore

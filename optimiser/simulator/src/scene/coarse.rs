@@ -72,7 +72,6 @@ mod tests {
             );
             assert!((coarse.target_mass_kg() - scene.target_mass_kg()).abs() < 1e-12, "{name}");
             assert_eq!(coarse.domain, scene.domain);
-            assert!(coarse.coarse().is_none(), "it is as coarse as it gets");
         }
     }
 
