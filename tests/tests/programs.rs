@@ -131,7 +131,7 @@ pub(crate) fn metrics(folder: &str) -> Vec<String> {
         let (before, rest) = line.split_once(",\"cpu_seconds\":").unwrap();
         let (_, rest) = rest.split_once(",\"seconds\":").unwrap();
         let (_, after) = rest.split_once(',').unwrap();
-        format!("{before},{after}")
+        format!("{before}}},{after}")
     };
     text.lines().map(timeless).collect()
 }
