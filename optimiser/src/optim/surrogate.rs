@@ -11,7 +11,7 @@
 //! these two are guessed, each as a Gaussian process, and the loss put together from them: with that, the edge is where it belongs from the
 //! first. (Astudillo and Frazier 2019, "Bayesian optimization of composite functions". Of two worlds: Kennedy and O'Hagan 2000, "Predicting the
 //! output from a complex computer code when fast approximations are available", with their factor of one.) The coarse world is known at
-//! dozens of places, and d at a few; d is guessed to be much the same everywhere, and beyond that to change over [`SHIFT_LENGTH`].
+//! dozens of places, and d at a few; d is guessed to be much the same everywhere, and beyond that to change over `SHIFT_LENGTH`.
 //!
 //! Where all powder that can be had is wanted there is no edge: a is then not looked at, r is the loss.
 
