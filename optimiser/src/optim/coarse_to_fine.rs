@@ -392,6 +392,24 @@ mod tests {
     }
 
     #[test]
+    fn the_box_follows_how_far_the_guesses_held() {
+        let mut search = CoarseToFine::new(problem(1));
+        search.fine.push(vec![0.0; 5], Edge { unit_m: search.edge.unit_m }.parts(1.0, 20.0));
+        let mut after = |guessed: f64, before: f64| {
+            search.guessed_fall = Some(guessed);
+            search.trust(Some(before));
+            search.half_box
+        };
+        // The loss fell to 20: by all that was guessed, by a tenth of it, and not at all, again and again.
+        assert!((after(4.0, 24.0) - WIDEST_BOX).abs() < 1e-12);
+        assert!((after(10.0, 21.0) - SHRINKING * WIDEST_BOX).abs() < 1e-12);
+        assert!((after(4.0, 24.0) - GROWING * SHRINKING * WIDEST_BOX).abs() < 1e-12);
+        assert!(
+            (0..9).map(|_| after(4.0, 20.0)).last().is_some_and(|least| (least - LEAST_BOX).abs() < 1e-12)
+        );
+    }
+
+    #[test]
     fn where_nothing_arrives_it_goes_on_looking() {
         let flat = |_: &Trial| Evaluation::new(105.6, 1200, Census::default());
         let epochs = searched(problem(5), 20, flat);

@@ -426,3 +426,31 @@ fn prolong(record: &mut RunRecord, epochs: u32) -> Result<(), Failure> {
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::optim::{Step, Trial};
+    use powderline_simulator::rollout::Census;
+
+    #[test]
+    fn of_peers_the_one_that_brings_what_is_wanted_stands_for_them() {
+        let scene = Scene::load("bench").unwrap();
+        let wanted = scene.target_count() as u32;
+        let tried = |target: u32, loss: f64| {
+            let trial = Trial { may_fail: true, ..Trial::of(vec![loss / 100.0; 5]) };
+            let evaluation = Evaluation::new(loss, 0, Census { target, ..Census::default() });
+            Try::new(0, &trial, &Found { evaluation, gradient: None }, 1.0)
+        };
+        // The lowest loss misses the tolerance; the other one brings what is wanted.
+        let rounds = [vec![tried(wanted - 40, 20.0), tried(wanted, 26.0)]];
+        let lowest = &rounds[0][0];
+        for (has_peers, loss) in [(true, 26.0), (false, 20.0)] {
+            let (trial, evaluation) = (lowest.trial(), lowest.evaluation());
+            let ended = Epoch { trial, evaluation, has_peers, step: Step::Update, slopes: None };
+            let standing = standing(&scene, ended, &rounds);
+            assert!((standing.evaluation.loss - loss).abs() < 1e-12, "{standing:?}");
+            assert!((standing.trial.point[0] - loss / 100.0).abs() < 1e-12, "{standing:?}");
+        }
+    }
+}
