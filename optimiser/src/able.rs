@@ -1,15 +1,21 @@
-//! What keeps the arm from performing a skill, as far as that is known without simulating it.
+//! What keeps the arm from performing a motion, as far as that is known without simulating it.
 
 use powderline_simulator::{
     arm::arm_motion,
     scene::Scene,
-    skill::{SkillMap, Theta, collision},
+    skill::{QuantisedControls, SkillMap, Splines, Theta, collision},
 };
 
-/// Why a skill is no plan: the limits that it breaks, walls in the tool's way, or that the scene's arm cannot make it. Nothing if it is
+/// Why a skill, with what is added to its motion, is no plan: the limits that it breaks, walls in the tool's way, or that the scene's arm cannot make it. Nothing if it is
 /// one.
-pub(crate) fn obstacle(scene: &Scene, map: &SkillMap, theta: &Theta) -> Option<String> {
-    let quantised = match map.quantise(theta).and_then(|quantised| {
+pub(crate) fn obstacle(
+    scene: &Scene,
+    map: &SkillMap,
+    theta: &Theta,
+    splines: Option<&Splines>,
+) -> Option<String> {
+    let quantised = match map.motion(theta, splines).and_then(|controls| {
+        let quantised = QuantisedControls::new(&controls)?;
         map.check_limits(&quantised)?;
         Ok(quantised)
     }) {

@@ -267,13 +267,13 @@ impl Experiment {
         let tries =
             comparison.tracks.iter().flat_map(|track| track.tries.iter().map(move |one| (track, one)));
         let fine = tries.filter(|(_, one)| one.world == World::Fine);
-        let skills = fine.filter_map(|(track, one)| Some((track, one.loss, skill(one)?)));
-        let (track, _, theta) = skills.min_by(|(_, a, _), (_, b, _)| a.total_cmp(b))?;
+        let skills = fine.filter_map(|(track, one)| Some((track, one, skill(one)?)));
+        let (track, one, theta) = skills.min_by(|(_, a, _), (_, b, _)| a.loss.total_cmp(&b.loss))?;
         let whose = format!("{}, seed {}", track.method.name(), track.seed);
         let task = Task {
             scene: self.scene.clone(),
             setup: self.resources.setup(track.seed, self.plan.precision),
-            motion: Motion::Skill(theta),
+            motion: Motion::Skill(theta, one.splines.clone()),
         };
         Some((task, whose))
     }

@@ -41,7 +41,7 @@ impl<'a> Film<'a> {
         let map = SkillMap::new(&task.scene);
         let start = *map.start_pose();
         let (anchor, controls, planned) = match &task.motion {
-            Motion::Skill(theta) => (start, map.controls(theta)?, None),
+            Motion::Skill(theta, splines) => (start, map.motion(theta, splines.as_ref())?, None),
             Motion::Plan { controls, .. } => (start, controls.clone(), None),
             Motion::Executed { executed, planned, .. } => {
                 (executed.anchor, executed.controls.clone(), Some(planned.as_slice()))

@@ -1,9 +1,10 @@
 //! `optimise inspect`: what a plan holds.
 
-use super::{CliError, Context};
+use super::{CliError, Context, motion::scene_of_plan};
 use crate::report::{
     amounts::counted,
     finding::Finding,
+    plan::is_motion_of_skill,
     record::RunRecord,
     words::{grouped, hex, parameter},
 };
@@ -15,7 +16,7 @@ use powderline_shared::{
         file::{parse_plan, read_plan_file},
     },
 };
-use powderline_simulator::scene::figures::mass;
+use powderline_simulator::scene::{Scene, figures::mass};
 use serde::Serialize;
 use std::{
     fmt::Write as _,
@@ -41,6 +42,8 @@ struct Report {
     seed: u64,
     precision: &'static str,
     parameters: Vec<Parameter>,
+    /// Whether the motion is that skill's own, and not a path near it; null where the plan's scene is not at hand.
+    is_motion_of_skill: Option<bool>,
     control_period_us: u32,
     step_count: u32,
     duration_s: f64,
@@ -74,7 +77,8 @@ struct Parameter {
 pub(super) fn execute(arguments: &InspectArgs, context: &mut Context<'_>) -> Result<(), CliError> {
     let bytes = read_plan_file(&arguments.plan)?;
     let plan = parse_plan(&arguments.plan, &bytes)?;
-    let report = Report::new(&plan, run_of(&arguments.plan, &plan));
+    let scene = scene_of_plan(&arguments.plan, plan.header());
+    let report = Report::new(&plan, scene.as_ref(), run_of(&arguments.plan, &plan));
     if arguments.json {
         return context.json(&report);
     }
@@ -93,7 +97,7 @@ pub(super) fn run_of(path: &Path, plan: &PlanReader<'_>) -> Option<Finding> {
 }
 
 impl Report {
-    fn new(plan: &PlanReader<'_>, run: Option<Finding>) -> Self {
+    fn new(plan: &PlanReader<'_>, scene: Option<&Scene>, run: Option<Finding>) -> Self {
         let header = plan.header();
         let checked = plan.check_limits();
         let version = header.optimiser_version;
@@ -104,6 +108,7 @@ impl Report {
             seed: header.seed,
             precision: header.precision.name(),
             parameters: parameters(header),
+            is_motion_of_skill: scene.map(|scene| is_motion_of_skill(scene, plan)),
             control_period_us: header.control_period_us,
             step_count: header.step_count,
             duration_s: f64::from(header.step_count) * f64::from(header.control_period_us) * 1e-6,
@@ -147,6 +152,9 @@ impl Report {
         for (which, shown) in SkillParameter::ALL.into_iter().zip(&self.parameters) {
             let value = parameter(which, shown.value);
             writeln!(text, "{:<24}{value:>12}   theta {:>8.4}", shown.name, shown.theta)?;
+        }
+        if self.is_motion_of_skill == Some(false) {
+            writeln!(text, "The motion is not this skill's own, but a path near it.")?;
         }
         self.write_motion(text)
     }

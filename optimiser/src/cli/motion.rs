@@ -20,7 +20,7 @@ use powderline_shared::{
 use powderline_simulator::{
     arm::{ArmMotion, CYCLE_US, Mount, Refusal, Surroundings, ToolPath},
     scene::{DEFAULT_SCENE, EMBEDDED_SCENES, Scene},
-    skill::{Collision, LSB, SkillMap, Theta, collision, controls_of},
+    skill::{Collision, LSB, QuantisedControls, SkillMap, Splines, Theta, collision, controls_of},
 };
 use std::path::{Path, PathBuf};
 
@@ -64,7 +64,8 @@ pub(super) struct Task {
 
 /// What the tool does.
 pub(super) enum Motion {
-    Skill(Theta),
+    /// With what is added to its motion, if anything is.
+    Skill(Theta, Option<Splines>),
     Plan {
         header: Box<PlanHeader>,
         content_hash: u64,
@@ -85,7 +86,10 @@ impl Task {
         let map = SkillMap::new(&self.scene);
         let start = map.start_pose();
         match &self.motion {
-            Motion::Skill(theta) => collision(&self.scene, start, &map.quantise(theta).ok()?.controls),
+            Motion::Skill(theta, splines) => {
+                let controls = map.motion(theta, splines.as_ref()).ok()?;
+                collision(&self.scene, start, &QuantisedControls::new(&controls).ok()?.controls)
+            }
             Motion::Plan { controls, .. } => collision(&self.scene, start, controls),
             Motion::Executed { executed, .. } => collision(&self.scene, &executed.anchor, &executed.controls),
         }
@@ -117,7 +121,7 @@ impl Task {
     fn mount(&self) -> Option<Mount> {
         let of_scene = self.scene.arm.as_ref();
         match &self.motion {
-            Motion::Skill(_) => of_scene.map(Mount::of),
+            Motion::Skill(..) => of_scene.map(Mount::of),
             Motion::Plan { header, .. } | Motion::Executed { header, .. } => {
                 Some(Mount::of_plan(&header.arm?, of_scene.map(|arm| arm.clearance_m)))
             }
@@ -175,7 +179,7 @@ impl MotionArgs {
         SkillMap::new(&scene).controls(&theta)?;
         let precision = self.precision.map_or(DEFAULT_PRECISION, Precision::from);
         let setup = self.resources.setup(self.seed.unwrap_or(scene.powder.seed), precision);
-        Ok(Task { scene, setup, motion: Motion::Skill(theta) })
+        Ok(Task { scene, setup, motion: Motion::Skill(theta, None) })
     }
 
     fn plan_task(&self, path: &Path) -> Result<Task, CliError> {

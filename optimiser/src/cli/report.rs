@@ -15,6 +15,7 @@ use crate::{
         finding::{Finding, Outcome},
         folder::{COMPARISON, PLAN, STATE},
         judged::Judged,
+        plan::is_motion_of_skill,
         record::RunRecord,
         words::{count, duration, hex, parameter},
     },
@@ -159,7 +160,7 @@ impl ReportArgs {
             verdict: Some(verdict(&amounts, &outcome)),
             figures: figures(&amounts, &outcome),
             replay_shows: shows(&task, finding.as_ref().and_then(|finding| finding.epoch)),
-            tables: vec![parameters(&plan)],
+            tables: vec![parameters(&task.scene, &plan)],
             facts,
             notes: finding.iter().flat_map(Finding::sentences).collect(),
             ..Page::default()
@@ -232,7 +233,7 @@ fn shows(task: &Task, epoch: Option<u32>) -> String {
             format!("The motion that the arm made of the plan{skill}; the plan's own is drawn over it.")
         }
         Motion::Plan { .. } => format!("The plan as shipped{skill}."),
-        Motion::Skill(_) => "One skill.".into(),
+        Motion::Skill(..) => "One skill.".into(),
     }
 }
 
@@ -281,7 +282,7 @@ fn show_outcome(page: &mut Page, task: &Task, amounts: &Amounts, outcome: &Outco
 }
 
 /// The skill in physical units.
-fn parameters(plan: &PlanReader<'_>) -> Table {
+fn parameters(scene: &Scene, plan: &PlanReader<'_>) -> Table {
     let header = plan.header();
     let row = |which: SkillParameter| {
         vec![
@@ -291,7 +292,10 @@ fn parameters(plan: &PlanReader<'_>) -> Table {
         ]
     };
     Table {
-        title: "Skill of the plan".into(),
+        title: match is_motion_of_skill(scene, plan) {
+            true => "Skill of the plan".into(),
+            false => "Skill near which the plan's motion is a path".into(),
+        },
         columns: ["parameter", "value", "theta"].map(String::from).into(),
         rows: SkillParameter::ALL.into_iter().map(row).map(Into::into).collect(),
     }

@@ -41,7 +41,7 @@ pub struct RunArgs {
     /// How to search [default: surrogate]
     #[arg(long, value_name = "METHOD")]
     pub method: Option<Method>,
-    /// Epochs after the first, at most [default: 16]
+    /// Epochs after the first, at most [default: 16, with --method path 32]
     #[arg(long, value_name = "N")]
     pub epochs: Option<u32>,
     /// End when the amount is met and so many epochs in a row have gained nothing; 0 goes on to the last [default: 2]
@@ -118,11 +118,11 @@ fn begun(arguments: &RunArgs, scene: Option<&Scene>, context: &Context<'_>) -> R
     map.check_all_corners().map_err(|error| CliError::Input(format!("{name}: {error}")))?;
     let seed = arguments.seed.unwrap_or(scene.powder.seed);
     let precision = arguments.precision.map_or(DEFAULT_PRECISION, Precision::from);
-    let usual = Settings::default();
+    let usual = Settings::of(arguments.method.unwrap_or_default());
     let settings = Settings {
-        method: arguments.method.unwrap_or(usual.method),
         epochs: checked_epochs(arguments.epochs.unwrap_or(usual.epochs))?,
         patience_epochs: arguments.patience.unwrap_or(usual.patience_epochs),
+        ..usual
     };
     let setup = arguments.resources.setup(seed, precision);
     setup.check_memory(&scene, workload(settings.method), 0)?;

@@ -9,9 +9,9 @@ use crate::report::{amounts::Amounts, finding::Outcome, words::hex};
 use clap::Args;
 use powderline_shared::plan::{PlanHeader, Prediction};
 use powderline_simulator::{
-    rollout::{Evaluation, Workload},
+    rollout::{Evaluation, RolloutError, Workload},
     scene::{Obstacle, ToolPart, figures::mass},
-    skill::Collision,
+    skill::{Collision, SkillMap},
 };
 use serde::Serialize;
 
@@ -112,7 +112,11 @@ impl Report {
         simulator.set_progress(progress.watch(&context.interrupt));
         progress.begin("simulating", 0, &[]);
         let result = match &task.motion {
-            Motion::Skill(theta) => simulator.evaluate(theta),
+            Motion::Skill(theta, None) => simulator.evaluate(theta),
+            Motion::Skill(theta, splines) => SkillMap::new(&task.scene)
+                .motion(theta, splines.as_ref())
+                .map_err(RolloutError::from)
+                .and_then(|controls| simulator.simulate(&controls)),
             Motion::Plan { controls, .. } => simulator.simulate(controls),
             Motion::Executed { executed, .. } => {
                 simulator.simulate_from(&executed.anchor, &executed.controls)
@@ -125,7 +129,7 @@ impl Report {
 
     fn new(task: &Task, found: &Evaluation, seconds: f64) -> Self {
         let (theta, plan, executed) = match &task.motion {
-            Motion::Skill(theta) => (theta.components(), None, None),
+            Motion::Skill(theta, _) => (theta.components(), None, None),
             Motion::Plan { header, content_hash, .. } => {
                 let Prediction { loss_m, census, .. } = header.predicted;
                 let reproduced = found.loss.to_bits() == loss_m.to_bits() && found.census == census;

@@ -170,6 +170,7 @@ pub(crate) mod tests {
         Try {
             epoch: 0,
             theta: vec![0.0; 5],
+            splines: None,
             world: World::Fine,
             rounded: false,
             adjoint: None,

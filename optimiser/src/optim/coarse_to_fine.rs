@@ -114,7 +114,7 @@ impl CoarseToFine {
                 |(k, from): (usize, &f64)| (from + f64::from(draw) / libm::pow(root, (k + 1) as f64)).fract();
             from.iter().enumerate().map(share).map(|share| FIRST_RANGE * (2.0 * share - 1.0)).collect()
         };
-        let able = (1..200).map(evenly).filter(|point| self.problem.is_able(point));
+        let able = (1..200).map(evenly).filter(|point| self.problem.is_able(&Trial::of(point.clone())));
         std::iter::once(self.problem.first.clone()).chain(able).take(FIRST_TRIALS).collect()
     }
 
@@ -218,7 +218,7 @@ impl CoarseToFine {
             }
         }
         ranked(&mut looked);
-        let able = looked.iter().find(|(_, place)| self.problem.is_able(place));
+        let able = looked.iter().find(|(_, place)| self.problem.is_able(&Trial::of(place.clone())));
         able.map_or_else(|| about.to_vec(), |(_, place)| place.clone())
     }
 

@@ -3,14 +3,15 @@
 use super::black_box::BlackBox;
 use super::coarse_to_fine::CoarseToFine;
 use super::descent::{Descent, Source};
-use super::{Search, World, initial_theta};
+use super::path::{By, SkillThenPath};
+use super::{Search, Trial, World, initial_theta};
 use crate::able::obstacle;
 use clap::ValueEnum;
 use powderline_baseline::{CmaEs, RandomSearch, Sac};
 use powderline_simulator::{
     rollout::Evaluation,
     scene::{Aim, Scene},
-    skill::{SkillMap, Theta},
+    skill::{SkillMap, Splines, Theta},
 };
 use serde::{Deserialize, Serialize};
 use std::rc::Rc;
@@ -39,6 +40,10 @@ pub enum Method {
     Sac,
     /// Motions drawn uniformly
     Random,
+    /// A skill as surrogate finds it, then a path near it by the restarted adjoint
+    Path,
+    /// The same with the path by covariance matrix adaptation
+    PathCmaEs,
 }
 
 impl Method {
@@ -53,6 +58,8 @@ impl Method {
             Self::CmaEs => "cma-es",
             Self::Sac => "sac",
             Self::Random => "random",
+            Self::Path => "path",
+            Self::PathCmaEs => "path-cma-es",
         }
     }
 
@@ -63,7 +70,7 @@ impl Method {
 
     /// Whether it takes the adjoint.
     pub fn has_adjoint(self) -> bool {
-        self.source().is_some_and(|source| source != Source::Differences)
+        self == Self::Path || self.source().is_some_and(|source| source != Source::Differences)
     }
 
     fn source(self) -> Option<Source> {
@@ -72,7 +79,7 @@ impl Method {
             Self::Mixed => Some(Source::Mixed),
             Self::Differences => Some(Source::Differences),
             Self::Exact => Some(Source::Exact),
-            Self::Surrogate | Self::CmaEs | Self::Sac | Self::Random => None,
+            _ => None,
         }
     }
 
@@ -87,10 +94,14 @@ impl Method {
             Self::CmaEs => black_box(Box::new(CmaEs::new(dimensions, seed))),
             Self::Sac => black_box(Box::new(Sac::new(dimensions, seed))),
             Self::Random => black_box(Box::new(RandomSearch::new(dimensions, seed))),
+            Self::Path => Box::new(SkillThenPath::new(problem.clone(), By::Gradient)),
+            Self::PathCmaEs => Box::new(SkillThenPath::new(problem.clone(), By::Losses)),
             _ => Box::new(CoarseToFine::new(problem.clone())),
         }
     }
 }
+
+type IsAble = Rc<dyn Fn(&Theta, Option<&Splines>) -> bool>;
 
 /// What a search has to know beforehand.
 #[derive(Clone)]
@@ -106,7 +117,11 @@ pub struct Problem {
     /// Particles that are wanted.
     wanted: f64,
     has_coarse: bool,
-    is_able: Rc<dyn Fn(&Theta) -> bool>,
+    /// From a skill to its motion.
+    pub(super) map: Rc<SkillMap>,
+    /// How far what arrives may be off that, relative; any distance where as much as can be had is wanted.
+    tolerance: f64,
+    is_able: IsAble,
 }
 
 impl Problem {
@@ -117,7 +132,7 @@ impl Problem {
             Aim::Amount => scene.target_count() as f64 * scene.source_distance_m(),
             Aim::All => 0.0,
         };
-        let (map, bench) = (SkillMap::new(scene), scene.clone());
+        let (map, bench) = (Rc::new(SkillMap::new(scene)), scene.clone());
         Self {
             seed,
             first: initial_theta(&ranges, seed).components().to_vec(),
@@ -125,14 +140,24 @@ impl Problem {
             unit_m,
             wanted: scene.target_count() as f64,
             has_coarse: scene.coarse().is_some(),
-            is_able: Rc::new(move |theta| obstacle(&bench, &map, theta).is_none()),
+            map: Rc::clone(&map),
+            tolerance: match scene.objective.aim {
+                Aim::Amount => scene.objective.amount.tolerance,
+                Aim::All => f64::INFINITY,
+            },
+            is_able: Rc::new(move |theta, splines| obstacle(&bench, &map, theta, splines).is_none()),
         }
     }
 
     /// Whether the arm may perform it, as far as that is known before it is simulated.
-    pub(super) fn is_able(&self, point: &[f64]) -> bool {
-        let theta = point.try_into().ok().and_then(|point| Theta::new(point).ok());
-        theta.is_some_and(|theta| (self.is_able)(&theta))
+    pub(super) fn is_able(&self, trial: &Trial) -> bool {
+        let theta = trial.point[..].try_into().ok().and_then(|point| Theta::new(point).ok());
+        theta.is_some_and(|theta| (self.is_able)(&theta, trial.splines.as_ref()))
+    }
+
+    /// Whether what arrives is what is wanted, within the tolerance.
+    pub(super) fn is_met(&self, found: &Evaluation) -> bool {
+        (self.amount(found) - 1.0).abs() <= self.tolerance
     }
 
     /// The cheapest world.
@@ -153,8 +178,13 @@ impl Problem {
         self.with_obstacle(|_| false)
     }
 
+    /// The same where these are the paths that the arm may not perform.
+    pub(super) fn with_blocked_paths(self, is_blocked: impl Fn(&Splines) -> bool + 'static) -> Self {
+        Self { is_able: Rc::new(move |_, splines| !splines.is_some_and(&is_blocked)), ..self }
+    }
+
     /// The same where this is what the arm may not perform.
     pub(super) fn with_obstacle(self, is_blocked: impl Fn(&Theta) -> bool + 'static) -> Self {
-        Self { is_able: Rc::new(move |theta| !is_blocked(theta)), ..self }
+        Self { is_able: Rc::new(move |theta, _| !is_blocked(theta)), ..self }
     }
 }

@@ -8,7 +8,9 @@
 //! |---|---|
 //! | `surrogate` | where two Gaussian processes guess most: in a coarse copy of the scene first, then in the scene itself ([`surrogate`]) |
 //! | `restarted`, `mixed`, `differences`, `exact` | down a gradient, by RMSprop as the paper does ([`descent`]) |
+//! | `path` | a skill as `surrogate` does, then splines in time that are added to it, down the restarted adjoint ([`path`]) |
 //! | `cma-es`, `sac`, `random` | [`powderline_baseline`] |
+//! | `path-cma-es` | as `path`, but by losses alone |
 //!
 //! ```
 //! use powderline_optimiser::optim::{Found, Method, Problem};
@@ -40,13 +42,17 @@ mod coarse_to_fine;
 pub mod descent;
 mod gaussian_process;
 mod method;
+mod path;
 mod record;
 pub mod surrogate;
 
 pub use method::{Method, Problem};
 pub use record::{EpochRecord, Work};
 
-use powderline_simulator::{rollout::Evaluation, skill::Theta};
+use powderline_simulator::{
+    rollout::Evaluation,
+    skill::{Splines, Theta},
+};
 use rand_chacha::{
     ChaCha8Rng,
     rand_core::{Rng, SeedableRng},
@@ -76,8 +82,10 @@ pub trait Search {
 /// A motion to simulate.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trial {
-    /// Its parameters, each from -1 to 1.
+    /// Parameters of the skill, each from -1 to 1.
     pub point: Vec<f64>,
+    /// What is added to the skill's motion, if anything is.
+    pub splines: Option<Splines>,
     /// Where.
     pub world: World,
     /// Whether as it is shipped, rounded to whole counts.
@@ -92,7 +100,7 @@ pub struct Trial {
 impl Trial {
     /// In the scene itself, not rounded and without a derivative, and not to fail.
     pub(crate) fn of(point: Vec<f64>) -> Self {
-        Self { point, world: World::Fine, is_rounded: false, adjoint: None, may_fail: false }
+        Self { point, splines: None, world: World::Fine, is_rounded: false, adjoint: None, may_fail: false }
     }
 }
 
@@ -132,7 +140,8 @@ impl Adjoint {
 pub struct Found {
     /// What the motion achieves, as of the scene's particles: what was found in a coarse world is put in these.
     pub evaluation: Evaluation,
-    /// The derivative of the loss by the trial's parameters, metres, if it was wanted.
+    /// The derivative of the loss, metres, if it was wanted: by the trial's splines' coefficients where it has splines, by its skill's
+    /// parameters where not.
     pub gradient: Option<Vec<f64>>,
 }
 
@@ -211,7 +220,10 @@ pub enum SearchError {
 /// Whether these are answers to these trials that something follows from.
 pub(crate) fn check(asked: &[Trial], told: &[Found]) -> Result<(), SearchError> {
     let answers = |(trial, found): (&Trial, &Found)| match (&trial.adjoint, &found.gradient) {
-        (Some(_), Some(gradient)) => gradient.len() == trial.point.len(),
+        (Some(_), Some(gradient)) => {
+            gradient.len()
+                == trial.splines.as_ref().map_or(trial.point.len(), |added| added.coefficients.len())
+        }
         (wanted, _) => wanted.is_none(),
     };
     if asked.len() != told.len() || !asked.iter().zip(told).all(answers) {

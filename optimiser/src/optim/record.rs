@@ -3,7 +3,7 @@
 use super::{Epoch, Slopes, Step, World, is_loss};
 use powderline_simulator::{
     rollout::{Census, Evaluation},
-    skill::Theta,
+    skill::{Splines, Theta},
 };
 use serde::{Deserialize, Serialize};
 
@@ -25,6 +25,8 @@ pub struct EpochRecord {
     pub census: Census,
     /// Skill parameters.
     pub theta: Theta,
+    /// What is added to the skill's motion, if anything is.
+    pub splines: Option<Splines>,
     /// What the epoch simulated, all its trials together.
     pub work: Work,
     /// Wall time of that, seconds.
@@ -71,6 +73,7 @@ impl EpochRecord {
             indicator: evaluation.indicator,
             census: evaluation.census,
             theta,
+            splines: trial.splines.clone(),
             work,
             seconds,
             step: *step,

@@ -86,6 +86,13 @@ impl Shipped {
         Ok(Self { theta, outcome: Outcome::of_plan(amounts, header), arm: header.arm })
     }
 
+    /// Whether it was made of this epoch. Where that was not rounded, what it brings may be another.
+    fn is_of_epoch(&self, record: &EpochRecord) -> bool {
+        let brings =
+            (record.loss.to_bits(), record.census) == (self.outcome.loss_m.to_bits(), self.outcome.census);
+        self.is_of(record.theta.components()) && (brings || !record.rounded)
+    }
+
     /// Whether it was made of this skill, bit by bit.
     pub fn is_of(&self, theta: [f64; 5]) -> bool {
         self.theta.components().map(f64::to_bits) == theta.map(f64::to_bits)
@@ -140,6 +147,8 @@ pub struct Finding {
     pub rounded_out: Vec<u32>,
     /// What epoch 0 brought.
     pub first: Outcome,
+    /// How many coefficients of splines are added to the motion of the chosen epoch's skill: 0 where the motion is the skill's own.
+    pub coefficients: usize,
     /// What the chosen epoch brought; before its motion was rounded to whole counts, if it was not evaluated so.
     pub best: Option<Outcome>,
     /// What the plan brings; nothing before there is one.
@@ -180,9 +189,9 @@ impl Finding {
         let (amounts, rule) = (Amounts::from(scene), Rule::of(scene));
         let epoch = match shipped {
             // The same skill may have been looked at in the coarse world, too.
-            Some(shipped) => epochs.iter().position(|Judged { record, .. }| {
-                record.world == World::Fine && shipped.is_of(record.theta.components())
-            }),
+            Some(shipped) => epochs
+                .iter()
+                .position(|Judged { record, .. }| record.world == World::Fine && shipped.is_of_epoch(record)),
             None => rule.choose(&amounts, epochs),
         };
         let candidates = rule.candidates(&amounts, epochs);
@@ -218,6 +227,9 @@ impl Finding {
             passed_over: passed_over.collect(),
             rounded_out: rounded_out.into_iter().map(|epoch| epoch as u32).collect(),
             first: Outcome::of_epoch(&amounts, &first.record),
+            coefficients: epoch
+                .and_then(|epoch| epochs[epoch].record.splines.as_ref())
+                .map_or(0, |added| added.coefficients.len()),
             best: epoch.map(|epoch| Outcome::of_epoch(&amounts, &epochs[epoch].record)),
             plan,
             arm: shipped.and_then(|shipped| shipped.arm),

@@ -12,8 +12,9 @@ use powderline_simulator::{
 use serde::Serialize;
 use std::cmp::Ordering;
 
-/// A gain that is worth going on for, over the tolerance.
+/// A gain that is worth going on for: of what is lost, missing or too much, over the tolerance; of the loss, over the lowest so far.
 const WORTH_GOING_ON: f64 = 0.25;
+const LOSS_WORTH_GOING_ON: f64 = 0.05;
 
 /// How the plan is chosen among the epochs of the scene itself whose motion the arm may perform.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
@@ -67,19 +68,20 @@ impl Rule {
     }
 
     /// The last epoch that brought a gain worth going on for: the first within the tolerance, and each that has by a quarter of the tolerance
-    /// less powder lost, missing or too much than all before it. None as long as none is within the tolerance.
+    /// less powder lost, missing or too much, or by a twentieth less loss, than all before it. None as long as none is within the tolerance.
     pub fn last_gain(self, amounts: &Amounts, epochs: &[Judged]) -> Option<u32> {
         let least = WORTH_GOING_ON * amounts.tolerance?;
-        let mut last: Option<(u32, f64)> = None;
+        let mut last: Option<(u32, f64, f64)> = None;
         for epoch in epochs.iter().filter(|epoch| epoch.counts()) {
             let record = &epoch.record;
             let off = amounts.off_share(&record.census);
             let is_met = amounts.is_met(record.census.target) == Some(true);
-            if is_met && last.is_none_or(|(_, before)| off <= before - least) {
-                last = Some((record.epoch, off));
+            let (before, loss) = last.map_or((f64::INFINITY, f64::INFINITY), |(_, off, loss)| (off, loss));
+            if is_met && (off <= before - least || record.loss <= (1.0 - LOSS_WORTH_GOING_ON) * loss) {
+                last = Some((record.epoch, off.min(before), record.loss.min(loss)));
             }
         }
-        last.map(|(epoch, _)| epoch)
+        last.map(|(epoch, ..)| epoch)
     }
 
     /// Of motions of the same world the one that stands for them.
@@ -139,7 +141,7 @@ impl Judged {
 
     /// Judges the motion of an epoch's skill: the limits that it keeps, walls in the tool's way, and whether the scene's arm can.
     pub fn new(scene: &Scene, map: &SkillMap, record: EpochRecord) -> Self {
-        let obstacle = obstacle(scene, map, &record.theta);
+        let obstacle = obstacle(scene, map, &record.theta, record.splines.as_ref());
         Self { record, obstacle }
     }
 }

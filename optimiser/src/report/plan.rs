@@ -1,7 +1,8 @@
 //! From a skill to the bytes of a plan.
 
 use powderline_shared::plan::{
-    Mounting, PlanError, PlanHeader, PlanWriter, Precision, Prediction, StartPose, Version, WriteError,
+    Mounting, PlanError, PlanHeader, PlanReader, PlanWriter, Precision, Prediction, StartPose, Version,
+    WriteError,
 };
 use powderline_simulator::{
     rollout::Evaluation,
@@ -81,6 +82,13 @@ impl PlanParts<'_> {
             arm: self.arm,
         }
     }
+}
+
+/// Whether a plan's motion is its skill's own. If not, it is a path near that.
+pub fn is_motion_of_skill(scene: &Scene, plan: &PlanReader<'_>) -> bool {
+    let map = SkillMap::new(scene);
+    let skill = Theta::new(plan.header().theta).ok().and_then(|theta| map.quantise(&theta).ok());
+    skill.is_some_and(|skill| plan.steps().eq(skill.steps.iter().copied()))
 }
 
 /// Version of this program.

@@ -10,7 +10,7 @@ use powderline_shared::plan::Precision;
 use powderline_simulator::{PHYSICS_VERSION, scene::Digest};
 use serde::{Deserialize, Serialize};
 
-const SEAL: Seal = Seal { magic: *b"PLSTATE\0", version: 9 };
+const SEAL: Seal = Seal { magic: *b"PLSTATE\0", version: 10 };
 
 /// How a run searches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -23,9 +23,17 @@ pub struct Settings {
     pub patience_epochs: u32,
 }
 
+impl Settings {
+    /// As usual for a way to search: one that has a second part gets time for it.
+    pub fn of(method: Method) -> Self {
+        let epochs = if matches!(method, Method::Path | Method::PathCmaEs) { 32 } else { 16 };
+        Self { method, epochs, patience_epochs: 2 }
+    }
+}
+
 impl Default for Settings {
     fn default() -> Self {
-        Self { method: Method::default(), epochs: 16, patience_epochs: 2 }
+        Self::of(Method::default())
     }
 }
 
@@ -147,6 +155,7 @@ mod tests {
         let evaluation = Evaluation::new(2.5, 7, Census { target: 9, ..Census::default() });
         let trial = Trial {
             point: theta.clone(),
+            splines: None,
             world: World::Fine,
             is_rounded: true,
             adjoint: None,
@@ -242,8 +251,8 @@ mod tests {
     #[test]
     fn version_from_the_future_is_refused_with_both_numbers() {
         let mut bytes = state().to_bytes();
-        bytes[8] = 10;
+        bytes[8] = 11;
         let error = RunState::from_bytes(&bytes).unwrap_err().to_string();
-        assert!(error.contains("version 10") && error.contains("version 9"), "{error}");
+        assert!(error.contains("version 11") && error.contains("version 10"), "{error}");
     }
 }

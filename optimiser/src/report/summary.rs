@@ -43,7 +43,8 @@ impl Finding {
         let rest = self.plan.map(|plan| self.amounts.rest(&plan.census));
         let arm = self.arm.map(|arm| format!("The {} {}.", arm.kind.label(), arm.posture));
         let ends = rest.into_iter().chain([self.choice()]).chain(self.end()).chain(arm);
-        ends.chain(self.rounding_words())
+        ends.chain(self.path_words())
+            .chain(self.rounding_words())
             .chain(self.restart_words())
             .chain(self.passed_over_words())
             .collect()
@@ -88,6 +89,14 @@ impl Finding {
                 "The search ended there, of at most {epochs} epochs: the amount is met, and {} gained nothing.",
                 count(patience.into(), "further epoch")
             )
+        })
+    }
+
+    /// Whether the motion is more than a skill's.
+    fn path_words(&self) -> Option<String> {
+        let added = self.coefficients;
+        (added > 0).then(|| {
+            format!("The motion is a path near the skill of that epoch: {added} numbers say how it leaves the skill's.")
         })
     }
 

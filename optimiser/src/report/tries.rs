@@ -2,6 +2,7 @@
 
 use crate::optim::{Adjoint, Found, Trial, Work, World, is_loss};
 use powderline_simulator::rollout::{Census, Evaluation};
+use powderline_simulator::skill::Splines;
 use serde::{Deserialize, Serialize};
 
 /// One simulated motion.
@@ -11,6 +12,8 @@ pub struct Try {
     pub epoch: u32,
     /// Its parameters, each from -1 to 1: theta.
     pub theta: Vec<f64>,
+    /// What is added to the skill's motion, if anything is.
+    pub splines: Option<Splines>,
     /// Where it was simulated.
     pub world: World,
     /// Whether as it is shipped, rounded to whole counts.
@@ -23,7 +26,7 @@ pub struct Try {
     pub indicator: i64,
     /// The scene's particles by where they are at the end.
     pub census: Census,
-    /// The derivative of the loss, metres per unit of theta, if it was wanted.
+    /// The derivative of the loss, metres per unit of theta or, where there are splines, of their coefficients, if it was wanted.
     pub gradient: Option<Vec<f64>>,
     /// Processor time, seconds; that of motions simulated side by side is shared out evenly.
     pub cpu_seconds: f64,
@@ -36,6 +39,7 @@ impl Try {
         Self {
             epoch,
             theta: trial.point.clone(),
+            splines: trial.splines.clone(),
             world: trial.world,
             rounded: trial.is_rounded,
             adjoint: trial.adjoint,
@@ -50,7 +54,11 @@ impl Try {
     /// Whether it is of this trial, bit by bit.
     pub(crate) fn is_of(&self, trial: &Trial) -> bool {
         let bits = |point: &[f64]| point.iter().map(|x| x.to_bits()).collect::<Vec<_>>();
+        let added = |splines: &Option<Splines>| {
+            splines.as_ref().map(|splines| (splines.freedoms.clone(), bits(&splines.coefficients)))
+        };
         bits(&self.theta) == bits(&trial.point)
+            && added(&self.splines) == added(&trial.splines)
             && (self.world, self.rounded, self.adjoint) == (trial.world, trial.is_rounded, trial.adjoint)
     }
 
@@ -68,6 +76,7 @@ impl Try {
     pub fn trial(&self) -> Trial {
         Trial {
             point: self.theta.clone(),
+            splines: self.splines.clone(),
             world: self.world,
             is_rounded: self.rounded,
             adjoint: self.adjoint,

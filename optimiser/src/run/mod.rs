@@ -337,7 +337,8 @@ impl Run {
         for epoch in rule.candidates(&amounts, &self.record.epochs) {
             let record = &self.record.epochs[epoch].record;
             let (theta, known) = (record.theta, record.rounded.then(|| record.evaluation()));
-            let quantised = self.record.map.quantise(&theta)?;
+            let controls = self.record.map.motion(&theta, record.splines.as_ref())?;
+            let quantised = QuantisedControls::new(&controls)?;
             let evaluation = match known.or(self.rounded.get(&epoch).copied()) {
                 Some(found) => found,
                 None => rehearsed(&quantised, worlds, watcher)?,

@@ -8,7 +8,7 @@ use powderline_simulator::{
         Census, Displacement, Evaluation, RolloutError, Simulate, initial_loss, part, restart::Restarts,
     },
     scene::Scene,
-    skill::{SkillMap, Theta, ThetaError},
+    skill::{QuantisedControls, SkillMap, SplinePath, Splines, Theta, ThetaError},
 };
 
 /// Progress of a gradient in that of a rollout.
@@ -79,8 +79,11 @@ impl<'a> Worlds<'a> {
 
     /// Of trials in one world, without derivatives or a single one.
     fn evaluate_alike(&mut self, trials: &[Trial], span: [f64; 2]) -> Result<Vec<Found>, RolloutError> {
-        if let [Trial { point, world, adjoint: Some(adjoint), .. }] = trials {
-            return Ok(vec![self.gradient(&theta(point)?, *world, *adjoint, span)?]);
+        if let [trial @ Trial { adjoint: Some(adjoint), .. }] = trials {
+            return Ok(vec![match &trial.splines {
+                None => self.gradient(&theta(&trial.point)?, trial.world, *adjoint, span)?,
+                Some(splines) => self.gradient_of_path(trial, splines, *adjoint, span)?,
+            }]);
         }
         let motions: Vec<_> =
             trials.iter().map(|trial| self.controls(trial)).collect::<Result<_, RolloutError>>()?;
@@ -110,11 +113,30 @@ impl<'a> Worlds<'a> {
     }
 
     fn controls(&self, trial: &Trial) -> Result<Vec<Displacement>, RolloutError> {
-        let theta = theta(&trial.point)?;
+        let controls = self.map.motion(&theta(&trial.point)?, trial.splines.as_ref())?;
         Ok(match trial.is_rounded {
-            true => self.map.quantise(&theta)?.controls,
-            false => self.map.controls(&theta)?,
+            true => QuantisedControls::new(&controls)?.controls,
+            false => controls,
         })
+    }
+
+    /// By the coefficients of splines; rounding counts for nothing there.
+    fn gradient_of_path(
+        &mut self,
+        trial: &Trial,
+        splines: &Splines,
+        adjoint: Adjoint,
+        span: [f64; 2],
+    ) -> Result<Found, RolloutError> {
+        let theta = theta(&trial.point)?;
+        let path = SplinePath::new(&self.map, &theta, &splines.freedoms, splines.knots())?;
+        let restarts = Restarts::of_skill(&self.scene, &self.map, &theta);
+        let controls = self.controls(trial)?;
+        let (evaluation, gradient) = part(self.enter(trial.world)?, span, |simulator| match adjoint {
+            Adjoint::Exact => simulator.simulate_with_gradient(&controls),
+            Adjoint::Restarted => simulator.simulate_restarted(&controls, &restarts),
+        })?;
+        Ok(Found { evaluation, gradient: Some(path.pull_back(&gradient)) })
     }
 
     fn gradient(

@@ -94,7 +94,8 @@ pub struct PlanHeader {
     pub seed: u64,
     /// Number format of the simulation.
     pub precision: Precision,
-    /// Skill parameters, normalised to [-1, 1], in the order of [`SkillParameter::ALL`](super::SkillParameter::ALL).
+    /// Parameters of the skill whose motion this is, or near which it is a path; normalised to [-1, 1], in the order of
+    /// [`SkillParameter::ALL`](super::SkillParameter::ALL).
     pub theta: [f64; 5],
     /// The same in physical units: m, rad, m, m, rad.
     pub skill_parameters: [f64; 5],

@@ -12,6 +12,7 @@
 //! | a slope that holds over larger steps | [`Simulate::evaluate_restarted`] |
 //! | the loss of any motion of the tool | [`Simulate::simulate`] |
 //! | its derivative by every displacement | [`Simulate::simulate_with_gradient`] |
+//! | the same over larger steps | [`Simulate::simulate_restarted`] |
 //! | the same of a loss of one's own | [`Simulate::gradient_of_custom_loss`] |
 //! | the same over larger steps | [`Simulate::restarted_gradient_of_custom_loss`] |
 //! | every grain on the way, and where it ends | [`Simulate::record`] |
@@ -292,6 +293,16 @@ pub trait Simulate {
     fn simulate_with_gradient(
         &mut self,
         controls: &[Displacement],
+    ) -> Result<(Evaluation, Vec<DisplacementGradient>), RolloutError>;
+
+    /// The same by the adjoint that [`restart`]s.
+    ///
+    /// # Errors
+    /// See [`RolloutError`].
+    fn simulate_restarted(
+        &mut self,
+        controls: &[Displacement],
+        restarts: &restart::Restarts,
     ) -> Result<(Evaluation, Vec<DisplacementGradient>), RolloutError>;
 
     /// A custom loss at the end of such a motion, and its derivative with respect to each

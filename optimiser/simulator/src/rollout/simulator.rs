@@ -578,6 +578,15 @@ impl<T: Real> Simulate for Simulator<T> {
         self.gradient(controls, Asked::default())
     }
 
+    fn simulate_restarted(
+        &mut self,
+        controls: &[Displacement],
+        restarts: &Restarts,
+    ) -> Result<(Evaluation, Vec<DisplacementGradient>), RolloutError> {
+        let (evaluation, gradient, _) = self.restarted_gradient(controls, restarts, None)?;
+        Ok((evaluation, gradient))
+    }
+
     fn gradient_of_custom_loss(
         &mut self,
         controls: &[Displacement],

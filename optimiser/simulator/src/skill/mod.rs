@@ -16,6 +16,7 @@ mod motion;
 mod profile;
 mod quantised;
 mod real;
+mod spline_path;
 #[cfg(test)]
 mod tests;
 mod theta;
@@ -28,6 +29,7 @@ pub use powderline_shared::plan::SkillParameter;
 pub(crate) use profile::minimum_jerk_position;
 pub use quantised::{LSB, QuantisedControls, controls_of};
 use real::{Dual5, SkillScalar};
+pub use spline_path::{Freedom, SplinePath, Splines, UNIT_ANGLE_RAD, USUAL_KNOTS};
 pub use theta::{Theta, ThetaError, ThetaGradient};
 
 use crate::scene::{Limits, Scene, Skill, Time, Tool};
@@ -157,6 +159,8 @@ pub struct SkillMap {
     pitch_axis: [f64; 3],
     approach_m: f64,
     sweep_m: f64,
+    /// How far the tool's body reaches from its origin.
+    body_radius_m: f64,
     clock: TimeParametrisation,
     period_us: u32,
     start: Pose,
@@ -181,6 +185,7 @@ impl SkillMap {
             pitch_axis: [-sin, cos, 0.0],
             approach_m: skill.approach_m,
             sweep_m: skill.sweep_m,
+            body_radius_m: tool.body_radius_m(),
             clock: clock(skill, time, limits),
             period_us: time.control_period_us,
             start: quantised::start_pose(tool, skill.heading_deg.to_radians()),
@@ -221,6 +226,20 @@ impl SkillMap {
     /// [`SkillError::TooLong`].
     pub fn controls(&self, theta: &Theta) -> Result<Vec<Displacement>, SkillError> {
         Ok(self.control_vectors(theta)?.into_iter().map(Displacement::from).collect())
+    }
+
+    /// The same with splines added, if there are any.
+    ///
+    /// # Errors
+    /// [`SkillError::TooLong`].
+    pub fn motion(&self, theta: &Theta, splines: Option<&Splines>) -> Result<Vec<Displacement>, SkillError> {
+        match splines {
+            None => self.controls(theta),
+            Some(added) => {
+                let path = SplinePath::new(self, theta, &added.freedoms, added.knots())?;
+                Ok(path.controls(&added.coefficients))
+            }
+        }
     }
 
     fn control_vectors(&self, theta: &Theta) -> Result<Vec<Control>, SkillError> {

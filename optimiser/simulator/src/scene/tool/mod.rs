@@ -146,9 +146,14 @@ impl Tool {
 
     /// Of a ball around the tool's origin that holds all of it, metres.
     pub(crate) fn bounding_radius_m(&self) -> f64 {
-        let body = self.with_body(|body| body.bounding_radius_m());
+        let body = self.body_radius_m();
         let ends = self.handle_axis_m().map(|end| libm::sqrt(dot(end, end)) + self.handle.radius_m);
         body.max(ends[0]).max(ends[1])
+    }
+
+    /// The same of the body alone.
+    pub(crate) fn body_radius_m(&self) -> f64 {
+        self.with_body(|body| body.bounding_radius_m())
     }
 
     /// Lowest and highest coordinates of the body, tool frame, metres.
