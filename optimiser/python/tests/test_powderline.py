@@ -305,7 +305,8 @@ def test_plans_are_made_saved_loaded_and_turned_into_joints(scene, simulator, tm
     joints = again.to_joint_angles()
     assert joints.shape == (331, 6) and np.abs(np.diff(joints, axis=0)).max() < 0.1
     assert again.arm == "ur3e"
-    assert (again.miss, again.met, again.lost_kg) == tuple(getattr(simulator.motion(again.displacements).evaluation, name) for name in ["miss", "met", "lost_kg"])
+    achieved = simulator.motion(again.displacements).evaluation
+    assert (again.miss, again.met, again.lost_kg) == (achieved.miss, achieved.met, achieved.lost_kg)
     assert again.met is False and "Plan(misses: " in repr(again)
     assert pl.Plan.from_bytes(plan.to_bytes()).met is None
     assert again.parameters["scooping_depth_m"] == scene.parameters(THETA)[0]

@@ -20,8 +20,9 @@
 Units are SI and stand in the names. World frame: z up, the floor at z = 0. Poses are x, y, z in metres and a unit quaternion
 w, x, y, z. The same scene, seed and precision give the same bits on any machine, for any number of threads.
 
-What is here: `Scene`, `Simulator` with `Evaluation`, `Motion` and `Episode`, `Plan`, `optimise` and `Run`, `report` and `Report`; the exceptions `SceneError`,
-`SkillError` and `PlanError` (each a ValueError) and `SimulationError`; `SKILL_PARAMETERS`, what the components of theta are called.
+What is here: `Scene`, `Simulator` with `Evaluation`, `Motion` and `Episode`, `Plan`, `optimise` and `Run`, `report` and `Report`; the
+exceptions `SceneError`, `SkillError` and `PlanError` (each a ValueError) and `SimulationError`; `SKILL_PARAMETERS`, what the components
+of theta are called.
 
 `powderline.torch` differentiates a rollout within PyTorch, `powderline.gym` has environments for reinforcement learning. The program
 `optimise` comes along; `python -m powderline` is the same.
