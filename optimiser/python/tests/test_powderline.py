@@ -171,7 +171,8 @@ def test_more_frames_than_there_is_memory_for_are_refused_before_anything_runs(f
         simulator = powderline.Simulator(powderline.Scene.load(sys.argv[1]), threads=1)
         still = numpy.zeros((100_000, 6))
         held = int(pathlib.Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
-        resource.setrlimit(resource.RLIMIT_AS, (held + (1 << 28), resource.RLIM_INFINITY))
+        _, most = resource.getrlimit(resource.RLIMIT_AS)
+        resource.setrlimit(resource.RLIMIT_AS, (held + (1 << 28), most))
         try:
             simulator.motion(still, every=1)
         except MemoryError as error:
@@ -354,7 +355,7 @@ def test_a_search_is_the_programs(scene, simulator, tmp_path, capsys):
     page = pl.report(run)
     assert page.path == tmp_path / "run" / "report.html" == pl.report(os.fspath(run)).path
     shown = page._repr_html_()
-    assert shown.startswith("<iframe srcdoc=") and html.unescape(shown).count("<svg") == page.path.read_text().count("<svg") > 0
+    assert shown.startswith("<iframe srcdoc=") and page.path.read_text(encoding="utf-8") in html.unescape(shown)
     plain = pl.report(run, replay=False, out=tmp_path / "plain.html")
     assert plain.path.stat().st_size < page.path.stat().st_size - 10_000
     with pytest.raises(ValueError, match="holds neither a run"):
