@@ -19,6 +19,13 @@ pub(crate) struct Evaluation {
     indicator: i64,
 }
 
+/// What arrives of what is wanted, such as `1.208 g of 1.6 g (-24 %)`.
+pub(crate) fn arrival(amounts: &Amounts, outcome: &Outcome) -> String {
+    let Outcome { mass_kg, miss, .. } = *outcome;
+    let sign = if miss > 0.0 { "+" } else { "" };
+    format!("{} of {} ({sign}{})", mass(mass_kg), mass(amounts.wanted_kg), percent(miss))
+}
+
 impl Evaluation {
     pub(crate) fn new(scene: &scene::Scene, found: &rollout::Evaluation) -> Self {
         let amounts = Amounts::from(scene);
@@ -73,14 +80,8 @@ impl Evaluation {
     }
 
     fn __repr__(&self) -> String {
-        let Outcome { mass_kg, miss, lost_kg, loss_m, .. } = self.outcome;
-        let sign = if miss > 0.0 { "+" } else { "" };
-        format!(
-            "Evaluation({} of {} ({sign}{}), {} lost, loss {loss_m:.3} m)",
-            mass(mass_kg),
-            mass(self.amounts.wanted_kg),
-            percent(miss),
-            mass(lost_kg),
-        )
+        let Outcome { lost_kg, loss_m, .. } = self.outcome;
+        let arrival = arrival(&self.amounts, &self.outcome);
+        format!("Evaluation({arrival}, {} lost, loss {loss_m:.3} m)", mass(lost_kg))
     }
 }

@@ -6,11 +6,12 @@
 //! | `Simulator`, `Episode` | `simulator.rs`, `episode.rs` | `powderline_simulator::rollout` |
 //! | `Evaluation`, `Motion` | `evaluation.rs`, `motion.rs` | the same |
 //! | `Plan` | `plan.rs` | `powderline_shared::plan` |
-//! | `optimise` | `search.rs` | `powderline_optimiser::cli`, as `optimise run` |
+//! | `optimise`, `report` | `search.rs`, `report.rs` | `powderline_optimiser::cli`, as `optimise run` and `optimise report` |
 //!
 //! What is typed for Python, with shapes and units, stands in `python/powderline/_native.pyi`; docstrings are those of this crate.
 
 mod arrays;
+mod command;
 mod episode;
 mod errors;
 mod evaluation;
@@ -18,6 +19,7 @@ mod given;
 mod json;
 mod motion;
 mod plan;
+mod report;
 mod scene;
 mod search;
 mod simulator;
@@ -40,6 +42,8 @@ mod _native {
     use crate::motion::Motion;
     #[pymodule_export]
     use crate::plan::Plan;
+    #[pymodule_export]
+    use crate::report::{report, summary};
     #[pymodule_export]
     use crate::scene::Scene;
     #[pymodule_export]

@@ -3,11 +3,14 @@
 use std::path::{Path, PathBuf};
 
 use numpy::{PyArray1, PyArray2};
-use powderline_optimiser::{cli::scene_of_plan, report::plan::PlanParts};
+use powderline_optimiser::{
+    cli::scene_of_plan,
+    report::{amounts::Amounts, finding::Outcome, plan::PlanParts},
+};
 use powderline_shared::{
     displacement::{Displacement, pose_at},
     plan::{
-        Fnv1a64, Mounting, PlanHeader, PlanReader, Precision, SkillParameter,
+        Fnv1a64, Mounting, PlanHeader, PlanReader, Precision, Prediction, SkillParameter,
         file::{check_plan, read_plan_file},
     },
     pose::Pose,
@@ -22,6 +25,7 @@ use pyo3::{prelude::*, types::PyDict};
 
 use crate::arrays;
 use crate::errors::{self, PlanError};
+use crate::evaluation::arrival;
 use crate::scene::Scene;
 
 /// A motion for an arm, as `execute` plays it: made by `optimise` or `Simulator.plan`.
@@ -93,7 +97,8 @@ impl Plan {
         arrays::array(py, &self.header.theta)
     }
 
-    /// The same in metres and radians, by name.
+    /// The same in metres and radians, by name: scooping_depth_m, scooping_angle_rad, lift_height_m, transport_displacement_m,
+    /// pouring_angle_rad.
     #[getter]
     fn parameters<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let parameters = PyDict::new(py);
@@ -150,6 +155,24 @@ impl Plan {
         self.header.predicted.wanted_kg
     }
 
+    /// How far `mass_kg` is off `wanted_kg`, relative: negative where powder is missing.
+    #[getter]
+    fn miss(&self) -> f64 {
+        self.outcome().miss
+    }
+
+    /// Whether the miss is within the scene's tolerance; None where the scene is not known, or as much as can be had is wanted.
+    #[getter]
+    fn met(&self) -> Option<bool> {
+        self.amounts().is_met(self.header.predicted.census.target)
+    }
+
+    /// What is on rims, spilled or in flight at the end, kilogram.
+    #[getter]
+    fn lost_kg(&self) -> f64 {
+        self.outcome().lost_kg
+    }
+
     /// Loss of the motion as shipped, metres: in whole counts (of 100 nm and 100 nrad), which move it a little.
     #[getter]
     fn loss(&self) -> f64 {
@@ -168,7 +191,8 @@ impl Plan {
         self.scene.clone().map(Scene)
     }
 
-    /// Joint angles of the plan's arm at each of `times_s`, radians; shape (steps + 1, 6).
+    /// Joint angles of the plan's arm at each of `times_s`, radians, from the base to the flange (base, shoulder, elbow, wrist 1, 2, 3);
+    /// shape (steps + 1, 6).
     ///
     /// scene: what the arm is kept clear of, if `self.scene` is None. Raises PlanError where there is no arm, or where it cannot make
     /// the motion.
@@ -197,11 +221,10 @@ impl Plan {
     }
 
     fn __repr__(&self) -> String {
-        let PlanHeader { predicted, .. } = self.header;
         format!(
-            "Plan({} of {} wanted, {:.2} s{})",
-            mass(predicted.arrives_kg()),
-            mass(predicted.wanted_kg),
+            "Plan({}{}, {:.2} s{})",
+            if self.met() == Some(false) { "misses: " } else { "" },
+            arrival(&self.amounts(), &self.outcome()),
             self.controls.len() as f64 * self.control_period_s(),
             self.arm().map_or(String::new(), |arm| format!(", {arm}"))
         )
@@ -209,15 +232,12 @@ impl Plan {
 
     /// What a notebook shows.
     fn _repr_html_(&self) -> String {
-        let amounts_of = |kg: f64| mass(kg);
         let row = |name: &str, value: String| {
             format!("<tr><th style=\"text-align:left\">{name}</th><td>{value}</td></tr>")
         };
         let mut rows = vec![
-            row(
-                "arrives",
-                format!("{} of {} wanted", amounts_of(self.mass_kg()), amounts_of(self.wanted_kg())),
-            ),
+            row("arrives", self.arrives_in_words()),
+            row("lost", mass(self.lost_kg())),
             row("loss", format!("{:.3} m", self.loss())),
             row("lasts", format!("{:.2} s", self.controls.len() as f64 * self.control_period_s())),
         ];
@@ -258,6 +278,36 @@ impl Plan {
     fn of_bytes(bytes: &[u8], scene: Option<scene::Scene>) -> PyResult<Self> {
         let plan = check_plan(Path::new("the plan"), bytes).map_err(errors::of_file)?;
         Ok(Self::new(&plan, bytes, scene))
+    }
+
+    /// What is wanted, and what counts as that, where the scene is known.
+    fn amounts(&self) -> Amounts {
+        let Prediction { wanted_kg, indicator, particle_mass_kg, census, .. } = self.header.predicted;
+        let wanted_particles = (indicator + i64::from(census.target)).max(0) as u32;
+        let tolerance = self.scene.as_ref().and_then(|scene| Amounts::from(scene).tolerance);
+        Amounts { wanted_kg, wanted_particles, tolerance, particle_mass_kg }
+    }
+
+    fn outcome(&self) -> Outcome {
+        Outcome::of_plan(&self.amounts(), &self.header)
+    }
+
+    /// A miss first.
+    fn arrives_in_words(&self) -> String {
+        let (amounts, target) = (self.amounts(), self.header.predicted.census.target);
+        let arrival = format!(
+            "{} of {} wanted: {}",
+            amounts.mass(target),
+            mass(amounts.wanted_kg),
+            amounts.off(target)
+        );
+        match self.met() {
+            Some(true) => format!("{arrival}, within the tolerance of {}", amounts.tolerance()),
+            Some(false) => {
+                format!("<b>misses</b>: {arrival}, more than the tolerance of {}", amounts.tolerance())
+            }
+            None => arrival,
+        }
     }
 
     /// Joints at each tick, radians.

@@ -1,40 +1,16 @@
 //! `optimise run` from Python, and the whole program.
 
-use std::io::{self, Write};
 use std::path::PathBuf;
-use std::sync::{Arc, Mutex, PoisonError, mpsc};
+use std::sync::{Mutex, PoisonError, mpsc};
 
-use powderline_optimiser::cli::{
-    self, CliError, Context, Interrupt, MAX_EPOCHS, Memory, Resources, RunArgs, Stream,
-};
+use powderline_optimiser::cli::{self, CliError, MAX_EPOCHS, RunArgs};
 use powderline_optimiser::optim::Method;
 use pyo3::prelude::*;
 
+use crate::command::{object_of, resources};
+use crate::given;
 use crate::scene::Scene;
-use crate::simulator::{checked_precision, checked_seed, checked_threads, memory_bytes};
-use crate::watched::meanwhile;
-use crate::{errors, given, json};
-
-/// What the search says, until Python prints it.
-#[derive(Clone, Default)]
-struct Said(Arc<Mutex<Vec<u8>>>);
-
-impl Said {
-    fn take(&self) -> String {
-        let bytes = std::mem::take(&mut *self.0.lock().unwrap_or_else(PoisonError::into_inner));
-        String::from_utf8_lossy(&bytes).into_owned()
-    }
-}
-
-impl Write for Said {
-    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).write(bytes)
-    }
-
-    fn flush(&mut self) -> io::Result<()> {
-        Ok(())
-    }
-}
+use crate::simulator::{checked_precision, checked_seed};
 
 fn checked_epochs(name: &str, count: &Bound<'_, PyAny>) -> PyResult<u32> {
     given::whole(name, count, 0..=i128::from(MAX_EPOCHS), &format!("from 0 to {MAX_EPOCHS}"))
@@ -66,12 +42,11 @@ pub(crate) fn optimise<'py>(
     say: &Bound<'py, PyAny>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let precision = precision.map(checked_precision).transpose()?.map(Into::into);
-    let threads = threads.map(checked_threads).transpose()?;
     let seed = seed.map(checked_seed).transpose()?;
     let method = method.map(checked_method).transpose()?;
     let epochs = epochs.map(|count| checked_epochs("epochs", count)).transpose()?;
     let patience = patience.map(|count| checked_epochs("patience", count)).transpose()?;
-    let resources = Resources { threads, memory: Memory::Bytes(memory_bytes(memory)?) };
+    let resources = resources(threads, memory)?;
     let arguments = RunArgs {
         scene: None,
         seed,
@@ -85,46 +60,21 @@ pub(crate) fn optimise<'py>(
         json: true,
     };
     let scene = scene.map(|scene| scene.get().0.clone());
-    let (said, interrupt, mut found) = (Said::default(), Interrupt::default(), Vec::new());
     let (tell, told) = mpsc::channel::<String>();
     let told = Mutex::new(told);
-    let stop = interrupt.clone();
-    let (on_epoch, say) = (on_epoch.clone().unbind(), say.clone().unbind());
+    let on_epoch = on_epoch.clone().unbind();
     let look = |py: Python<'_>| -> PyResult<()> {
-        let text = said.take();
-        if !text.is_empty() {
-            say.call1(py, (text,))?;
-        }
-        for line in told.lock().unwrap_or_else(PoisonError::into_inner).try_iter() {
-            on_epoch.call1(py, (line,))?;
-        }
-        Ok(())
+        let told = told.lock().unwrap_or_else(PoisonError::into_inner);
+        told.try_iter().try_for_each(|line| on_epoch.call1(py, (line,)).map(drop))
     };
-    let job = || {
-        let mut context = Context {
-            factory: &|scene, setup| setup.simulator(scene),
-            interrupt: interrupt.clone(),
-            out: &mut found,
-            err: Stream::new(said.clone()),
-            live: false,
-        };
+    object_of(py, say, look, |context| {
         // Nobody hears it where Python has raised something.
-        cli::run(&arguments, scene.as_ref(), &|line| drop(tell.send(line.to_owned())), &mut context)
-    };
-    let (result, raised) = meanwhile(py, job, || stop.request(), look);
-    if let (Err(error), Err(_)) = (&result, &raised) {
-        // How to go on.
-        say.call1(py, (format!("{error}\n"),))?;
-    }
-    raised?;
-    look(py)?;
-    match result {
-        // A plan that misses is a result; it says so itself.
-        Ok(()) | Err(CliError::Missed(_)) => {}
-        Err(error) => return Err(errors::of_command(error)),
-    }
-    let found: serde_json::Value = serde_json::from_slice(&found).expect("`--json` prints one object");
-    json::to_python(py, &found)
+        match cli::run(&arguments, scene.as_ref(), &|line| drop(tell.send(line.to_owned())), context) {
+            // A plan that misses is a result; it says so itself.
+            Err(CliError::Missed(_)) => Ok(()),
+            result => result,
+        }
+    })
 }
 
 /// The program `optimise`, with these arguments, its name first; returns its exit code.

@@ -4,7 +4,7 @@ use std::ops::ControlFlow;
 use std::sync::Mutex;
 
 use numpy::{PyArray1, PyArray2, PyReadonlyArray2};
-use powderline_optimiser::cli::{MAX_THREADS, parse_size};
+use powderline_optimiser::cli::{MAX_THREADS, format_size, parse_size};
 use powderline_shared::{displacement::Displacement, plan::Precision, pose::Pose};
 use powderline_simulator::{
     rollout::{
@@ -15,7 +15,7 @@ use powderline_simulator::{
     skill::{SkillMap, SkillParameter, Theta, ThetaGradient},
 };
 use pyo3::{
-    exceptions::{PyTypeError, PyValueError},
+    exceptions::{PyMemoryError, PyTypeError, PyValueError},
     prelude::*,
     types::PyTuple,
 };
@@ -44,7 +44,7 @@ impl Kind {
 
 /// Simulates motions of a scene's tool, and what the powder makes of them.
 ///
-/// seed: of the packing; the scene's `powder.seed` is not looked at. precision: "f32" or "f64". threads: as many as the machine has
+/// seed: of the packing; the scene's `powder.seed` if None, as in `optimise`. precision: "f32" or "f64". threads: as many as the machine has
 /// processors, if None. memory: the most that the process may take in gradients, such as "2GiB" or a number of bytes; "1GiB" if None.
 /// progress: called with the share of the present call that is done, from 0 to 1, now and then, and with 1 at its end; what it raises
 /// ends the call. Neither threads nor memory change a bit of any result.
@@ -52,6 +52,7 @@ impl Kind {
 /// Calls release Python's lock; Ctrl-C ends them. A simulator does one thing at a time: threads need one each.
 #[pyclass(frozen, module = "powderline")]
 pub(crate) struct Simulator {
+    /// The bench.
     #[pyo3(get)]
     scene: Py<Scene>,
     /// Seed of the packing.
@@ -96,7 +97,7 @@ impl Simulator {
     #[new]
     #[pyo3(
         signature = (scene, *others, seed = None, precision = None, threads = None, memory = None, progress = None),
-        text_signature = "(scene, *, seed=1, precision='f32', threads=None, memory=None, progress=None)"
+        text_signature = "(scene, *, seed=None, precision='f32', threads=None, memory=None, progress=None)"
     )]
     fn new(
         scene: Bound<'_, Scene>,
@@ -109,7 +110,7 @@ impl Simulator {
     ) -> PyResult<Self> {
         given::by_name(others, "Simulator(scene, seed=1)")?;
         let usual = SimulatorSettings::default();
-        let seed = seed.map_or(Ok(usual.seed), checked_seed)?;
+        let seed = seed.map_or(Ok(scene.get().0.powder.seed), checked_seed)?;
         let threads = threads.map(checked_threads).transpose()?.map(usize::from);
         if let Some(progress) =
             progress.as_ref().map(|progress| progress.bind(scene.py())).filter(|p| !p.is_callable())
@@ -133,7 +134,8 @@ impl Simulator {
         self.precision.name()
     }
 
-    /// What a skill achieves: an Evaluation.
+    /// What a skill achieves: an Evaluation. Whether the arm may make the motion, `plan` asks, and not this: limits, and walls in the
+    /// tool's way, are not looked at here.
     ///
     /// theta: depth, scooping angle, lift, transport, pouring angle, each from -1 to 1 within the scene's bounds; shape (5,).
     fn rollout(&self, py: Python<'_>, theta: Numbers<'_>) -> PyResult<Evaluation> {
@@ -228,7 +230,7 @@ impl Simulator {
         let anchor = self.anchor(start.as_ref())?;
         arrays::within(&self.scene.get().0, &anchor, &controls)?;
         let period_s = self.scene.get().0.time.control_period_s();
-        let mut frames = Frames::default();
+        let mut frames = Frames::with_room(controls.len() / every + 1, self.scene().particle_count())?;
         let (found, destinations) = self.simulated(py, |s, _| {
             let recording = Recording { anchor: &anchor, controls: &controls, every };
             s.as_dyn().record(&recording, &mut |snapshot| frames.take(snapshot))
@@ -396,6 +398,22 @@ struct Frames {
 }
 
 impl Frames {
+    /// With the memory of all of them, so that none is moved later: it is what NumPy's arrays hold in the end.
+    fn with_room(frames: usize, particles: usize) -> PyResult<Self> {
+        let mut made = Self::default();
+        let rows = frames.saturating_mul(particles);
+        let room = made
+            .positions_m
+            .try_reserve_exact(rows)
+            .and_then(|()| made.velocities_m_s.try_reserve_exact(rows));
+        room.map(|()| made).map_err(|_| {
+            let size = format_size(rows.saturating_mul(24) as u64);
+            PyMemoryError::new_err(format!(
+                "{frames} frames of {particles} particles take {size}, more than there is: a larger `every` keeps fewer"
+            ))
+        })
+    }
+
     fn take(&mut self, snapshot: &Snapshot<'_>) -> ControlFlow<()> {
         self.steps.push(snapshot.step);
         self.tool.push(arrays::of_pose(&snapshot.tool));

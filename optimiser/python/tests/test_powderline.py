@@ -1,8 +1,10 @@
 """The package as its users have it. What is simulated is tested in Rust; here, that it comes through."""
 
+import html
 import json
 import os
 import pickle
+import re
 import signal
 import subprocess
 import sys
@@ -102,6 +104,12 @@ def test_a_rollout_is_what_the_program_finds(scene, simulator, found, file):
     assert "wanted" not in repr(found) and "loss" in repr(found)
 
 
+def test_a_packing_is_the_scenes_own_if_none_is_asked_for(scene, simulator, found):
+    other = scene.replace(powder={"seed": 7})
+    assert (simulator.seed, pl.Simulator(other).seed, pl.Simulator(other, seed=1).seed) == (1, 7, 1)
+    assert pl.Simulator(other).rollout(THETA).loss == pl.Simulator(scene, seed=7).rollout(THETA).loss != found.loss
+
+
 def test_rollouts_side_by_side_are_the_same_as_alone(simulator, found):
     thetas = np.array([THETA, [0.5, 0.0, 0.0, 0.0, 0.3]])
     both = simulator.rollouts(thetas)
@@ -149,10 +157,29 @@ def test_a_motion_and_its_frames(scene, simulator, found):
     np.testing.assert_array_equal(motion.tool[0], scene.start_pose)
     np.testing.assert_allclose(motion.times_s, [0.0, 1.0, 2.0, 3.0])
     assert motion.destinations.count("target") == found.census["target"]
-    # Without copies: the arrays are contiguous views of memory that Rust has handed over.
-    assert motion.positions_m.flags.c_contiguous
+    # Without copies: each is one view of memory that Rust has handed over, and the same one whenever it is asked for.
+    for array in [motion.positions_m, motion.velocities_m_s]:
+        assert array.flags.c_contiguous and array.flags.writeable and not array.flags.owndata
+    assert motion.positions_m is motion.positions_m and motion.velocities_m_s is motion.velocities_m_s
     elsewhere = scene.start_pose + np.array([0, 0, 0.01, 0, 0, 0, 0])
     assert simulator.motion(displacements[:10], every=10, start=elsewhere).tool[0, 2] == elsewhere[2]
+
+
+def test_more_frames_than_there_is_memory_for_are_refused_before_anything_runs(file):
+    program = """if True:
+        import pathlib, resource, sys, numpy, powderline
+        simulator = powderline.Simulator(powderline.Scene.load(sys.argv[1]), threads=1)
+        still = numpy.zeros((100_000, 6))
+        held = int(pathlib.Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+        _, most = resource.getrlimit(resource.RLIMIT_AS)
+        resource.setrlimit(resource.RLIMIT_AS, (held + (1 << 28), most))
+        try:
+            simulator.motion(still, every=1)
+        except MemoryError as error:
+            print(error)
+    """
+    said = subprocess.run([sys.executable, "-c", program, file], check=True, capture_output=True, text=True, timeout=60).stdout
+    assert re.match(r"100001 frames of \d+ particles take .* MiB, more than there is: a larger `every` keeps fewer", said), said
 
 
 def test_a_motion_in_pieces_is_the_same_as_whole(scene, simulator, found):
@@ -279,6 +306,10 @@ def test_plans_are_made_saved_loaded_and_turned_into_joints(scene, simulator, tm
     joints = again.to_joint_angles()
     assert joints.shape == (331, 6) and np.abs(np.diff(joints, axis=0)).max() < 0.1
     assert again.arm == "ur3e"
+    achieved = simulator.motion(again.displacements).evaluation
+    assert (again.miss, again.met, again.lost_kg) == (achieved.miss, achieved.met, achieved.lost_kg)
+    assert again.met is False and "Plan(misses: " in repr(again)
+    assert pl.Plan.from_bytes(plan.to_bytes()).met is None
     assert again.parameters["scooping_depth_m"] == scene.parameters(THETA)[0]
     assert "<table>" in again._repr_html_()
     with pytest.raises(pl.PlanError, match="digest"):
@@ -302,8 +333,13 @@ def test_a_search_is_the_programs(scene, simulator, tmp_path, capsys):
     # Which epoch becomes the plan is known in the end.
     assert [{**epoch, "shipped": None} for epoch in told] == [{**epoch, "shipped": None} for epoch in run.epochs]
     assert [epoch["shipped"] for epoch in run.epochs] == [False, True]
-    assert run.plan is not None and run.miss is not None
-    assert "epoch   1/1" in capsys.readouterr().err
+    # It misses, which is said first wherever the result is shown.
+    assert run.plan is not None and run.met is run.plan.met is False and abs(run.miss) > 0.02
+    assert f"{run!r}".startswith(f"Run({str(tmp_path / 'run')!r}: Plan(misses: ")
+    assert "<td><b>misses</b>: " in run._repr_html_()
+    said = capsys.readouterr().err
+    assert "epoch   1/1" in said and said.endswith(run.summary)
+    assert run.summary.startswith("The plan brings ") and "more than the tolerance of 2 %" in run.summary.splitlines()[0]
     subprocess.run(
         [sys.executable, "-m", "powderline", str(file)]
         + ["--method", "restarted", "--epochs", "1", "--out", str(tmp_path / "program")],
@@ -316,6 +352,16 @@ def test_a_search_is_the_programs(scene, simulator, tmp_path, capsys):
     assert untimed[0] == untimed[1]
     assert "<svg" in run._repr_html_()
     assert run.scene == scene
+    page = pl.report(run)
+    assert page.path == tmp_path / "run" / "report.html" == pl.report(os.fspath(run)).path
+    shown = page._repr_html_()
+    assert shown.startswith("<iframe srcdoc=") and page.path.read_text(encoding="utf-8") in html.unescape(shown)
+    plain = pl.report(run, replay=False, out=tmp_path / "plain.html")
+    assert plain.path.stat().st_size < page.path.stat().st_size - 10_000
+    with pytest.raises(ValueError, match="holds neither a run"):
+        pl.report(tmp_path)
+    with pytest.raises(FileNotFoundError, match="nowhere.html: there is no such page"):
+        pl.Report(tmp_path / "nowhere.html")
     with pytest.raises(ValueError, match="run"):
         pl.optimise(scene, out=tmp_path / "run")
     with pytest.raises(ValueError, match="is a file"):

@@ -143,7 +143,7 @@ pub(super) struct PowderArgs {
     /// Powder under the motion that the arm made of the plan, as recorded
     #[arg(long, value_name = "FILE", conflicts_with = "theta")]
     pub executed: Option<PathBuf>,
-    /// Seed of a skill's packing [default: 1]
+    /// Seed of a skill's packing [default: the scene's powder.seed]
     #[arg(long, value_name = "N", conflicts_with_all = ["plan", "plan_option"])]
     pub seed: Option<u64>,
     /// Precision of a skill's simulation [default: f32]

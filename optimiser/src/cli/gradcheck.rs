@@ -39,7 +39,7 @@ pub(super) struct GradcheckArgs {
     /// Which of the drawn skills is the first to be tried
     #[arg(long, value_name = "N", requires = "skills", default_value_t = 0, value_parser = clap::value_parser!(u64).range(..=1_000_000))]
     pub first: u64,
-    /// Seed of the packing [default: 1]
+    /// Seed of the packing [default: the scene's powder.seed]
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
     /// Precision of the simulation [default: f64, with --skills or --theta f32]

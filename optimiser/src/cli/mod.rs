@@ -42,6 +42,7 @@ pub use interrupt::Interrupt;
 pub use motion::scene_of_plan;
 pub use options::{MAX_THREADS, PrecisionArg, Resources, Setup};
 pub use progress::{Progress, Stream, is_live};
+pub use report::{ReportArgs, execute as report};
 pub use run::{EpochFn, RunArgs, run};
 pub use size::{Memory, format_size, parse_size};
 

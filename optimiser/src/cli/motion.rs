@@ -41,7 +41,7 @@ pub(super) struct MotionArgs {
     /// Motion that the arm made of the plan, as recorded: simulate the powder under that, beside the plan's prediction
     #[arg(long, value_name = "FILE", requires = "plan", conflicts_with = "theta")]
     pub executed: Option<PathBuf>,
-    /// Seed of the packing [default: 1; a plan brings its own]
+    /// Seed of the packing [default: the scene's powder.seed; a plan brings its own]
     #[arg(long, value_name = "N", conflicts_with = "plan")]
     pub seed: Option<u64>,
     /// Precision of the simulation [default: f32; a plan brings its own]

@@ -64,7 +64,7 @@ struct Draft {
 
 /// Arguments of `optimise report`.
 #[derive(Clone, Debug, Args)]
-pub(super) struct ReportArgs {
+pub struct ReportArgs {
     /// Folder of a run or of a comparison, or a plan
     #[arg(value_name = "RUN_OR_COMPARISON_OR_PLAN")]
     pub of: PathBuf,
@@ -89,7 +89,7 @@ pub(super) struct ReportArgs {
 ///
 /// # Errors
 /// One sentence.
-pub(super) fn execute(arguments: &ReportArgs, context: &mut Context<'_>) -> Result<(), CliError> {
+pub fn execute(arguments: &ReportArgs, context: &mut Context<'_>) -> Result<(), CliError> {
     let of = &arguments.of;
     let Draft { mut page, task, finding } = if of.join(COMPARISON).exists() {
         arguments.comparison()?

@@ -35,7 +35,7 @@ pub struct RunArgs {
     /// Scene: the name of an embedded one (bench, bench-small, bench-fine, vial, workcell) or a TOML file [default: bench]
     #[arg(value_name = "SCENE")]
     pub scene: Option<String>,
-    /// Seed of the packing and of the search [default: 1]
+    /// Seed of the packing and of the search [default: the scene's powder.seed]
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,
     /// How to search [default: surrogate]

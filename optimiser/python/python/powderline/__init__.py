@@ -12,14 +12,17 @@
     motion.positions_m                              # every particle on its way: (frames, particles, 3)
 
     run = pl.optimise(scene)                        # the search; its folder is what the program `optimise` writes
+    run.met                                         # whether its plan brings what is wanted; run.summary says what could help
     run.plan.save("skill.plan")                     # what the repository's program `execute` plays to an arm
     run.plan.to_joint_angles()                      # radians, (steps + 1, 6)
+    pl.report(run)                                  # a page with curves and a replay in 3-D, which a notebook shows
 
 Units are SI and stand in the names. World frame: z up, the floor at z = 0. Poses are x, y, z in metres and a unit quaternion
 w, x, y, z. The same scene, seed and precision give the same bits on any machine, for any number of threads.
 
-What is here: `Scene`, `Simulator` with `Evaluation`, `Motion` and `Episode`, `Plan`, `optimise` and `Run`; the exceptions `SceneError`,
-`SkillError` and `PlanError` (each a ValueError) and `SimulationError`; `SKILL_PARAMETERS`, what the components of theta are called.
+What is here: `Scene`, `Simulator` with `Evaluation`, `Motion` and `Episode`, `Plan`, `optimise` and `Run`, `report` and `Report`; the
+exceptions `SceneError`, `SkillError` and `PlanError` (each a ValueError) and `SimulationError`; `SKILL_PARAMETERS`, what the components
+of theta are called.
 
 `powderline.torch` differentiates a rollout within PyTorch, `powderline.gym` has environments for reinforcement learning. The program
 `optimise` comes along; `python -m powderline` is the same.
@@ -38,7 +41,7 @@ from ._native import (
     SkillError,
     __version__,
 )
-from ._run import Run, optimise
+from ._run import Report, Run, optimise, report
 
 #: Names of the components of theta, in their order.
 SKILL_PARAMETERS: tuple[str, ...] = (
@@ -56,6 +59,7 @@ __all__ = [
     "Motion",
     "Plan",
     "PlanError",
+    "Report",
     "Run",
     "Scene",
     "SceneError",
@@ -64,4 +68,5 @@ __all__ = [
     "SkillError",
     "__version__",
     "optimise",
+    "report",
 ]

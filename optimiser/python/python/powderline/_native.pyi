@@ -119,7 +119,7 @@ class Simulator:
         self,
         scene: Scene,
         *,
-        seed: int = 1,
+        seed: int | None = None,
         precision: Literal["f32", "f64"] = "f32",
         threads: int | None = None,
         memory: str | int | None = None,
@@ -173,6 +173,12 @@ class Plan:
     @property
     def wanted_kg(self) -> float: ...
     @property
+    def miss(self) -> float: ...
+    @property
+    def met(self) -> bool | None: ...
+    @property
+    def lost_kg(self) -> float: ...
+    @property
     def loss(self) -> float: ...
     @property
     def arm(self) -> str | None: ...
@@ -194,6 +200,17 @@ def optimise(
     out: _Path | None,
     resume: _Path | None,
     on_epoch: Callable[[str], object],
+    say: Callable[[str], object],
+) -> dict[str, Any]: ...
+def summary(folder: _Path) -> str | None: ...
+def report(
+    of: _Path,
+    *,
+    executed: _Path | None,
+    out: _Path | None,
+    replay: bool,
+    threads: int | None,
+    memory: str | int,
     say: Callable[[str], object],
 ) -> dict[str, Any]: ...
 def main(arguments: list[str]) -> int: ...

@@ -34,7 +34,7 @@ class SkillEnv(gymnasium.Env[_F32, _F32]):
 
     Args:
         scene: a `Scene`, a name or a file.
-        seed: of the packing. It stays the same from episode to episode, so that a skill's reward does.
+        seed: of the packing; the scene's if None. It stays the same from episode to episode, so that a skill's reward does.
         threads: of the simulator.
         precision: "f32" or "f64".
     """
@@ -42,7 +42,7 @@ class SkillEnv(gymnasium.Env[_F32, _F32]):
     metadata: dict[str, Any] = {"render_modes": []}
 
     def __init__(
-        self, scene: Scene | str = "bench", *, seed: int = 1, threads: int | None = None, precision: Any = "f32"
+        self, scene: Scene | str = "bench", *, seed: int | None = None, threads: int | None = None, precision: Any = "f32"
     ) -> None:
         self.simulator = Simulator(_scene(scene), seed=seed, threads=threads, precision=precision)
         self.observation_space = spaces.Box(0.0, 1.0, (1,), np.float32)
@@ -80,7 +80,7 @@ class MotionEnv(gymnasium.Env[dict[str, Any], _F32]):
         self,
         scene: Scene | str = "bench",
         *,
-        seed: int = 1,
+        seed: int | None = None,
         threads: int | None = None,
         precision: Any = "f32",
         interval_s: float = 0.05,
