@@ -106,8 +106,9 @@ def optimise(
         method: "surrogate", the default: Gaussian processes of a coarse copy of the scene, where the first 8 epochs or so are spent, and
             of the scene itself; "restarted", "mixed", "differences", "exact": descent along the gradient of `Simulator.gradient`
             (restarted, exact adjoint and differences, differences, exact adjoint); "cma-es": covariance matrix adaptation; "sac": soft
-            actor-critic; "random": drawn uniformly.
-        epochs: epochs after the first, at most; 16 if None. With fewer than some 10, "surrogate" hardly looks at the scene itself.
+            actor-critic; "random": drawn uniformly; "path": a skill as "surrogate" finds it, then splines in time that are added to its
+            motion, down the restarted adjoint; "path-cma-es": the same by losses alone.
+        epochs: epochs after the first, at most; 16 if None, 32 for a path. With fewer than some 10, "surrogate" hardly looks at the scene itself.
         patience: ends when the amount is met and so many epochs in a row have gained nothing; 2 if None, 0 goes on to the last.
         precision: "f32" or "f64"; "f32", or that of the run, if None.
         threads: as many as the machine has processors, if None; changes no bit.
