@@ -316,6 +316,10 @@ mod tests {
             !settled(&scene, &epochs)
                 && settled(&scene, &judged(&[100, 1190, 1191, 1192], &losses[..4], &[]))
         );
+        // A twentieth less loss is a gain as well, within the tolerance or not; less than that, and before the amount is met, it is none.
+        let falling =
+            |third: f64| settled(&scene, &judged(&[100, 1190, 900, 900], &[50.0, 20.0, third, 22.0], &[]));
+        assert_eq!([18.9, 19.1].map(falling), [false, true]);
         assert!(!settled(&scene, &judged(&[100, 1100, 1110, 900], &losses[..4], &[])), "it is not met");
         assert!(
             !settled(&scene, &judged(&[100, 1200, 1110, 900], &losses[..4], &[1])),

@@ -67,21 +67,26 @@ impl Rule {
         if within.is_empty() { first.into_iter().collect() } else { within }
     }
 
-    /// The last epoch that brought a gain worth going on for: the first within the tolerance, and each that has by a quarter of the tolerance
-    /// less powder lost, missing or too much, or by a twentieth less loss, than all before it. None as long as none is within the tolerance.
+    /// The last epoch that brought a gain worth going on for: the first within the tolerance; each within it that has by a quarter of the
+    /// tolerance less powder lost, missing or too much than all before it; and, once one was within it, each that has by a twentieth less
+    /// loss than all before it. None as long as none is within the tolerance.
     pub fn last_gain(self, amounts: &Amounts, epochs: &[Judged]) -> Option<u32> {
         let least = WORTH_GOING_ON * amounts.tolerance?;
-        let mut last: Option<(u32, f64, f64)> = None;
+        let (mut last, mut least_off, mut lowest) = (None, f64::INFINITY, f64::INFINITY);
         for epoch in epochs.iter().filter(|epoch| epoch.counts()) {
             let record = &epoch.record;
-            let off = amounts.off_share(&record.census);
-            let is_met = amounts.is_met(record.census.target) == Some(true);
-            let (before, loss) = last.map_or((f64::INFINITY, f64::INFINITY), |(_, off, loss)| (off, loss));
-            if is_met && (off <= before - least || record.loss <= (1.0 - LOSS_WORTH_GOING_ON) * loss) {
-                last = Some((record.epoch, off.min(before), record.loss.min(loss)));
+            let off = match amounts.is_met(record.census.target) {
+                Some(true) => amounts.off_share(&record.census),
+                _ => f64::INFINITY,
+            };
+            let falls = last.is_some() && record.loss <= (1.0 - LOSS_WORTH_GOING_ON) * lowest;
+            lowest = record.loss.min(lowest);
+            if off < f64::INFINITY && off <= least_off - least || falls {
+                last = Some(record.epoch);
+                least_off = off.min(least_off);
             }
         }
-        last.map(|(epoch, ..)| epoch)
+        last
     }
 
     /// Of motions of the same world the one that stands for them.
