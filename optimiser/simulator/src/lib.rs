@@ -175,6 +175,12 @@ pub use real::Real;
 #[cfg_attr(doc, doc = include_str!("../examples/objective.rs"))]
 /// ```
 ///
+/// # What walls with two sides, and sleep by the mean, are worth: `walls`
+///
+/// ```ignore
+#[cfg_attr(doc, doc = include_str!("../examples/walls.rs"))]
+/// ```
+///
 /// # Every grain on its way: `grains`
 ///
 /// ```ignore
