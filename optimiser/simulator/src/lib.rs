@@ -67,6 +67,7 @@
 //! | elasticity, yield surface, volume correction, cohesion | `mpm/material.rs` | Klar et al. 2016; Matsuoka and Nakai 1974; Tampubolon et al. 2017 |
 //! | friction at rest and flowing | `mpm/material.rs` | MiDi 2004, inertial number |
 //! | volume held to the grid's density | `mpm/density.rs` | after Dunatunga and Kamrin 2015 |
+//! | sleep, by the fastest particle or the mean | `mpm/sleep.rs` | |
 //! | velocity residue, given back | `mpm/residue.rs` | after Fei et al. 2021, AFLIP |
 //! | contact, friction | `mpm/contact.rs`, `mpm/grid_update.rs` | Coulomb; Stomakhin et al. 2013 |
 //! | walls with two sides: who sees which nodes | `mpm/walls.rs`, `mpm/layers.rs` | after Hu et al. 2018, CPIC, without its ghost velocities |
@@ -172,6 +173,12 @@ pub use real::Real;
 ///
 /// ```ignore
 #[cfg_attr(doc, doc = include_str!("../examples/objective.rs"))]
+/// ```
+///
+/// # What walls with two sides, and sleep by the mean, are worth: `walls`
+///
+/// ```ignore
+#[cfg_attr(doc, doc = include_str!("../examples/walls.rs"))]
 /// ```
 ///
 /// # Every grain on its way: `grains`

@@ -14,7 +14,7 @@ use crate::mpm::layout::{Block, Grid, Nodes, empty_tile, load_tile};
 use crate::mpm::p2g::at_base;
 use crate::mpm::particles::{Group, LANES, Lanes, mat_of, set_mat, set_vec, vec_of};
 use crate::mpm::residue::Residue;
-use crate::mpm::sleep::BlockStatus;
+use crate::mpm::sleep::{BlockStatus, Speeds};
 use crate::mpm::stencil::{TILE_EDGE, Tile, scatter};
 use crate::mpm::stencil_positions::{Reach, StencilPositions};
 use crate::real::Real;
@@ -58,8 +58,7 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticles<'_, T> {
         load_tile(self.block, self.velocity, &mut tile);
         let unforced = load_unforced(model, self.block, self.unforced);
         let touching = model.obstacles.at_particles(&model.grid, self.block.coord, self.bodies);
-        let mut seen = BlockStatus { inside: true, quiet: true };
-        let sleep = [model.sleep_speed, model.sleep_speed * model.inverse_dx].map(|limit| limit * limit);
+        let (mut inside, mut speeds) = (true, Speeds::new(model));
         for (g, state) in self.state.iter_mut().enumerate() {
             let x = state.x;
             let places = StencilPositions::of(model.inverse_dx, shift, &x);
@@ -73,18 +72,18 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticles<'_, T> {
                 hold_volume(&tile, &taken.density, &places, &weights, occupied, state);
             }
             let gathered = &taken.velocity;
-            let mut loud = Lanes::ZERO;
+            let mut rates = Lanes::ZERO;
             for l in 0..LANES {
                 let (f, v, first) = (places.f(l), vec_of(&gathered.sum, l), mat_of(&gathered.first, l));
                 let c = three!(i => three!(j => model.four_per_dx * (first[i][j] - v[i] * f[j])));
                 set_mat(&mut state.c, l, c);
-                let rate = dot(c[0], c[0]) + dot(c[1], c[1]) + dot(c[2], c[2]);
-                loud[l] = T::ONE.only_if(!(dot(v, v) < sleep[0] && rate < sleep[1]));
+                rates[l] = dot(c[0], c[0]) + dot(c[1], c[1]) + dot(c[2], c[2]);
             }
             let mut v = gathered.sum;
             for t in &touching {
                 contact_lanes(t, &t.piece.particle_law, &x, &mut v);
             }
+            speeds.add([&gathered.sum, &v], &rates, occupied);
             let reach = T::from_f64((TILE_EDGE - 2) as f64);
             let mut outside = Lanes::ZERO;
             for axis in 0..3 {
@@ -105,10 +104,9 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticles<'_, T> {
                 }
             }
             state.v = v;
-            let none = |lanes: &Lanes<T>| lanes[..occupied].iter().all(|lane| *lane == T::ZERO);
-            seen = BlockStatus { inside: seen.inside && none(&outside), quiet: seen.quiet && none(&loud) };
+            inside = inside && outside[..occupied].iter().all(|lane| *lane == T::ZERO);
         }
-        seen
+        BlockStatus { inside, quiet: speeds.are_quiet(self.block.particles) }
     }
 }
 

@@ -8,7 +8,6 @@ use crate::mpm::layout::{BLOCK_EDGE, BLOCK_NODES, NodeBlock, Nodes, Side};
 use crate::mpm::obstacle::{Collider, Colliders, NearbyCollider, room_of};
 use crate::mpm::particles::{LANES, Lanes, set_vec, vec_of};
 use crate::mpm::residue::{unforced_velocity, unforced_velocity_adjoint};
-use crate::mpm::sleep::can_wake;
 use crate::mpm::stencil::Tile;
 use crate::mpm::tiles::Tiles;
 use crate::real::Real;
@@ -102,8 +101,13 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodes<'_, T> {
                 out[3] = self.model.density_per_mass * momentum[3] * rooms[n / LANES][n % LANES];
             }
         }
-        self.model.sleep_speed > T::ZERO
-            && self.velocity.iter().zip(self.momentum).any(|(v, p)| p[3] > T::ZERO && can_wake(self.model, v))
+        let sleep = &self.model.sleep;
+        sleep.may_sleep()
+            && self
+                .velocity
+                .iter()
+                .zip(self.momentum)
+                .any(|(v, p)| sleep.has_weight(p[3]) && sleep.can_wake(v))
     }
 }
 

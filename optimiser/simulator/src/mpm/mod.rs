@@ -96,10 +96,7 @@ pub(crate) struct Model<T> {
     pub(crate) density_per_mass: T,
     /// Gravity times substep, m/s.
     pub(crate) gravity_dt: [T; 3],
-    /// Speed below which powder may sleep, m/s; 0: it never does.
-    pub(crate) sleep_speed: T,
-    /// Substeps for which it has to be quiet before.
-    pub(crate) quiet_substeps: u32,
+    pub(crate) sleep: sleep::SleepLaw<T>,
     pub(crate) arch: Arch<T>,
 }
 
@@ -111,7 +108,7 @@ impl<T: Real> Model<T> {
 
     /// The same with powder that falls asleep below this speed, m/s.
     pub(crate) fn with_sleep_speed(&self, speed_m_s: f64) -> Self {
-        Self { sleep_speed: T::from_f64(speed_m_s), ..self.clone() }
+        Self { sleep: self.sleep.with_speed(speed_m_s), ..self.clone() }
     }
 
     pub(crate) fn new(scene: &Scene) -> Self {
@@ -139,8 +136,7 @@ impl<T: Real> Model<T> {
             holds_volume: scene.powder.volume_correction == VolumeCorrection::Grid,
             residue: scene.powder.transfer.map(|transfer| residue::Residue::of(transfer, dt)),
             density_per_mass: T::from_f64(1.0 / (scene.powder.density_kg_m3 * dx * dx * dx)),
-            sleep_speed: T::from_f64(scene.domain.sleep_speed_m_s),
-            quiet_substeps: (sleep::QUIET_S / dt).ceil() as u32,
+            sleep: sleep::SleepLaw::of(scene, dt),
             gravity_dt: scene.domain.gravity_m_s2.map(|g| T::from_f64(g * dt)),
             arch,
         }

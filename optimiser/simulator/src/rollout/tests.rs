@@ -16,11 +16,13 @@ use crate::rollout::{
     Snapshot, gradcheck, loss, outcome, quiet,
 };
 use crate::scene::{
-    Aim, Cuboid, Flow, Infeasible, Scene, Tool, ToolShape, Transfer, VolumeCorrection, Walls, YieldSurface,
+    Aim, Cuboid, Flow, Infeasible, Scene, SleepBy, Tool, ToolShape, Transfer, VolumeCorrection, Walls,
+    YieldSurface,
 };
 use crate::skill::{SkillMap, SkillParameter, Theta};
 
-/// The small bench with the paper's powder, which is viscous, and with every part of it that can be another; and with walls of two sides.
+/// The small bench with the paper's powder, which is viscous, and with every part of it that can be another; and with walls of two sides,
+/// the last one's powder sleeping by the mean of its speeds.
 fn benches() -> [Scene; 5] {
     let mut scene = Scene::load("bench-small").expect("shipped");
     scene.powder.yield_surface = YieldSurface::DruckerPrager;
@@ -38,7 +40,8 @@ fn benches() -> [Scene; 5] {
         scene.domain.walls = Walls::TwoSided;
         scene
     };
-    let [of_simple, of_all] = [two_sided(&scene), two_sided(&gets_back)];
+    let [of_simple, mut of_all] = [two_sided(&scene), two_sided(&gets_back)];
+    of_all.domain.sleep_by = SleepBy::MeanSquare;
     [scene, other, gets_back, of_simple, of_all]
 }
 

@@ -135,6 +135,23 @@ pub struct Domain {
     /// the tool, or a gate that moves, comes within two cells, a gate as near vanishes, a node of
     /// theirs moves or a particle arrives. m/s; 0 to 0.01, typically 0.002; 0: never.
     pub sleep_speed_m_s: f64,
+    /// Which speed of a block that is, and which nodes wake it; [`SleepBy::Largest`] if the file does not say.
+    #[serde(default)]
+    pub sleep_by: SleepBy,
+}
+
+/// By what powder at rest is known.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum SleepBy {
+    /// By the fastest particle of a block. Powder that is thinner than a cell, as at the foot of a heap, then never comes to rest, and the
+    /// heap sinks by some percent in ten seconds.
+    #[default]
+    Largest,
+    /// By the root of the mean square over a block, of speeds after contact. Nodes with less than a twentieth of a
+    /// full one's mass wake nobody. The source has the definitions, in `mpm/sleep.rs`.
+    MeanSquare,
 }
 
 /// What the two sides of a wall have to do with each other: of containers, gates, and the tool without its handle.

@@ -282,6 +282,11 @@ const SINGLE_FIELDS: &[Case] = &[
         ": domain.sleep_speed_m_s is 0.2, but it must be from 0 to 0.01",
     ),
     (
+        "sleep_speed_m_s = 0.0002",
+        "sleep_speed_m_s = 0.0002\nsleep_by = \"mean\"",
+        ": domain.sleep_by at line 12: unknown variant `mean`; did you mean `mean_square`? Possible are `largest`, `mean_square`",
+    ),
+    (
         "particles_per_cell = 8",
         "particles_per_cell = 0",
         ": powder.particles_per_cell is 0, but it must be from 1 to 64",

@@ -3,6 +3,7 @@
 mod bulk;
 mod conservation;
 mod gates;
+mod rest;
 mod sleep;
 mod stages;
 mod substep;

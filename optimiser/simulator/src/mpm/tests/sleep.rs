@@ -1,13 +1,13 @@
 //! Powder that sleeps: what it changes, what wakes it, and that nobody else notices.
 
 use crate::mpm::Model;
-use crate::mpm::particles::{Group, LANES, Particles};
-use crate::mpm::sleep;
+use crate::mpm::particles::{Group, LANES, Lanes, Particles};
+use crate::mpm::sleep::{self, Speeds};
 use crate::mpm::sort::sort;
 use crate::mpm::spare::BufferPool;
 use crate::mpm::substep::{State, Workspace};
 use crate::mpm::tests::{Dice, advance, empty_bench, even_lattice, far_away, standing};
-use crate::scene::Transfer;
+use crate::scene::{SleepBy, Transfer};
 
 const SLEEP_SPEED: f64 = 5e-4;
 /// The bed: a box of powder on the floor of an empty volume, between its walls.
@@ -15,11 +15,12 @@ const SIZE_M: [f64; 3] = [0.048, 0.032, 0.160];
 const DEPTH_M: f64 = 0.032;
 
 fn model(sleep_speed_m_s: f64) -> Model<f64> {
-    model_with(sleep_speed_m_s, None)
+    model_with(SleepBy::Largest, sleep_speed_m_s, None)
 }
 
-fn model_with(sleep_speed_m_s: f64, transfer: Option<Transfer>) -> Model<f64> {
+fn model_with(sleep_by: SleepBy, sleep_speed_m_s: f64, transfer: Option<Transfer>) -> Model<f64> {
     let mut scene = empty_bench(SIZE_M);
+    scene.domain.sleep_by = sleep_by;
     scene.domain.sleep_speed_m_s = sleep_speed_m_s;
     scene.powder.transfer = transfer;
     Model::new(&scene)
@@ -90,13 +91,15 @@ fn the_tool_wakes_what_it_comes_near_to() {
 
 #[test]
 fn what_falls_on_sleepers_wakes_them_and_comes_to_rest_as_on_those_awake() {
-    falls_on_sleepers(SLEEP_SPEED, None);
-    // The bed comes to rest later if it gets its velocity back.
-    falls_on_sleepers(4.0 * SLEEP_SPEED, Some(Transfer { residue_time_s: 0.005 }));
+    for sleep_by in [SleepBy::Largest, SleepBy::MeanSquare] {
+        falls_on_sleepers(sleep_by, SLEEP_SPEED, None);
+        // The bed comes to rest later if it gets its velocity back.
+        falls_on_sleepers(sleep_by, 4.0 * SLEEP_SPEED, Some(Transfer { residue_time_s: 0.005 }));
+    }
 }
 
-fn falls_on_sleepers(sleep_speed: f64, transfer: Option<Transfer>) {
-    let [sleepy, wakeful] = [sleep_speed, 0.0].map(|speed| model_with(speed, transfer));
+fn falls_on_sleepers(sleep_by: SleepBy, sleep_speed: f64, transfer: Option<Transfer>) {
+    let [sleepy, wakeful] = [sleep_speed, 0.0].map(|speed| model_with(sleep_by, speed, transfer));
     let (points, count) = bed_and_lump();
     let mut state = State::new(&sleepy, &far_away(), &Particles::at_rest(&points)).unwrap();
     let mut workspace = Workspace::new();
@@ -109,7 +112,7 @@ fn falls_on_sleepers(sleep_speed: f64, transfer: Option<Transfer>) {
             awake = awake.max(state.layout.blocks.len() - asleep(&state));
         }
     }
-    println!("{sleepers} blocks asleep before the lump arrives, up to {awake} awake after it");
+    println!("{sleep_by:?}: {sleepers} blocks asleep before the lump arrives, up to {awake} awake after it");
     assert!(sleepers > 0 && awake > 3, "{sleepers} {awake}");
     let want = rested(&wakeful, &points, 1200).particles.positions_by_id();
     let got = state.particles.positions_by_id();
@@ -123,7 +126,11 @@ fn falls_on_sleepers(sleep_speed: f64, transfer: Option<Transfer>) {
 
 #[test]
 fn cotangents_of_sleepers_stay_and_those_of_others_are_what_they_are_without_them() {
-    let (sleepy, wakeful) = (model(SLEEP_SPEED), model(0.0));
+    [SleepBy::Largest, SleepBy::MeanSquare].into_iter().for_each(cotangents_of_sleepers_stay);
+}
+
+fn cotangents_of_sleepers_stay(sleep_by: SleepBy) {
+    let [sleepy, wakeful] = [SLEEP_SPEED, 0.0].map(|speed| model_with(sleep_by, speed, None));
     let (points, count) = bed_and_lump();
     let mut state = rested(&sleepy, &points, 230);
     for _ in 0..200 {
@@ -160,6 +167,25 @@ fn cotangents_of_sleepers_stay_and_those_of_others_are_what_they_are_without_the
         }
     }
     assert!(of_lump > 0 && kept > 0, "{of_lump} {kept}");
+}
+
+/// One that is quiet but for a single grain is asleep by the mean, and the grain with it; of a grain that is faster it is not.
+#[test]
+fn by_the_mean_a_slow_grain_keeps_nobody_awake_and_a_fast_one_does() {
+    let asleep_with = |sleep_by: SleepBy, speed: f64| {
+        let model = model_with(sleep_by, SLEEP_SPEED, None);
+        let (mut speeds, still, mut other) = (Speeds::new(&model), [Lanes::ZERO; 3], [Lanes::ZERO; 3]);
+        other[1][3] = speed;
+        for v in (0..25).map(|group| if group == 7 { &other } else { &still }) {
+            speeds.add([v, v], &Lanes::ZERO, LANES);
+        }
+        speeds.are_quiet(400)
+    };
+    for (sleep_by, bound) in [(SleepBy::Largest, SLEEP_SPEED), (SleepBy::MeanSquare, 20.0 * SLEEP_SPEED)] {
+        assert!(asleep_with(sleep_by, 0.99 * bound), "{sleep_by:?}");
+        assert!(!asleep_with(sleep_by, 1.01 * bound), "{sleep_by:?}");
+        assert!(!asleep_with(sleep_by, f64::NAN), "{sleep_by:?}");
+    }
 }
 
 #[test]
