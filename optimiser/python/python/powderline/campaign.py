@@ -48,6 +48,8 @@ from ._native import Plan, SimulationError
 WRITE_S = 60.0
 #: From one look at the terminal to the next, seconds, and from one table of a log to the next.
 DRAW_S, LOG_S = 0.5, 60.0
+#: How long a cluster may take to answer before that is said, seconds.
+WAIT_S = 20.0
 #: Most rows of the table that is shown while cases are done.
 MAX_GROUPS = 12
 #: Statuses in the order in which a person asks for them.
@@ -279,7 +281,12 @@ class Session:
         began = written = time.monotonic()
         link = Link(job)
         try:
+            answered = False
             for kind, what in link:
+                if not answered and time.monotonic() - began > WAIT_S:
+                    self.board.line(f"{where(job['address'])} has not answered yet")
+                    answered = True
+                answered = answered or kind != "nothing"
                 if kind == "finished":
                     self.board.clear()
                     self.board.line(f"{count(len(job['cases']), 'case')} in {time.monotonic() - began:.1f} s")
