@@ -7,10 +7,12 @@
 //! | `Evaluation`, `Motion` | `evaluation.rs`, `motion.rs` | the same |
 //! | `Plan` | `plan.rs` | `powderline_shared::plan` |
 //! | `optimise`, `report` | `search.rs`, `report.rs` | `powderline_optimiser::cli`, as `optimise run` and `optimise report` |
+//! | `campaign` | `campaign.rs` | `powderline_optimiser::campaign` and `cli`, as `optimise campaign` |
 //!
 //! What is typed for Python, with shapes and units, stands in `python/powderline/_native.pyi`; docstrings are those of this crate.
 
 mod arrays;
+mod campaign;
 mod command;
 mod episode;
 mod errors;
@@ -32,6 +34,8 @@ use pyo3::prelude::*;
 mod _native {
     use pyo3::prelude::*;
 
+    #[pymodule_export]
+    use crate::campaign::{Campaign, CampaignFolder, perform_cases};
     #[pymodule_export]
     use crate::episode::Episode;
     #[pymodule_export]

@@ -2,38 +2,31 @@
 
 mod case;
 mod crew;
+mod experiment;
+
+pub use self::experiment::Experiment;
 
 use self::{
-    case::{Obstacles, folder_of, known, workload},
-    crew::{Crew, Told},
+    case::{Obstacles, workload},
+    crew::{Crew, Site, Told},
+    experiment::CAMPAIGN,
 };
-use super::{CliError, Context, Progress, Resources, next, size::format_size};
+use super::{CliError, Context, Interrupt, Progress, Resources, next, size::format_size};
 use crate::{
-    campaign::{
-        Campaign, CampaignError, Outcome, Status,
-        page::{TABLE_FILE, page, verdict},
-        table::{counts, parquet},
-    },
+    campaign::{Campaign, CampaignError, table::counts},
     report::{
-        amounts::percent,
         folder::RunFolder,
         words::{count, duration, grouped},
     },
 };
 use clap::Args;
-use powderline_simulator::scene::figures::mass;
-use powderline_view::page::Tone;
+use powderline_simulator::scene::Scene;
 use serde::Serialize;
 use std::{
-    fs,
     path::{Path, PathBuf},
+    process::Command,
     time::{Duration, Instant},
 };
-
-/// The campaign, in its folder.
-const CAMPAIGN: &str = "campaign.toml";
-/// Its page.
-const REPORT: &str = "report.html";
 
 /// From one time that page and table are written to the next, at least.
 const WRITE: Duration = Duration::from_secs(60);
@@ -80,14 +73,6 @@ struct Report<'a> {
     threads_each: Option<u16>,
 }
 
-/// A campaign whose folder is open and locked.
-struct Experiment {
-    campaign: Campaign,
-    folder: RunFolder,
-    /// What became of each case, as far as is known.
-    outcomes: Vec<Option<Outcome>>,
-}
-
 impl From<CampaignError> for CliError {
     fn from(error: CampaignError) -> Self {
         Self::Input(error.to_string())
@@ -122,14 +107,13 @@ pub(super) fn execute(arguments: &CampaignArgs, context: &mut Context<'_>) -> Re
         Some(folder) => Experiment::open(campaign, folder)?,
         None => Experiment::start(campaign, arguments.out.as_deref())?,
     };
-    let folder = experiment.folder.path().to_string_lossy().into_owned();
-    let again = next::optimise(&["campaign", "--resume", &folder]);
-    let worked = experiment.work(crew, &progress, context);
+    let again = next::optimise(&["campaign", "--resume", &experiment.path().to_string_lossy()]);
+    let worked = work(&mut experiment, crew, &progress, context);
     progress.clear();
     let written = experiment.write();
     let remark = format!("what is done is saved, go on with: {again}");
     worked.and(written).map_err(|error| error.with_remark(&remark))?;
-    experiment.conclude(arguments.json, crew, context)
+    conclude(&experiment, arguments.json, crew, context)
 }
 
 impl CampaignArgs {
@@ -163,15 +147,59 @@ impl Crew {
     }
 }
 
-/// Looks at every setting before anything is begun, and at what may be done at a time.
+/// How many cases are done at a time on this machine, once every setting has been looked at.
 fn checked(campaign: &Campaign, resources: Resources, context: &Context<'_>) -> Result<Crew, CliError> {
+    let scenes = possible(campaign, &context.interrupt)?;
+    let needs = |each: Resources| enough(campaign, &scenes, each);
+    crew::crew(campaign.case_count() as usize, resources, &needs)
+}
+
+/// Looks at every setting before anything is begun, each case with threads and memory of its own.
+///
+/// # Errors
+/// What stands in the way, a line for each setting whose cases cannot be done.
+pub fn check_apart(campaign: &Campaign, each: Resources, interrupt: &Interrupt) -> Result<(), CliError> {
+    enough(campaign, &possible(campaign, interrupt)?, each)
+}
+
+/// Does cases of the campaign whose file is in this folder, one after another, in a process of its own, which `program` is, and tells
+/// of each that has come to its end. What they leave behind is in this folder, as for [`Experiment::learn`].
+///
+/// # Errors
+/// It was stopped, or the folder cannot be used; what a case fails of otherwise is its outcome.
+pub fn perform_apart(
+    folder: &Path,
+    cases: &[u64],
+    each: Resources,
+    program: &(dyn Fn() -> Command + Sync),
+    interrupt: &Interrupt,
+    ended: &mut dyn FnMut(u64),
+) -> Result<(), CliError> {
+    let campaign = Campaign::load(&folder.join(CAMPAIGN))?;
+    let site = Site { campaign: &campaign, folder, program };
+    crew::work(site, cases, Crew { workers: 1, each }, interrupt, &mut |told| {
+        if let Told::Done(case) = told {
+            ended(case);
+        }
+        Ok(())
+    })
+}
+
+/// Whether each case can be done in so much memory.
+fn enough(campaign: &Campaign, scenes: &[Scene], each: Resources) -> Result<(), CliError> {
+    let setup = each.setup(0, campaign.file().precision.into());
+    scenes.iter().try_for_each(|scene| Ok(setup.check_memory(scene, workload(campaign), 0)?))
+}
+
+/// The scenes that differ in what they take; all settings have been looked at.
+fn possible(campaign: &Campaign, interrupt: &Interrupt) -> Result<Vec<Scene>, CliError> {
     if let Some(epochs) = campaign.file().epochs {
         crate::run::checked_epochs(epochs)?;
     }
     let (mut refusals, mut scenes): (Vec<String>, Vec<_>) = (Vec::new(), Vec::new());
     let mut obstacles = Obstacles::new(campaign);
     for setting in campaign.settings() {
-        if context.interrupt.is_requested() {
+        if interrupt.is_requested() {
             return Err(CliError::Interrupted("stopped on request; nothing was begun".into()));
         }
         let refused = match setting.scene() {
@@ -191,14 +219,7 @@ fn checked(campaign: &Campaign, resources: Resources, context: &Context<'_>) -> 
             false => format!("{}: {why}", setting.name()),
         }));
     }
-    if !refusals.is_empty() {
-        return Err(CliError::Input(refused(campaign, &refusals)));
-    }
-    let needs = |each: Resources| {
-        let setup = each.setup(0, campaign.file().precision.into());
-        scenes.iter().try_for_each(|scene| Ok(setup.check_memory(scene, workload(campaign), 0)?))
-    };
-    crew::crew(campaign.case_count() as usize, resources, &needs)
+    if refusals.is_empty() { Ok(scenes) } else { Err(CliError::Input(refused(campaign, &refusals))) }
 }
 
 /// The sentence, and the lines below it.
@@ -220,172 +241,71 @@ fn refused(campaign: &Campaign, refusals: &[String]) -> String {
     text
 }
 
-impl Experiment {
-    fn start(campaign: Campaign, out: Option<&Path>) -> Result<Self, CliError> {
-        let folder = match out {
-            Some(path) if path.join(CAMPAIGN).exists() => {
-                let path = path.display();
-                return Err(CliError::Input(format!(
-                    "{path} already holds a campaign, which is not overwritten; choose another --out, or go on with it by --resume {path}"
-                )));
-            }
-            Some(path) => RunFolder::create(path)?,
-            None => RunFolder::create_numbered(&Path::new("runs").join(&campaign.file().name))?,
-        };
-        let begun = Self::of(campaign, folder)?;
-        begun.save()?;
-        Ok(begun)
+/// Does what is left.
+fn work(
+    experiment: &mut Experiment,
+    crew: Crew,
+    progress: &Progress,
+    context: &mut Context<'_>,
+) -> Result<(), CliError> {
+    let (left, all, folder) = (experiment.left(), experiment.outcomes().len(), experiment.path().to_owned());
+    if left.is_empty() {
+        progress.line(&format!("all of {} are done", folder.display()));
+        return Ok(());
     }
-
-    /// With what an earlier session has done; with more cases, if the campaign has more now.
-    fn open(campaign: Campaign, path: &Path) -> Result<Self, CliError> {
-        let begun = Self::of(campaign, RunFolder::open_with(path, CAMPAIGN)?)?;
-        begun.save()?;
-        Ok(begun)
+    if left.len() < all {
+        let done = grouped((all - left.len()) as i64);
+        progress.line(&format!("{done} are done already"));
     }
-
-    fn of(campaign: Campaign, folder: RunFolder) -> Result<Self, CliError> {
-        let (mut outcomes, mut scene) = (Vec::with_capacity(campaign.case_count() as usize), None);
-        for case in campaign.cases() {
-            let path = folder_of(folder.path(), &case);
-            if !path.exists() {
-                outcomes.push(None);
-                continue;
-            }
-            // Seeds share their scene.
-            let setting = case.setting.index;
-            let (_, scene) = match scene.take() {
-                Some(same @ (index, _)) if index == setting => scene.insert(same),
-                _ => scene.insert((setting, case.setting.scene()?)),
-            };
-            outcomes.push(known(&path, &case.key(scene))?);
-        }
-        Ok(Self { campaign, folder, outcomes })
-    }
-
-    /// The campaign as it goes on from here, with its benches: the files that it came from may go.
-    fn save(&self) -> Result<(), CliError> {
-        let (text, benches) = self.campaign.to_files();
-        fs::create_dir_all(self.folder.file("benches"))?;
-        for (file, text) in benches {
-            self.folder.replace(&file, text.as_bytes())?;
-        }
-        Ok(self.folder.replace(CAMPAIGN, text.as_bytes())?)
-    }
-
-    /// Does what is left.
-    fn work(&mut self, crew: Crew, progress: &Progress, context: &mut Context<'_>) -> Result<(), CliError> {
-        let is_left =
-            |outcome: &Option<Outcome>| outcome.as_ref().is_none_or(|o| o.status() == Status::Failed);
-        let left: Vec<u64> =
-            (0..).zip(&self.outcomes).filter(|(_, o)| is_left(o)).map(|(case, _)| case).collect();
-        let all = self.outcomes.len();
-        if left.is_empty() {
-            progress.line(&format!("all of {} are done", self.folder.path().display()));
-            return Ok(());
-        }
-        if left.len() < all {
-            let done = grouped((all - left.len()) as i64);
-            progress.line(&format!("{done} are done already"));
-        }
-        progress.line(&format!("{}, into {}", crew.words(), self.folder.path().display()));
-        progress.begin(&count(left.len() as i64, "case"), 0, &[]);
-        let (mut finished, mut written) = (0, Instant::now());
-        let folder = self.folder.path().to_owned();
-        let campaign = self.campaign.clone();
-        crew::work((&campaign, &folder), &left, crew, &context.interrupt, &mut |told| {
-            match told {
-                Told::Tick => {}
-                Told::Words(words) => progress.line(words),
-                Told::Done(index) => {
-                    finished += 1;
-                    let words = self.learn(index)?;
-                    progress.line(&format!("[{}/{}] {words}", grouped(finished), grouped(left.len() as i64)));
-                    if written.elapsed() >= WRITE {
-                        self.write()?;
-                        written = Instant::now();
-                    }
+    progress.line(&format!("{}, into {}", crew.words(), folder.display()));
+    progress.begin(&count(left.len() as i64, "case"), 0, &[]);
+    let (mut finished, mut written) = (0, Instant::now());
+    let campaign = experiment.campaign().clone();
+    let site = Site { campaign: &campaign, folder: &folder, program: &next::again };
+    crew::work(site, &left, crew, &context.interrupt, &mut |told| {
+        match told {
+            Told::Tick => {}
+            Told::Words(words) => progress.line(words),
+            Told::Done(index) => {
+                finished += 1;
+                let words = experiment.learn(index)?;
+                progress.line(&format!("[{}/{}] {words}", grouped(finished), grouped(left.len() as i64)));
+                if written.elapsed() >= WRITE {
+                    experiment.write()?;
+                    written = Instant::now();
                 }
             }
-            progress.tick(finished as f64 / left.len() as f64);
-            Ok(())
-        })?;
-        let seconds = progress.seconds();
-        progress.clear();
-        progress.line(&format!("{} in {}", count(left.len() as i64, "case"), duration(seconds)));
+        }
+        progress.tick(finished as f64 / left.len() as f64);
         Ok(())
-    }
+    })?;
+    let seconds = progress.seconds();
+    progress.clear();
+    progress.line(&format!("{} in {}", count(left.len() as i64, "case"), duration(seconds)));
+    Ok(())
+}
 
-    /// Reads what became of a case, and says it.
-    fn learn(&mut self, index: u64) -> Result<String, CliError> {
-        let case = self.campaign.case(index);
-        let path = folder_of(self.folder.path(), &case);
-        let outcome = known(&path, &case.key(&case.setting.scene()?))?;
-        let outcome =
-            outcome.ok_or_else(|| CliError::Failed(format!("{} has lost its outcome", path.display())))?;
-        let words = match (outcome.found(), outcome.error()) {
-            (Some(found), _) => {
-                let sign = if found.miss > 0.0 { "+" } else { "" };
-                let status = outcome.status().name();
-                format!(
-                    "{}: {} arrive ({sign}{}), {status}",
-                    case.name,
-                    mass(found.mass_kg),
-                    percent(found.miss)
-                )
-            }
-            (None, why) => format!("{}: failed: {}", case.name, why.unwrap_or_default()),
-        };
-        self.outcomes[index as usize] = Some(outcome);
-        Ok(words)
+/// Says what came of it, in the order of what the person needs first.
+fn conclude(
+    experiment: &Experiment,
+    json: bool,
+    crew: Crew,
+    context: &mut Context<'_>,
+) -> Result<(), CliError> {
+    if json {
+        let [(_, failed), (_, missed), (_, done), (_, met)] = counts(experiment.outcomes());
+        let (cases, workers, threads_each) = (experiment.outcomes().len(), crew.workers, crew.each.threads);
+        let folder = Some(experiment.path());
+        context.json(&Report { folder, cases, met, missed, done, failed, workers, threads_each })?;
+    } else {
+        let (page, table) = (experiment.page_path(), experiment.table_path());
+        writeln!(context.out, "\n{}", experiment.verdict())?;
+        writeln!(
+            context.out,
+            "The page is {}: open it in a browser. The table is {}.",
+            page.display(),
+            table.display()
+        )?;
     }
-
-    /// Page and table of what is known.
-    fn write(&self) -> Result<(), CliError> {
-        let failed = |error: &dyn std::fmt::Display| CliError::Failed(error.to_string());
-        let table = parquet(&self.campaign, &self.outcomes).map_err(|error| failed(&error))?;
-        self.folder.replace(TABLE_FILE, &table)?;
-        let root = self.folder.path();
-        let link = |case: &crate::campaign::Case<'_>| {
-            let file = folder_of(root, case).join(REPORT);
-            let below = file.strip_prefix(root).ok()?;
-            file.exists().then(|| {
-                below
-                    .components()
-                    .map(|part| part.as_os_str().to_string_lossy())
-                    .collect::<Vec<_>>()
-                    .join("/")
-            })
-        };
-        let page = page(&self.campaign, &self.outcomes, &link);
-        page.write(&self.folder.file(REPORT)).map_err(|error| failed(&error))
-    }
-
-    /// Says what came of it, in the order of what the person needs first.
-    fn conclude(&self, json: bool, crew: Crew, context: &mut Context<'_>) -> Result<(), CliError> {
-        let [(_, failed), (_, missed), (_, done), (_, met)] = counts(&self.outcomes);
-        let (tone, verdict) = verdict(&self.campaign, &self.outcomes);
-        let root = self.folder.path();
-        if json {
-            let (cases, workers, threads_each) = (self.outcomes.len(), crew.workers, crew.each.threads);
-            let folder = Some(root);
-            context.json(&Report { folder, cases, met, missed, done, failed, workers, threads_each })?;
-        } else {
-            writeln!(context.out, "\n{verdict}")?;
-            writeln!(
-                context.out,
-                "The page is {}: open it in a browser. The table is {}.",
-                root.join(REPORT).display(),
-                root.join(TABLE_FILE).display()
-            )?;
-        }
-        match (failed, tone) {
-            (0, Tone::Bad) => Err(CliError::Missed(verdict)),
-            (0, _) => Ok(()),
-            _ => {
-                let first = self.outcomes.iter().flatten().find_map(Outcome::error).unwrap_or_default();
-                Err(CliError::Failed(format!("{} failed; the first: {first}", count(failed as i64, "case"))))
-            }
-        }
-    }
+    experiment.judged()
 }

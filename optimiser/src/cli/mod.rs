@@ -37,6 +37,7 @@ mod validate;
 
 pub use crate::failure::Failure as CliError;
 pub use crate::run::MAX_EPOCHS;
+pub use campaign::{Experiment, check_apart, perform_apart};
 pub use check::{CheckArgs, CheckReport, MemoryRow};
 pub use interrupt::Interrupt;
 pub use motion::scene_of_plan;

@@ -7,16 +7,14 @@
 use super::case::{folder_of, perform, write_down};
 use crate::{
     campaign::{Campaign, End, Outcome},
-    cli::{
-        CliError, Context, Interrupt, Memory, Resources, next, options::DEFAULT_PRECISION, size::format_size,
-    },
+    cli::{CliError, Context, Interrupt, Memory, Resources, options::DEFAULT_PRECISION, size::format_size},
 };
 use std::{
     collections::VecDeque,
     fs::{File, OpenOptions, TryLockError},
     io::{self, BufRead, BufReader, Read, Write},
     path::Path,
-    process::{Child, ChildStderr, ChildStdin, ChildStdout, ExitStatus, Stdio},
+    process::{Child, ChildStderr, ChildStdin, ChildStdout, Command, ExitStatus, Stdio},
     sync::{
         Mutex, PoisonError,
         mpsc::{RecvTimeoutError, Sender, channel},
@@ -51,10 +49,19 @@ pub(super) enum Told<'a> {
     Words(&'a str),
 }
 
+/// What cases are of, and where they are done.
+#[derive(Clone, Copy)]
+pub(super) struct Site<'a> {
+    pub(super) campaign: &'a Campaign,
+    /// With the campaign's file.
+    pub(super) folder: &'a Path,
+    /// This program once more.
+    pub(super) program: &'a (dyn Fn() -> Command + Sync),
+}
+
 /// What is still to be done, and who is at work.
 struct Work<'a> {
-    campaign: &'a Campaign,
-    folder: &'a Path,
+    site: Site<'a>,
     left: Mutex<VecDeque<u64>>,
     /// What workers listen to: closed, they stop.
     inputs: Vec<Mutex<Option<ChildStdin>>>,
@@ -66,16 +73,15 @@ struct Work<'a> {
 /// # Errors
 /// It was stopped, or a folder cannot be used.
 pub(super) fn work(
-    (campaign, folder): (&Campaign, &Path),
+    site: Site<'_>,
     cases: &[u64],
     crew: Crew,
     interrupt: &Interrupt,
     tell: &mut dyn FnMut(Told<'_>) -> Result<(), CliError>,
 ) -> Result<(), CliError> {
-    wait_for_others(folder, interrupt, tell)?;
+    wait_for_others(site.folder, interrupt, tell)?;
     let work = Work {
-        campaign,
-        folder,
+        site,
         left: Mutex::new(cases.iter().copied().collect()),
         inputs: (0..crew.workers).map(|_| Mutex::new(None)).collect(),
         interrupt,
@@ -218,16 +224,17 @@ impl Work<'_> {
         if self.interrupt.is_requested() {
             return Ok(false);
         }
-        let case = self.campaign.case(case);
+        let case = self.site.campaign.case(case);
         let scene = case.setting.scene().map_err(|error| CliError::Failed(error.to_string()))?;
         let why = format!("its process {}{}", ended(status), said(&last_words));
-        write_down(&folder_of(self.folder, &case), Outcome { key: case.key(&scene), end: End::Error(why) })?;
+        let folder = folder_of(self.site.folder, &case);
+        write_down(&folder, Outcome { key: case.key(&scene), end: End::Error(why) })?;
         Ok(true)
     }
 
     fn started(&self, place: usize, each: Resources) -> Result<Employed, CliError> {
-        let mut command = next::again();
-        command.arg("campaign").arg("--worker").arg(self.folder);
+        let mut command = (self.site.program)();
+        command.arg("campaign").arg("--worker").arg(self.site.folder);
         command.arg("--threads").arg(each.threads.unwrap_or(1).to_string());
         command.arg("--memory").arg(each.memory.bytes().to_string());
         command.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped());

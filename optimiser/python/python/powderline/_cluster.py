@@ -1,0 +1,309 @@
+"""What speaks to Ray: a process of its own beside the campaign's, and the tasks on the nodes.
+
+Ray ends the process that is connected to a cluster when the cluster's head is gone. So that a campaign, or a notebook, outlives
+that, `powderline.campaign` starts this module as a program, tells it on its standard input what there is to do, and reads on its
+standard output what came of it: pickles, one after another. When its input ends, so does this.
+
+    campaign                  python -m powderline._cluster            a node
+    -------------------       -----------------------------------      ---------------------------------------------------
+    what is to be done   ->   a task for some cases at a time     ->   `perform_cases`: the program `optimise`, in a process
+    files of each case   <-   as they come, in any order          <-   of its own, as on one machine
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import re
+import shutil
+import socket
+import sys
+import tempfile
+import threading
+import time
+from collections import deque
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import ray
+
+from . import _native
+from .campaign import file_system, where
+
+#: What is left of a case on the node is a task's of about this many seconds: what a lost node costs, and what a task costs beside it.
+TASK_S = 5.0
+#: Most cases of a task.
+MAX_BATCH = 500
+#: Most tasks that wait or run, as much of them as Ray and this process's memory hold with ease.
+MAX_TASKS = 10_000
+#: So often is a case begun that is lost with its node or its process of Ray's before it counts as failed.
+MAX_TRIES = 10
+#: From one look at the cluster to the next, seconds, and how long its head may be silent before that is said.
+LOOK_S = 5.0
+SILENT_S = 10.0
+#: How long the address of a cluster may take to answer, seconds.
+CONNECT_S = 10.0
+#: A file of a case that only says that somebody is writing.
+LOCK = "lock"
+
+Case = tuple[int, str]
+
+
+class Unfit(Exception):
+    """A node on which nothing can be done."""
+
+
+# On a node.
+
+
+def files_of(folder: Path) -> list[tuple[str, bytes]]:
+    """What a case has left behind, what became of it last: it says that the rest is there."""
+    files = [file for file in folder.iterdir() if file.is_file() and file.name != LOCK]
+    files.sort(key=lambda file: (file.name == "outcome.json", file.name))
+    return [(file.name, file.read_bytes()) for file in files]
+
+
+def perform(job: dict[str, Any], cases: list[Case]) -> dict[str, Any]:
+    """Does some cases on this node, each a run like any other; what they come to is the same wherever that is."""
+    node = ray.util.get_node_ip_address()
+    if _native.__version__ != job["version"]:
+        raise Unfit(f"{node} has powderline {_native.__version__}, but the campaign is of {job['version']}")
+    names, results, why = dict(cases), [], None
+    scratch = Path(tempfile.mkdtemp(prefix="powderline-campaign-"))
+    began = time.monotonic()
+
+    def ended(index: int) -> None:
+        folder = scratch / "cases" / names[index]
+        files = files_of(folder)
+        if job["storage"] is not None:
+            system, root = file_system(*job["storage"])
+            place = f"{root}/cases/{names[index]}"
+            system.makedirs(place, exist_ok=True)
+            for name, contents in files:
+                system.pipe_file(f"{place}/{name}", contents)
+            files = files[-1:]
+        shutil.rmtree(folder)
+        results.append((index, files))
+
+    try:
+        (scratch / "benches").mkdir()
+        for name, text in job["files"]:
+            (scratch / name).write_text(text, encoding="utf-8")
+        program = [sys.executable, "-m", "powderline"]
+        _native.perform_cases(str(scratch), list(names), job["threads"], job["memory_bytes"], program, ended)
+    except Exception as error:  # Whatever it is, it is said of the case, and the others go on.
+        why = f"{type(error).__name__}: {error}"
+    finally:
+        shutil.rmtree(scratch, ignore_errors=True)
+    return {"node": node, "results": results, "why": why, "seconds": time.monotonic() - began}
+
+
+# Beside the campaign.
+
+
+class Cluster:
+    """What there is of nodes, looked at in a thread of its own: a head that is gone does not answer."""
+
+    def __init__(self, job: dict[str, Any], tell: Any) -> None:
+        self.job, self.tell = job, tell
+        self.told: tuple[int, ...] = ()
+        self.answered = time.monotonic()
+        self.silent = False
+        self.look()
+        threading.Thread(target=self.watch, daemon=True).start()
+
+    def look(self) -> None:
+        """How many cases can be done at a time, on how many nodes."""
+        nodes = [node["Resources"] for node in ray.nodes() if node["Alive"]]
+        each = [node for node in (self.at_a_time(resources) for resources in nodes) if node > 0]
+        cpus = int(sum(resources.get("CPU", 0) for resources in nodes))
+        self.slots = sum(each)
+        if (len(nodes), cpus, self.slots) != self.told:
+            self.told = (len(nodes), cpus, self.slots)
+            self.tell("cluster", nodes=len(nodes), cpus=cpus, slots=self.slots)
+        self.largest = max(
+            ((int(r.get("CPU", 0)), int(r.get("memory", 0))) for r in nodes if r.get("CPU")), default=(0, 0)
+        )
+
+    def at_a_time(self, resources: dict[str, float]) -> int:
+        by_threads = resources.get("CPU", 0) // self.job["threads"]
+        return int(min(by_threads, resources.get("memory", 0) // self.job["memory_bytes"]))
+
+    def watch(self) -> None:
+        def ask() -> None:
+            while True:
+                time.sleep(LOOK_S)
+                self.look()
+                self.answered = time.monotonic()
+
+        threading.Thread(target=ask, daemon=True).start()
+        while True:
+            time.sleep(1.0)
+            silent = time.monotonic() - self.answered > LOOK_S + SILENT_S
+            if silent != self.silent:
+                self.silent = silent
+                self.tell("silent" if silent else "heard")
+
+    def refusal(self) -> str:
+        threads, memory = self.job["threads"], self.job["memory_bytes"]
+        cpus, bytes_ = self.largest
+        return (
+            f"no node of the cluster has {threads} CPU{'s' * (threads > 1)} and {memory / 2**20:.0f} MiB of memory for a case; the "
+            f"largest has {cpus} CPU{'s' * (cpus != 1)} and {bytes_ / 2**20:.0f} MiB"
+        )
+
+
+class Work:
+    """Cases that are left, in tasks of a few seconds each."""
+
+    def __init__(self, job: dict[str, Any], cases: Iterable[Case], tell: Any, stopped: threading.Event) -> None:
+        self.tell, self.stopped, self.job = tell, stopped, job
+        self.left = deque(cases)
+        self.tries: dict[int, int] = {}
+        self.case_s: float | None = None
+        self.flying: dict[Any, list[Case]] = {}
+        self.cluster = Cluster(job, tell)
+        # How often a case is begun again is counted here, where it can be said.
+        options = {"num_cpus": job["threads"], "memory": job["memory_bytes"], "max_retries": 0}
+        self.remote = ray.remote(perform).options(**options)
+        self.shared = ray.put(job)
+
+    def batch(self) -> list[Case]:
+        """Cases of the next task: as many as take a few seconds, fewer towards the end, and one that was lost by itself."""
+        count = 1
+        if self.case_s is not None:
+            share = len(self.left) // (2 * max(self.cluster.slots, 1))
+            count = max(1, min(int(TASK_S / max(self.case_s, 1e-6)), share, MAX_BATCH))
+        cases = [self.left.popleft()]
+        while len(cases) < count and self.left and not (self.tries.get(cases[0][0]) or self.tries.get(self.left[0][0])):
+            cases.append(self.left.popleft())
+        return cases
+
+    def work(self) -> None:
+        while (self.left or self.flying) and not self.stopped.is_set():
+            most = min(max(2 * self.cluster.slots, 8), MAX_TASKS)
+            while self.left and len(self.flying) < most:
+                cases = self.batch()
+                self.flying[self.remote.remote(self.shared, cases)] = cases
+            refs = list(self.flying)
+            ready, rest = ray.wait(refs, timeout=0.5)
+            if ready and rest:
+                ready += ray.wait(rest, num_returns=len(rest), timeout=0)[0]
+            for ref in ready:
+                if not self.stopped.is_set():
+                    self.ended(ref, self.flying.pop(ref))
+
+    def ended(self, ref: Any, cases: list[Case]) -> None:
+        """What a task has come to; what it has not done is done again."""
+        try:
+            found = ray.get(ref)
+        except ray.exceptions.RayTaskError as error:
+            raise self.unfit(error) from None
+        except ray.exceptions.RuntimeEnvSetupError as error:
+            raise Unfit(f"the cluster cannot prepare its nodes: {first_line(error)}") from None
+        except ray.exceptions.RayError as error:
+            self.lost(cases, first_line(error))
+            return
+        done = [index for index, _ in found["results"]]
+        if done:
+            case_s = found["seconds"] / len(done)
+            self.case_s = case_s if self.case_s is None else 0.7 * self.case_s + 0.3 * case_s
+        for index, files in found["results"]:
+            self.tell("done", index=index, files=files, node=found["node"])
+        undone = [case for case in cases if case[0] not in done]
+        if undone and found["why"] is not None:
+            self.tell("failed", index=undone[0][0], why=f"on {found['node']}: {found['why']}")
+            undone = undone[1:]
+        self.left.extendleft(reversed(undone))
+
+    def lost(self, cases: list[Case], why: str) -> None:
+        again = []
+        for case in cases:
+            tries = self.tries[case[0]] = self.tries.get(case[0], 0) + 1
+            if tries < MAX_TRIES:
+                again.append(case)
+            else:
+                self.tell("failed", index=case[0], why=f"it was begun {tries} times, and lost each time, at last so: {why}")
+        self.left.extendleft(reversed(again))
+        if again:
+            self.tell("again", count=len(again), why=why)
+
+    def unfit(self, error: Any) -> Unfit:
+        """What keeps a node from doing anything."""
+        if isinstance(error.cause, Unfit):
+            return error.cause
+        return Unfit(
+            f"a node of the cluster cannot do a case: {first_line(error.cause)}; each must have this version of powderline "
+            "(pip install), or get it by runtime_env"
+        )
+
+
+def first_line(error: BaseException | str) -> str:
+    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
+    return lines[0].rstrip(".") if lines else type(error).__name__
+
+
+def main() -> None:
+    """Does what is asked for on standard input, until that ends."""
+    out: BinaryIO = os.fdopen(os.dup(1), "wb")
+    # What Ray or others print is no message.
+    os.dup2(2, 1)
+    whole = threading.Lock()
+
+    def tell(kind: str, **what: Any) -> None:
+        with whole:
+            pickle.dump((kind, what), out)
+            out.flush()
+
+    job = pickle.load(sys.stdin.buffer)
+    stopped = threading.Event()
+
+    def listen() -> None:
+        sys.stdin.buffer.read()
+        stopped.set()
+        # Whatever Ray is still about.
+        time.sleep(10.0)
+        os._exit(1)
+
+    threading.Thread(target=listen, daemon=True).start()
+    try:
+        connect(job)
+        work = Work(job["of_task"], job["cases"], tell, stopped)
+        if work.cluster.slots == 0 and not job["wait"]:
+            tell("refused", why=work.cluster.refusal())
+            return
+        work.work()
+        for ref in work.flying:
+            ray.cancel(ref)
+        if work.flying:
+            # They stop their processes, and clear away what these have written.
+            ray.wait(list(work.flying), num_returns=len(work.flying), timeout=3.0)
+        tell("stopped" if stopped.is_set() else "finished")
+    except Unfit as error:
+        tell("refused", why=str(error))
+    except Exception as error:  # Ray raises whatever it likes.
+        tell("broken", why=f"{where(job['address'])} cannot be used: {first_line(error)}")
+
+
+def connect(job: dict[str, Any]) -> None:
+    """To a cluster, or to one that is begun here and ends with this process."""
+    address = job["address"] or os.environ.get("RAY_ADDRESS") or "local"
+    host = re.fullmatch(r"(?:ray://)?([^/]+):(\d+)", address)
+    if host is not None:
+        # Ray itself would look for minutes.
+        try:
+            socket.create_connection((host[1], int(host[2])), CONNECT_S).close()
+        except OSError as error:
+            raise Unfit(f"at {address} there is no Ray cluster that answers ({error}); `ray start --head` begins one") from None
+    usual: dict[str, Any] = {"log_to_driver": False, "logging_level": "ERROR", "runtime_env": job["runtime_env"]}
+    if address == "local":
+        usual["include_dashboard"] = False
+    ray.init(address, **usual)
+
+
+if __name__ == "__main__":
+    # Under its own name, so that nodes find what they are to do in the package.
+    from powderline import _cluster
+
+    _cluster.main()
