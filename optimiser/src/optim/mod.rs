@@ -47,6 +47,7 @@ mod record;
 pub mod surrogate;
 
 pub use method::{Method, Problem};
+pub(crate) use record::are_sound;
 pub use record::{EpochRecord, Work};
 
 use powderline_simulator::{

@@ -60,6 +60,19 @@ impl Work {
     }
 }
 
+/// Numbers that a motion may be told apart by from its skill's, at most; a file may say anything.
+const MAX_COEFFICIENTS: usize = 6 * 256;
+
+/// Whether a path can have these.
+pub(crate) fn are_sound(splines: Option<&Splines>) -> bool {
+    splines.is_none_or(|Splines { freedoms, coefficients }| {
+        (1..=6).contains(&freedoms.len())
+            && coefficients.len() <= MAX_COEFFICIENTS
+            && coefficients.len().is_multiple_of(freedoms.len())
+            && coefficients.iter().all(|coefficient| coefficient.is_finite())
+    })
+}
+
 impl EpochRecord {
     /// The record of a search's epoch; none if it is no skill's.
     pub fn new(number: u32, epoch: &Epoch, work: Work, seconds: f64) -> Option<Self> {
@@ -89,6 +102,6 @@ impl EpochRecord {
     /// Whether it can be the record of this epoch.
     pub(crate) fn is_sound(&self, epoch: u32) -> bool {
         let timed = [self.seconds, self.work.cpu_seconds].iter().all(|s| (0.0..=f64::MAX).contains(s));
-        self.epoch == epoch && is_loss(self.loss) && timed
+        self.epoch == epoch && is_loss(self.loss) && timed && are_sound(self.splines.as_ref())
     }
 }

@@ -148,6 +148,7 @@ mod tests {
     use crate::optim::{Epoch, Found, Step, Trial, World};
     use crate::report::sealed::{CHECKSUM, HEAD};
     use powderline_simulator::rollout::{Census, Evaluation};
+    use powderline_simulator::skill::{Freedom, Splines};
     use sha2::{Digest as _, Sha256};
 
     fn state() -> RunState {
@@ -206,12 +207,16 @@ mod tests {
         let body = &whole[..whole.len() - CHECKSUM];
         let physics_only = [&whole[..HEAD], &[2]].concat();
         let longer = [body, &[0]].concat();
+        // So many coefficients for two freedoms.
+        fn added(coefficients: usize) -> Splines {
+            Splines { freedoms: vec![Freedom::Up, Freedom::Pitch], coefficients: vec![0.5; coefficients] }
+        }
         let sealed = |bytes: Vec<u8>| [&bytes[..], &Sha256::digest(&bytes)].concat();
         assert!(RunState::from_bytes(&sealed(body.into())).is_ok());
         for bytes in [physics_only, longer] {
             assert_eq!(RunState::from_bytes(&sealed(bytes)), Err(StateError::Nonsense));
         }
-        let defects: [fn(&mut RunState); 8] = [
+        let defects: [fn(&mut RunState); 10] = [
             |state| state.settings.epochs = 0,
             |state| state.finished = true,
             |state| (state.settled, state.epochs) = (true, Vec::new()),
@@ -219,6 +224,8 @@ mod tests {
             |state| state.epochs[0].record.loss = f64::NAN,
             |state| state.epochs[0].record.seconds = f64::INFINITY,
             |state| state.epochs[0].rounds[0][0].loss = -1.0,
+            |state| state.epochs[0].rounds[0][0].splines = Some(added(5)),
+            |state| state.epochs[0].record.splines = Some(added(1 << 20)),
             |state| state.epochs[0].rounds[0][0].cpu_seconds = f64::NAN,
         ];
         for (index, defect) in defects.into_iter().enumerate() {

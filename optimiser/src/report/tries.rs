@@ -1,6 +1,6 @@
 //! What a search asked for and what came of it, one line of `tries.jsonl` each.
 
-use crate::optim::{Adjoint, Found, Trial, Work, World, is_loss};
+use crate::optim::{Adjoint, Found, Trial, Work, World, are_sound, is_loss};
 use powderline_simulator::rollout::{Census, Evaluation};
 use powderline_simulator::skill::Splines;
 use serde::{Deserialize, Serialize};
@@ -96,6 +96,7 @@ impl Try {
     }
 
     pub(crate) fn is_sound(&self) -> bool {
-        is_loss(self.loss) && (0.0..=f64::MAX).contains(&self.cpu_seconds)
+        let is_timed = (0.0..=f64::MAX).contains(&self.cpu_seconds);
+        is_loss(self.loss) && is_timed && are_sound(self.splines.as_ref())
     }
 }
