@@ -31,8 +31,8 @@ import ray
 from . import _native
 from .campaign import file_system, where
 
-#: What is left of a case on the node is a task's of about this many seconds: what a lost node costs, and what a task costs beside it.
-TASK_S = 5.0
+#: How long a task is to take, seconds: longer than its process takes to begin by so many times, and no longer than a lost node may cost.
+TASK_S, BEGINS, LONGEST_S = 5.0, 20.0, 30.0
 #: Most cases of a task.
 MAX_BATCH = 500
 #: Most tasks that wait or run, as much of them as Ray and this process's memory hold with ease.
@@ -69,7 +69,7 @@ def perform(job: dict[str, Any], cases: list[Case]) -> dict[str, Any]:
     node = ray.util.get_node_ip_address()
     if _native.__version__ != job["version"]:
         raise Unfit(f"{node} has powderline {_native.__version__}, but the campaign is of {job['version']}")
-    names, results, why = dict(cases), [], None
+    names, results, ends, why = dict(cases), [], [], None
     scratch = Path(tempfile.mkdtemp(prefix="powderline-campaign-"))
     began = time.monotonic()
 
@@ -85,6 +85,7 @@ def perform(job: dict[str, Any], cases: list[Case]) -> dict[str, Any]:
             files = files[-1:]
         shutil.rmtree(folder)
         results.append((index, files))
+        ends.append(time.monotonic())
 
     try:
         (scratch / "benches").mkdir()
@@ -96,7 +97,9 @@ def perform(job: dict[str, Any], cases: list[Case]) -> dict[str, Any]:
         why = f"{type(error).__name__}: {error}"
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
-    return {"node": node, "results": results, "why": why, "seconds": time.monotonic() - began}
+    # The first one's time has that in it which the process takes to begin.
+    case_s = (ends[-1] - ends[0]) / (len(ends) - 1) if len(ends) > 1 else None
+    return {"node": node, "results": results, "why": why, "case_s": case_s, "seconds": time.monotonic() - began}
 
 
 # Beside the campaign.
@@ -161,7 +164,9 @@ class Work:
         self.tell, self.stopped, self.job = tell, stopped, job
         self.left = deque(cases)
         self.tries: dict[int, int] = {}
+        # What a case takes, how long tasks are to be, and how many cases of one have been tried.
         self.case_s: float | None = None
+        self.task_s, self.reach = TASK_S, 1
         self.flying: dict[Any, list[Case]] = {}
         self.cluster = Cluster(job, tell)
         # How often a case is begun again is counted here, where it can be said.
@@ -171,10 +176,9 @@ class Work:
 
     def batch(self) -> list[Case]:
         """Cases of the next task: as many as take a few seconds, fewer towards the end, and one that was lost by itself."""
-        count = 1
-        if self.case_s is not None:
-            share = len(self.left) // (2 * max(self.cluster.slots, 1))
-            count = max(1, min(int(TASK_S / max(self.case_s, 1e-6)), share, MAX_BATCH))
+        share = len(self.left) // (2 * max(self.cluster.slots, 1))
+        by_time = MAX_BATCH if self.case_s is None else int(self.task_s / max(self.case_s, 1e-6))
+        count = max(1, min(by_time, share, self.reach, MAX_BATCH))
         cases = [self.left.popleft()]
         while len(cases) < count and self.left and not (self.tries.get(cases[0][0]) or self.tries.get(self.left[0][0])):
             cases.append(self.left.popleft())
@@ -182,7 +186,7 @@ class Work:
 
     def work(self) -> None:
         while (self.left or self.flying) and not self.stopped.is_set():
-            most = min(max(2 * self.cluster.slots, 8), MAX_TASKS)
+            most = min(max(2 * self.cluster.slots, 2), MAX_TASKS)
             while self.left and len(self.flying) < most:
                 cases = self.batch()
                 self.flying[self.remote.remote(self.shared, cases)] = cases
@@ -206,9 +210,7 @@ class Work:
             self.lost(cases, first_line(error))
             return
         done = [index for index, _ in found["results"]]
-        if done:
-            case_s = found["seconds"] / len(done)
-            self.case_s = case_s if self.case_s is None else 0.7 * self.case_s + 0.3 * case_s
+        self.learn(len(done), found["case_s"], found["seconds"])
         for index, files in found["results"]:
             self.tell("done", index=index, files=files, node=found["node"])
         undone = [case for case in cases if case[0] not in done]
@@ -216,6 +218,14 @@ class Work:
             self.tell("failed", index=undone[0][0], why=f"on {found['node']}: {found['why']}")
             undone = undone[1:]
         self.left.extendleft(reversed(undone))
+
+    def learn(self, count: int, case_s: float | None, seconds: float) -> None:
+        """How long tasks take, from one that did so many cases."""
+        if case_s is not None:
+            self.case_s = case_s if self.case_s is None else 0.7 * self.case_s + 0.3 * case_s
+            self.task_s = min(max(TASK_S, BEGINS * (seconds - count * case_s)), LONGEST_S)
+        if seconds < LONGEST_S:
+            self.reach = max(self.reach, 2 * count)
 
     def lost(self, cases: list[Case], why: str) -> None:
         again = []
