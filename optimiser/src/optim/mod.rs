@@ -8,7 +8,7 @@
 //! |---|---|
 //! | `surrogate` | where two Gaussian processes guess most: in a coarse copy of the scene first, then in the scene itself ([`surrogate`]) |
 //! | `restarted`, `mixed`, `differences`, `exact` | down a gradient, by RMSprop as the paper does ([`descent`]) |
-//! | `path` | a skill as `surrogate` does, then splines in time that are added to it, down the restarted adjoint ([`path`]) |
+//! | `path` | a skill as `surrogate` does, then splines in time that are added to it, down the restarted adjoint |
 //! | `cma-es`, `sac`, `random` | [`powderline_baseline`] |
 //! | `path-cma-es` | as `path`, but by losses alone |
 //!
