@@ -82,6 +82,8 @@ fn below_pipe(bench: &Scene, shape: ToolShape, pitch_deg: f64) -> Result<Scene, 
         // The capacity by geometry is that of the angles that a skill may have.
         let turn_deg = spec.tool.start_pitch_deg - pitch_deg;
         spec.skill.scooping_angle_deg = [turn_deg, turn_deg + 0.01];
+        // Nothing is scooped, but every skill has to stay above the floor.
+        spec.skill.scooping_depth_m = [0.002, 0.015];
         spec.powder.fill_shape = FillShape::Cylinder;
         spec.powder.fill_min_m = [x - PIPE_M, y - PIPE_M, z + GAP_M];
         spec.powder.fill_max_m = [x + PIPE_M, y + PIPE_M, z + GAP_M + COLUMN_M];

@@ -12,7 +12,7 @@ pub use worlds::{Simulators, Worlds};
 
 use crate::{
     failure::Failure,
-    optim::{Epoch, EpochRecord, Found, Problem, Search, Work, World},
+    optim::{Epoch, EpochRecord, Found, Problem, Search, Trial, Work, World},
     report::{
         amounts::Amounts,
         curves::Curves,
@@ -220,8 +220,7 @@ impl Run {
             (Vec::new(), Work::default(), Instant::now());
         let ended = loop {
             let trials = self.search.ask(is_last);
-            let is_coarse = trials.iter().all(|trial| trial.world == World::Coarse);
-            if let Some(words) = turn(&history, is_coarse).filter(|_| rounds.is_empty()) {
+            if let Some(words) = turn(&history, &trials).filter(|_| rounds.is_empty()) {
                 watcher.say(words);
             }
             watcher.begin(&format!("epoch {number}/{epochs}"), epochs - number as u32, &history);
@@ -363,8 +362,13 @@ impl Run {
     }
 }
 
-/// What is said where a search turns to another world.
-fn turn(history: &[EpochRecord], is_coarse: bool) -> Option<&'static str> {
+/// What is said where a search turns to another world, or to other motions.
+fn turn(history: &[EpochRecord], trials: &[Trial]) -> Option<&'static str> {
+    let is_coarse = trials.iter().all(|trial| trial.world == World::Coarse);
+    let is_path = trials.iter().all(|trial| trial.splines.is_some());
+    if is_path && history.last().is_some_and(|record| record.splines.is_none()) {
+        return Some("  near the best skill, by splines that are added to its motion:");
+    }
     match (history.last().map_or(World::Fine, |record| record.world), is_coarse) {
         (World::Fine, true) => Some("  in a coarse copy of the scene, to see where to look:"),
         (World::Coarse, false) => Some("  in the scene itself, in whole counts:"),
@@ -431,7 +435,7 @@ fn prolong(record: &mut RunRecord, epochs: u32) -> Result<(), Failure> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::optim::{Step, Trial};
+    use crate::optim::Step;
     use powderline_simulator::rollout::Census;
 
     #[test]

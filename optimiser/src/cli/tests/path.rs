@@ -13,6 +13,8 @@ fn a_path_is_found_shipped_told_apart_from_a_skill_and_gone_on_with_to_the_same_
     };
     let (folder, done) = run("whole", "22", u64::MAX);
     assert!(done.is_finished(), "{}", done.err);
+    let turn = "  near the best skill, by splines that are added to its motion:";
+    assert_eq!(done.err.matches(turn).count(), 1, "{}", done.err);
     let epochs = metrics(&folder);
     let is_path = |epoch: &&Value| !epoch["splines"].is_null();
     let (skills, paths): (Vec<_>, Vec<_>) = epochs.iter().partition(|epoch| !is_path(epoch));
