@@ -438,6 +438,18 @@ mod tests {
     }
 
     #[test]
+    fn gradients_that_were_taken_far_away_do_not_count() {
+        let unit =
+            |k: usize, size: f64| -> Vec<f64> { (0..36).map(|j| if j == k { size } else { 0.0 }).collect() };
+        let mut search = Descent::new(near(problem(1)), 3.0);
+        search.bundle = vec![(unit(0, 3.0), unit(0, 1.0)), (unit(0, 0.0), unit(1, 1.0))];
+        assert_eq!(search.direction(), Some(unit(1, -1.0)));
+        search.bundle[0].0 = unit(0, 1.0);
+        let both = search.direction().unwrap();
+        assert!((both[0] - both[1]).abs() < 1e-12 && (norm(&both) - 1.0).abs() < 1e-12, "{both:?}");
+    }
+
+    #[test]
     fn what_the_arm_cannot_perform_is_not_asked_for() {
         let high = |splines: &Splines| splines.coefficients.iter().any(|c| c.abs() > 0.2);
         let problem = problem(1).with_blocked_paths(high);
