@@ -42,7 +42,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let scene = Scene::load("bench")?;
     let (map, theta) = (SkillMap::new(&scene), Theta::new(THETA)?);
     let controls = map.quantise(&theta)?.controls;
-    let settings = SimulatorSettings { seed: scene.powder.seed, threads: None, memory_bytes: 1 << 30 };
+    let settings = SimulatorSettings::default();
     let mut simulator = Simulator::<f32>::new(&scene, &settings)?;
     let mut svg = String::new();
     open(&mut svg)?;

@@ -121,7 +121,7 @@ impl Simulator {
             )));
         }
         let memory_bytes = memory.map_or(Ok(usual.memory_bytes), memory_bytes)?;
-        let settings = SimulatorSettings { seed, threads, memory_bytes };
+        let settings = SimulatorSettings { seed: Some(seed), threads, memory_bytes };
         let of = &scene.get().0;
         let precision = precision.map_or(Ok(Precision::F32), checked_precision)?;
         let inner = Mutex::new(AnySimulator::new(of, precision, &settings).map_err(errors::of_rollout)?);

@@ -68,7 +68,7 @@ fn main() -> Result<(), Failure> {
     let given: Vec<&str> = arguments.iter().skip(2).map(String::as_str).collect();
     let variants = if given.is_empty() { VARIANTS.to_vec() } else { given };
     let map = SkillMap::new(&scene);
-    let settings = SimulatorSettings { seed: scene.powder.seed, ..SimulatorSettings::default() };
+    let settings = SimulatorSettings::default();
     let mut simulator = Simulator::<f32>::new(&scene, &settings)?;
     for skill in skills.split(',') {
         let theta = &match skill.strip_prefix("draw") {

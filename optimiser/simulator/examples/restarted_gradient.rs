@@ -15,8 +15,10 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let scene = Scene::load(&arguments.next().unwrap_or("bench-small".into()))?;
     let mut number = |usual: u64| arguments.next().map_or(Ok(usual), |text| text.parse());
     let (theta, seed) = (skill(number(0)?), number(1)?);
-    let mut simulator =
-        Simulator::<f32>::new(&scene, &SimulatorSettings { seed, ..SimulatorSettings::default() })?;
+    let mut simulator = Simulator::<f32>::new(
+        &scene,
+        &SimulatorSettings { seed: Some(seed), ..SimulatorSettings::default() },
+    )?;
     let restarts = Restarts::of_skill(&scene, &SkillMap::new(&scene), &theta);
     println!("skill     {}", shown(theta.components()));
     let Some(found) = measure(&mut simulator, &theta, &restarts)? else {

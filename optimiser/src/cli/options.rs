@@ -57,7 +57,7 @@ impl Resources {
     /// What is to be simulated with.
     pub fn setup(&self, seed: u64, precision: Precision) -> Setup {
         let (threads, memory_bytes) = (self.threads.map(usize::from), self.memory.bytes());
-        Setup { precision, settings: SimulatorSettings { seed, threads, memory_bytes } }
+        Setup { precision, settings: SimulatorSettings { seed: Some(seed), threads, memory_bytes } }
     }
 }
 

@@ -145,7 +145,7 @@ impl Report {
             scene: task.scene.name.clone(),
             scene_digest: hex(&task.scene.digest()),
             collision: task.collision().map(CollisionReport::from),
-            seed: task.setup.settings.seed,
+            seed: task.setup.settings.seed_of(&task.scene),
             precision: task.setup.precision.name(),
             theta,
             indicator: found.indicator,

@@ -245,7 +245,7 @@ impl Bench<'_> {
         if let Some(collision) = collision(self.scene, self.map.start_pose(), &controls) {
             return Ok(Err(collision_words(&collision)));
         }
-        let settings = SimulatorSettings { seed, ..self.setup.settings };
+        let settings = SimulatorSettings { seed: Some(seed), ..self.setup.settings };
         let mut simulator = Setup { settings, ..self.setup }.simulator(self.scene)?;
         simulator.set_progress(watch);
         let restarts = Restarts::of_skill(self.scene, &self.map, theta);

@@ -364,8 +364,8 @@ fn one_by_one<S: Simulate + ?Sized, M>(
 /// How a scene is simulated. Nothing here but the seed changes a bit of the result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct SimulatorSettings {
-    /// Seed of the packing; 1 by default. The scene's own `powder.seed` is not looked at.
-    pub seed: u64,
+    /// Seed of the packing; by default the scene's own, `powder.seed`.
+    pub seed: Option<u64>,
     /// Threads; by default as many as the machine has processors.
     pub threads: Option<usize>,
     /// Most memory that the process may take, bytes; checkpoints are chosen to fit. 1 GiB by default.
@@ -373,13 +373,18 @@ pub struct SimulatorSettings {
 }
 
 impl Default for SimulatorSettings {
-    /// The first packing, a thread for each processor, 1 GiB.
+    /// The scene's own packing, a thread for each processor, 1 GiB.
     fn default() -> Self {
-        Self { seed: 1, threads: None, memory_bytes: 1 << 30 }
+        Self { seed: None, threads: None, memory_bytes: 1 << 30 }
     }
 }
 
 impl SimulatorSettings {
+    /// Seed of the packing, as given or the scene's own.
+    pub fn seed_of(&self, scene: &Scene) -> u64 {
+        self.seed.unwrap_or(scene.powder.seed)
+    }
+
     /// Threads, as given or one per processor.
     pub fn thread_count(&self) -> usize {
         self.threads.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, usize::from))

@@ -124,7 +124,12 @@ impl<T: Real> Simulator<T> {
     /// [`RolloutError::Threads`] if the threads cannot be started.
     pub fn new(scene: &Scene, settings: &SimulatorSettings) -> Result<Self, RolloutError> {
         let pool = thread_pool(settings.thread_count())?;
-        Ok(Self::with_packing(scene, scene.particle_positions_m(settings.seed), pool, settings.memory_bytes))
+        Ok(Self::with_packing(
+            scene,
+            scene.particle_positions_m(settings.seed_of(scene)),
+            pool,
+            settings.memory_bytes,
+        ))
     }
 
     /// `memory_bytes` bounds what the whole process uses while a gradient is computed.

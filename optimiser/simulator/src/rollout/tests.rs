@@ -57,7 +57,7 @@ fn no_bit_changes(mut scene: Scene) {
     let map = SkillMap::new(&scene);
     let controls: Vec<_> = map.controls(&gradcheck::CHECKED_THETA).expect("fits")[..24].to_vec();
     let gradient = |threads: usize, memory_bytes: u64| {
-        let settings = SimulatorSettings { seed: 1, threads: Some(threads), memory_bytes };
+        let settings = SimulatorSettings { seed: Some(1), threads: Some(threads), memory_bytes };
         let mut s = Simulator::<f32>::new(&scene, &settings).expect("threads");
         let start = s.initial_state(&mut quiet).expect("settles");
         let (evaluation, bars) = s.control_gradient(&start, &controls, &mut quiet).expect("runs");
@@ -81,7 +81,7 @@ fn restarts_change_no_bit_by_threads_or_memory_and_are_what_makes_the_difference
     let theta = gradcheck::CHECKED_THETA;
     let usual = Restarts::of_skill(&scene, &SkillMap::new(&scene), &theta);
     let simulator = |threads: usize, memory_bytes: u64| {
-        let settings = SimulatorSettings { seed: 1, threads: Some(threads), memory_bytes };
+        let settings = SimulatorSettings { seed: Some(1), threads: Some(threads), memory_bytes };
         Simulator::<f32>::new(&scene, &settings).expect("threads")
     };
     let restarted = |threads: usize, memory_bytes: u64, restarts: &Restarts| {
@@ -205,7 +205,7 @@ fn a_gradient_ends_with_the_powder_of_a_simulation_sleepers_and_all() {
     scene.time.settle_s = 0.4;
     let map = SkillMap::new(&scene);
     let controls: Vec<_> = map.controls(&gradcheck::CHECKED_THETA).expect("fits")[..4].to_vec();
-    let settings = SimulatorSettings { seed: 1, threads: Some(2), memory_bytes: 1 << 30 };
+    let settings = SimulatorSettings { seed: Some(1), threads: Some(2), memory_bytes: 1 << 30 };
     let mut s = Simulator::<f32>::new(&scene, &settings).expect("threads");
     let start = s.initial_state(&mut quiet).expect("settles");
     let end = s.advanced(&start, &controls, &mut quiet).expect("runs");
@@ -226,7 +226,7 @@ fn skills_evaluated_side_by_side_have_the_bits_of_skills_evaluated_alone() {
         .map(|(k, step)| gradcheck::CHECKED_THETA.moved(SkillParameter::ALL[k], step))
         .collect();
     let evaluate = |threads: usize, memory_bytes: u64| {
-        let settings = SimulatorSettings { seed: 1, threads: Some(threads), memory_bytes };
+        let settings = SimulatorSettings { seed: Some(1), threads: Some(threads), memory_bytes };
         let mut s = Simulator::<f32>::new(&scene, &settings).expect("threads");
         let calls = Arc::new(AtomicUsize::new(0));
         let (counted, mut last) = (calls.clone(), 0.0);
@@ -259,7 +259,7 @@ fn skills_evaluated_side_by_side_have_the_bits_of_skills_evaluated_alone() {
 #[test]
 fn a_worker_that_panics_ends_the_others() {
     let scene = Scene::load("bench-small").expect("shipped");
-    let settings = SimulatorSettings { seed: 1, threads: Some(2), memory_bytes: 1 << 30 };
+    let settings = SimulatorSettings { seed: Some(1), threads: Some(2), memory_bytes: 1 << 30 };
     let mut s = Simulator::<f32>::new(&scene, &settings).expect("threads");
     let skills = [0.1, -0.1, 0.2].map(|depth| Theta::MIDDLE.moved(SkillParameter::ScoopingDepth, depth));
     let mut calls = 0;
@@ -278,7 +278,7 @@ fn the_gradient_of_a_scoop_agrees_with_central_differences() {
 }
 
 fn scoop_agrees_with_differences(scene: Scene) {
-    let settings = SimulatorSettings { seed: 1, threads: None, memory_bytes: 1 << 30 };
+    let settings = SimulatorSettings { seed: Some(1), threads: None, memory_bytes: 1 << 30 };
     let mut s = Simulator::<f64>::new(&scene, &settings).expect("threads");
     let map = SkillMap::new(&scene);
     let window = gradcheck::check_window(&mut s, &map, 12, 32).expect("runs");
@@ -296,7 +296,7 @@ fn beginning(steps: usize) -> (Simulator<f32>, SkillMap, Vec<Displacement>) {
     scene.time.settle_s = 0.1;
     let map = SkillMap::new(&scene);
     let controls = map.controls(&gradcheck::CHECKED_THETA).expect("fits")[..steps].to_vec();
-    let settings = SimulatorSettings { seed: 1, threads: Some(2), memory_bytes: 1 << 30 };
+    let settings = SimulatorSettings { seed: Some(1), threads: Some(2), memory_bytes: 1 << 30 };
     (Simulator::new(&scene, &settings).expect("threads"), map, controls)
 }
 
@@ -366,7 +366,7 @@ fn controls_agree_with_differences(mut scene: Scene) {
     scene.time.settle_s = 0.0;
     let map = SkillMap::new(&scene);
     let controls = &map.controls(&gradcheck::CHECKED_THETA).expect("fits")[..24];
-    let settings = SimulatorSettings { seed: 1, threads: None, memory_bytes: 1 << 30 };
+    let settings = SimulatorSettings { seed: Some(1), threads: None, memory_bytes: 1 << 30 };
     let mut s = Simulator::<f64>::new(&scene, &settings).expect("threads");
     let whole = controls.to_vec();
     let (evaluation, slopes) = s.simulate_with_gradient(&whole).expect("runs");

@@ -15,6 +15,17 @@ use super::{SceneError, SceneSpec};
 /// # Ok::<(), powderline_simulator::scene::SceneError>(())
 /// ```
 ///
+/// What was not looked at is simulated by nobody:
+///
+/// ```compile_fail
+/// # use powderline_simulator::rollout::{Simulator, SimulatorSettings};
+/// # use powderline_simulator::scene::Scene;
+/// let mut spec = Scene::load("bench")?.into_spec();
+/// spec.powder.density_kg_m3 = -1.0;
+/// Simulator::<f32>::new(&spec, &SimulatorSettings::default())?; // error[E0308]: expected `&Scene`, found `&SceneSpec`
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+///
 /// ```
 /// # use powderline_simulator::scene::Scene;
 /// let scene = Scene::load("bench")?;

@@ -110,7 +110,7 @@ fn bench(law: &SceneSpec, finer: u32) -> Scene {
 
 /// Of the heap that the skill leaves in the target; and how much arrives, kg.
 fn in_target(scene: &Scene, seed: u64, meter: &Meter<'_>) -> Result<([f64; 3], f64), Halt> {
-    let settings = SimulatorSettings { seed, threads: Some(1), ..SimulatorSettings::default() };
+    let settings = SimulatorSettings { seed: Some(seed), threads: Some(1), ..SimulatorSettings::default() };
     let mut simulator = Simulator::<f32>::new(scene, &settings)?;
     let map = SkillMap::new(scene);
     let skill = Theta::new(SKILL).map_err(RolloutError::from)?;

@@ -45,7 +45,7 @@ fn controls(scene: &Scene, steps: usize) -> Vec<Displacement> {
 }
 
 fn simulator<T: Real>(scene: &Scene, threads: usize, memory_bytes: u64) -> Simulator<T> {
-    let settings = SimulatorSettings { seed: 1, threads: Some(threads), memory_bytes };
+    let settings = SimulatorSettings { seed: Some(1), threads: Some(threads), memory_bytes };
     Simulator::new(scene, &settings).expect("threads")
 }
 
