@@ -6,6 +6,7 @@ pub mod cli;
 pub mod compare;
 pub mod failure;
 pub mod optim;
+pub mod refine;
 pub mod report;
 pub mod run;
 

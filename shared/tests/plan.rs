@@ -8,12 +8,12 @@ use powderline_shared::census::Census;
 use powderline_shared::displacement::{Displacement, Lsb, Quantiser, Setpoint, StepCounts, pose_at};
 use powderline_shared::limits::{Limit, Limits};
 use powderline_shared::plan::{
-    Crc32, FORMAT_VERSION, MAX_STEPS, Mounting, PlanError, PlanHeader, PlanReader, PlanSummary, PlanWriter,
-    Precision, Prediction, SliceSink, StartPose, Version, WriteError,
+    Crc32, FORMAT_VERSION, Finer, MAX_STEPS, Mounting, PlanError, PlanHeader, PlanReader, PlanSummary,
+    PlanWriter, Precision, Prediction, SliceSink, StartPose, Version, WriteError,
 };
 use proptest::prelude::*;
 
-const GOLDEN: &[u8] = include_bytes!("golden/plan-v3.plan");
+const GOLDEN: &[u8] = include_bytes!("golden/plan-v4.plan");
 const STEPS: u32 = 100;
 
 fn header(step_count: u32) -> PlanHeader {
@@ -24,6 +24,7 @@ fn header(step_count: u32) -> PlanHeader {
         precision: Precision::F32,
         theta: [-1.0, -0.25, 0.0, 0.5, 1.0],
         skill_parameters: [0.018, 1.2, 0.06, 0.112, 2.2],
+        path_coefficients: 36,
         control_period_us: 10_000,
         step_count,
         lsb: Lsb::default(),
@@ -45,6 +46,12 @@ fn header(step_count: u32) -> PlanHeader {
             particle_mass_kg: 8e-6,
             census: Census { source: 2345, target: 853, rims: 4, tool: 3, spilled: 1, in_flight: 2 },
         },
+        finer: Some(Finer {
+            cell_m: 0.002,
+            loss_m: 1161.5,
+            particle_mass_kg: 1e-6,
+            census: Census { source: 18_900, target: 6_701, rims: 40, tool: 20, spilled: 9, in_flight: 3 },
+        }),
         arm: Some(Mounting {
             kind: ArmKind::Ur5e,
             world_from_base: StartPose {
@@ -207,6 +214,11 @@ fn a_header_that_cannot_be_meant_is_refused_by_writer_and_reader() {
         (PlanHeader { limits: Limits { workspace_min_m: [1.0; 3], ..fine.limits }, ..fine }, "workspace"),
         (PlanHeader { start: StartPose { orientation_wxyz: [1.0; 4], ..fine.start }, ..fine }, "orientation"),
     ];
+    let refined = fine.finer.unwrap();
+    let finer = |finer| PlanHeader { finer: Some(finer), ..fine };
+    cases.push((finer(Finer { cell_m: 0.0, ..refined }), "finer grid has cells of 0 m"));
+    let lighter = Finer { particle_mass_kg: -1.0, ..refined };
+    cases.push((finer(lighter), "mass of a particle of the finer grid"));
     let mounted = fine.arm.unwrap();
     let arm = |arm| PlanHeader { arm: Some(arm), ..fine };
     let skewed = StartPose { orientation_wxyz: [1.0; 4], ..fine.start };
@@ -225,6 +237,10 @@ fn a_header_that_cannot_be_meant_is_refused_by_writer_and_reader() {
             predicted(Prediction { particle_mass_kg: value, ..fine.predicted }),
             "mass of a particle",
         ));
+        cases.push((finer(Finer { cell_m: value, ..refined }), "cell of the finer grid"));
+        cases.push((finer(Finer { loss_m: value, ..refined }), "loss on the finer grid"));
+        let lighter = Finer { particle_mass_kg: value, ..refined };
+        cases.push((finer(lighter), "mass of a particle of the finer grid"));
         let start = StartPose { position_m: [value; 3], ..fine.start };
         cases.push((PlanHeader { start, ..fine }, "start position"));
         cases.push((arm(Mounting { world_from_base: start, ..mounted }), "position of the arm's base"));

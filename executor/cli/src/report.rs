@@ -9,7 +9,7 @@ use powderline_shared::displacement::{Axis, Lsb, Setpoint};
 use powderline_shared::fault::{Fault, FaultCode};
 use powderline_shared::limits::PeakUse;
 use powderline_shared::mass::Mass;
-use powderline_shared::plan::{Mounting, PlanReader, Prediction, SkillParameter, StartPose};
+use powderline_shared::plan::{Finer, Mounting, PlanReader, Prediction, SkillParameter, StartPose};
 use serde::Serialize;
 
 use crate::run::{FrameCounts, RunResult};
@@ -75,6 +75,8 @@ pub struct PlanFacts {
     pub theta: [f64; 5],
     /// m, rad, m, m, rad.
     pub skill_parameters: [f64; 5],
+    /// How many numbers say how the motion leaves the skill's: 0 where it is the skill's own.
+    pub path_coefficients: u32,
     /// Microseconds.
     pub control_period_us: u32,
     /// Steps.
@@ -83,6 +85,8 @@ pub struct PlanFacts {
     pub lsb: Lsb,
     /// What it brings, as it was simulated.
     pub predicted: Prediction,
+    /// What it brings on a finer grid; none if nobody looked.
+    pub finer: Option<Finer>,
     /// The arm that it was made for; none if no arm was looked at.
     pub arm: Option<Mounting>,
 }
@@ -234,10 +238,12 @@ impl PlanFacts {
             precision: header.precision.name(),
             theta: header.theta,
             skill_parameters: header.skill_parameters,
+            path_coefficients: header.path_coefficients,
             control_period_us: header.control_period_us,
             step_count: header.step_count,
             lsb: header.lsb,
             predicted: header.predicted,
+            finer: header.finer,
             arm: header.arm,
         }
     }
@@ -253,7 +259,8 @@ impl fmt::Display for PlanFacts {
             "  from      optimiser {}, scene {digest}.., seed {}, {}",
             self.optimiser_version, self.seed, self.precision
         )?;
-        write!(f, "  skill     ")?;
+        let near = if self.path_coefficients == 0 { "skill     " } else { "path near " };
+        write!(f, "  {near}")?;
         for (parameter, (separator, value)) in SkillParameter::ALL
             .into_iter()
             .zip(["", ", ", ", ", ", ", ", "].into_iter().zip(self.skill_parameters))
@@ -287,6 +294,14 @@ impl fmt::Display for PlanFacts {
             counted(predicted.census.target, "particle", "particles"),
             Mass(predicted.wanted_kg),
             predicted.census.rest(predicted.particle_mass_kg)
+        )?;
+        let Some(finer) = &self.finer else { return Ok(()) };
+        writeln!(
+            f,
+            "            {} on a finer grid, with cells of {} mm; {}",
+            Mass(finer.arrives_kg()),
+            1e3 * finer.cell_m,
+            finer.census.rest(finer.particle_mass_kg)
         )
     }
 }
@@ -457,7 +472,7 @@ mod tests {
 
     #[test]
     fn an_error_is_worth_what_the_wire_says() {
-        let plan = PlanReader::new(include_bytes!("../../../shared/tests/golden/plan-v3.plan")).unwrap();
+        let plan = PlanReader::new(include_bytes!("../../../shared/tests/golden/plan-v4.plan")).unwrap();
         let (fine, coarse) = (plan.header().lsb, Lsb { translation_nm: 1_000, rotation_nrad: 10_000 });
         // Two millimetres and four milliradians beyond the end, in counts of a wire that is coarser than the plan.
         let mut reached = plan.end_setpoint().rescaled(fine, coarse).unwrap();

@@ -109,6 +109,18 @@ impl Plan {
         Ok(parameters)
     }
 
+    /// How many numbers say how the motion leaves the skill's: 0 where it is the skill's own.
+    #[getter]
+    fn path_coefficients(&self) -> u32 {
+        self.header.path_coefficients
+    }
+
+    /// What arrives on a finer grid, kilogram, if the plan was looked at there (`optimise refine`); None if not.
+    #[getter]
+    fn finer_mass_kg(&self) -> Option<f64> {
+        self.header.finer.map(|finer| finer.arrives_kg())
+    }
+
     /// Seed of the packing that it was made with.
     #[getter]
     fn seed(&self) -> u64 {
@@ -359,7 +371,18 @@ impl Unevaluated {
         evaluation: &rollout::Evaluation,
     ) -> PyResult<Plan> {
         let Self { theta, map, quantised, arm } = self;
-        let parts = PlanParts { scene, map, seed, precision, theta, quantised, evaluation, arm: *arm };
+        let parts = PlanParts {
+            scene,
+            map,
+            seed,
+            precision,
+            theta,
+            path_coefficients: 0,
+            quantised,
+            evaluation,
+            finer: None,
+            arm: *arm,
+        };
         let bytes =
             parts.to_bytes().map_err(|error| PlanError::new_err(format!("no plan can be made: {error}")))?;
         Plan::of_bytes(&bytes, Some(scene.clone()))

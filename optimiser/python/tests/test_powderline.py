@@ -308,6 +308,7 @@ def test_plans_are_made_saved_loaded_and_turned_into_joints(scene, simulator, tm
     assert again.arm == "ur3e"
     achieved = simulator.motion(again.displacements).evaluation
     assert (again.miss, again.met, again.lost_kg) == (achieved.miss, achieved.met, achieved.lost_kg)
+    assert (again.path_coefficients, again.finer_mass_kg) == (0, None)
     assert again.met is False and "Plan(misses: " in repr(again)
     assert pl.Plan.from_bytes(plan.to_bytes()).met is None
     assert again.parameters["scooping_depth_m"] == scene.parameters(THETA)[0]

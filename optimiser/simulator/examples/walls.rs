@@ -32,9 +32,7 @@ fn main() -> Outcome<()> {
 
 /// The same on cells that are smaller by a whole number.
 fn refined(scene: &Scene, by: u32, walls: Walls, sleep_by: SleepBy) -> Result<Scene, SceneError> {
-    scene.with(|spec| {
-        spec.domain.cell_m /= f64::from(by);
-        spec.time.substeps *= by;
+    scene.refined(by)?.with(|spec| {
         spec.domain.walls = walls;
         spec.domain.sleep_by = sleep_by;
     })

@@ -1,10 +1,9 @@
 //! `optimise inspect`: what a plan holds.
 
-use super::{CliError, Context, motion::scene_of_plan};
+use super::{CliError, Context};
 use crate::report::{
     amounts::counted,
     finding::Finding,
-    plan::is_motion_of_skill,
     record::RunRecord,
     words::{grouped, hex, parameter},
 };
@@ -12,11 +11,11 @@ use clap::Args;
 use powderline_shared::{
     limits::{Limits, PeakUse},
     plan::{
-        PlanHeader, PlanReader, Prediction, SkillParameter, StartPose,
+        Finer, PlanHeader, PlanReader, Prediction, SkillParameter, StartPose,
         file::{parse_plan, read_plan_file},
     },
 };
-use powderline_simulator::scene::{Scene, figures::mass};
+use powderline_simulator::scene::figures::{about, mass};
 use serde::Serialize;
 use std::{
     fmt::Write as _,
@@ -42,8 +41,8 @@ struct Report {
     seed: u64,
     precision: &'static str,
     parameters: Vec<Parameter>,
-    /// Whether the motion is that skill's own, and not a path near it; null where the plan's scene is not at hand.
-    is_motion_of_skill: Option<bool>,
+    /// How many numbers say how the motion leaves that skill's: 0 where it is the skill's own.
+    path_coefficients: u32,
     control_period_us: u32,
     step_count: u32,
     duration_s: f64,
@@ -58,6 +57,8 @@ struct Report {
     limit_use: Option<PeakUse>,
     limit_broken: Option<String>,
     predicted: Prediction,
+    /// What it brings on a finer grid; null if nobody looked.
+    finer: Option<Finer>,
     /// What the run that made it found, where the plan still lies in its folder.
     run: Option<Finding>,
 }
@@ -77,8 +78,7 @@ struct Parameter {
 pub(super) fn execute(arguments: &InspectArgs, context: &mut Context<'_>) -> Result<(), CliError> {
     let bytes = read_plan_file(&arguments.plan)?;
     let plan = parse_plan(&arguments.plan, &bytes)?;
-    let scene = scene_of_plan(&arguments.plan, plan.header());
-    let report = Report::new(&plan, scene.as_ref(), run_of(&arguments.plan, &plan));
+    let report = Report::new(&plan, run_of(&arguments.plan, &plan));
     if arguments.json {
         return context.json(&report);
     }
@@ -97,7 +97,7 @@ pub(super) fn run_of(path: &Path, plan: &PlanReader<'_>) -> Option<Finding> {
 }
 
 impl Report {
-    fn new(plan: &PlanReader<'_>, scene: Option<&Scene>, run: Option<Finding>) -> Self {
+    fn new(plan: &PlanReader<'_>, run: Option<Finding>) -> Self {
         let header = plan.header();
         let checked = plan.check_limits();
         let version = header.optimiser_version;
@@ -108,7 +108,7 @@ impl Report {
             seed: header.seed,
             precision: header.precision.name(),
             parameters: parameters(header),
-            is_motion_of_skill: scene.map(|scene| is_motion_of_skill(scene, plan)),
+            path_coefficients: header.path_coefficients,
             control_period_us: header.control_period_us,
             step_count: header.step_count,
             duration_s: f64::from(header.step_count) * f64::from(header.control_period_us) * 1e-6,
@@ -121,6 +121,7 @@ impl Report {
             limit_use: checked.ok(),
             limit_broken: checked.err().map(|violation| violation.to_string()),
             predicted: header.predicted,
+            finer: header.finer,
             run,
         }
     }
@@ -153,8 +154,12 @@ impl Report {
             let value = parameter(which, shown.value);
             writeln!(text, "{:<24}{value:>12}   theta {:>8.4}", shown.name, shown.theta)?;
         }
-        if self.is_motion_of_skill == Some(false) {
-            writeln!(text, "The motion is not this skill's own, but a path near it.")?;
+        if self.path_coefficients > 0 {
+            writeln!(
+                text,
+                "The motion is not this skill's own, but a path near it: {} numbers say how it leaves that.",
+                self.path_coefficients
+            )?;
         }
         self.write_motion(text)
     }
@@ -171,12 +176,17 @@ impl Report {
         let Prediction { loss_m, wanted_kg, particle_mass_kg, census, .. } = self.predicted;
         writeln!(
             text,
-            "The plan brings {} ({}) of the {} wanted; {}. Its loss is {loss_m:.3} m.\n",
+            "The plan brings {} ({}) of the {} wanted; {}. Its loss is {loss_m:.3} m.",
             mass(self.predicted.arrives_kg()),
             counted(census.target),
             mass(wanted_kg),
             census.rest(particle_mass_kg),
-        )
+        )?;
+        if let Some(finer) = &self.finer {
+            let (arrives, cell_mm) = (mass(finer.arrives_kg()), about(1e3 * finer.cell_m, 3));
+            writeln!(text, "On a finer grid, with cells of {cell_mm} mm, it brings {arrives}.")?;
+        }
+        writeln!(text)
     }
 
     fn write_motion(&self, text: &mut String) -> std::fmt::Result {

@@ -23,6 +23,7 @@ mod new;
 mod next;
 mod options;
 mod progress;
+mod refine;
 mod render;
 mod report;
 mod run;
@@ -97,6 +98,8 @@ enum Command {
     Inspect(inspect::InspectArgs),
     /// Simulate one skill, a plan again, or what the arm made of a plan
     Simulate(simulate::SimulateArgs),
+    /// Correct a plan until what it brings on smaller cells is what is wanted
+    Refine(refine::RefineArgs),
     /// Draw pictures and animations of a motion
     Render(render::RenderArgs),
     /// Write the motion of a plan for a robot, ROS 2 or pandas, or the powder for ParaView and MeshLab
@@ -218,6 +221,7 @@ fn run_command(cli: Cli, context: &mut Context<'_>) -> Result<(), CliError> {
         Some(Command::Report(arguments)) => report::execute(&arguments, context),
         Some(Command::Inspect(arguments)) => inspect::execute(&arguments, context),
         Some(Command::Simulate(arguments)) => simulate::execute(&arguments, context),
+        Some(Command::Refine(arguments)) => refine::execute(&arguments, context),
         Some(Command::Render(arguments)) => render::execute(&arguments, context),
         Some(Command::Export(arguments)) => export::execute(&arguments, context),
         Some(Command::Compare(arguments)) => compare::execute(&arguments, context),

@@ -15,7 +15,6 @@ use crate::{
         finding::{Finding, Outcome},
         folder::{COMPARISON, PLAN, STATE},
         judged::Judged,
-        plan::is_motion_of_skill,
         record::RunRecord,
         words::{count, duration, hex, parameter},
     },
@@ -160,7 +159,7 @@ impl ReportArgs {
             verdict: Some(verdict(&amounts, &outcome)),
             figures: figures(&amounts, &outcome),
             replay_shows: shows(&task, finding.as_ref().and_then(|finding| finding.epoch)),
-            tables: vec![parameters(&task.scene, &plan)],
+            tables: vec![parameters(&plan)],
             facts,
             notes: finding.iter().flat_map(Finding::sentences).collect(),
             ..Page::default()
@@ -282,7 +281,7 @@ fn show_outcome(page: &mut Page, task: &Task, amounts: &Amounts, outcome: &Outco
 }
 
 /// The skill in physical units.
-fn parameters(scene: &Scene, plan: &PlanReader<'_>) -> Table {
+fn parameters(plan: &PlanReader<'_>) -> Table {
     let header = plan.header();
     let row = |which: SkillParameter| {
         vec![
@@ -292,9 +291,9 @@ fn parameters(scene: &Scene, plan: &PlanReader<'_>) -> Table {
         ]
     };
     Table {
-        title: match is_motion_of_skill(scene, plan) {
-            true => "Skill of the plan".into(),
-            false => "Skill near which the plan's motion is a path".into(),
+        title: match header.path_coefficients {
+            0 => "Skill of the plan".into(),
+            _ => "Skill near which the plan's motion is a path".into(),
         },
         columns: ["parameter", "value", "theta"].map(String::from).into(),
         rows: SkillParameter::ALL.into_iter().map(row).map(Into::into).collect(),

@@ -37,10 +37,14 @@ mod export;
 mod motion;
 mod pages;
 mod path;
+mod refine;
 mod validate;
 
 /// Exit code of a run whose plan misses the wanted amount, as after few epochs with this stand-in.
 const MISSED: u8 = 3;
+
+/// What arrives on cells of half the size over what arrives on the scene's own, with this stand-in.
+const ON_FINER_CELLS: f64 = 0.8;
 
 /// Ticks of one evaluation.
 const TICKS: u64 = 3;
@@ -54,8 +58,10 @@ struct Ends {
     patience: Rc<Cell<u64>>,
     /// How many motions in whole counts bring nothing yet.
     spoilt: Cell<u32>,
-    /// Mass of a particle over that of a scene as it comes, with eight to a cell.
+    /// Mass of a particle over that of a scene as it comes, with eight to a cell of 4 mm.
     heavier: f64,
+    /// What arrives over what arrives on cells of 4 mm.
+    share: f64,
     watch: Watch,
 }
 
@@ -81,7 +87,7 @@ impl Ends {
         let end = controls.fold([0.0; 6], |sum, control| std::array::from_fn(|k| sum[k] + control[k]));
         let error: Control = std::array::from_fn(|k| end[k] - Self::WISH[k]);
         let loss = 1.0 + error.iter().map(|x| x * x).sum::<f64>();
-        let transported = (200.0 / loss / self.heavier) as u32;
+        let transported = (200.0 * self.share / loss / self.heavier) as u32;
         let indicator = 200 - i64::from(transported);
         let census = Census { target: transported, spilled: 7, ..Census::default() };
         (Evaluation::new(loss / self.heavier, indicator, census), error.map(|x| 2.0 * x / self.heavier))
@@ -243,8 +249,10 @@ fn optimise_with(patience: u64, spoilt: u32, arguments: &[&str]) -> Done {
     let factory = |scene: &Scene, _: &Setup| -> Result<Box<dyn Simulate>, RolloutError> {
         let (interrupt, patience) = (interrupt.clone(), patience.clone());
         let (map, spoilt) = (SkillMap::new(scene), Cell::new(spoilt));
-        let heavier = 8.0 / f64::from(scene.powder.particles_per_cell);
-        Ok(Box::new(Ends { map, interrupt, patience, spoilt, heavier, watch: Watch::default() }))
+        let cell = scene.domain.cell_m / 0.004;
+        let heavier = cell.powi(3) * 8.0 / f64::from(scene.powder.particles_per_cell);
+        let share = if cell < 0.75 { ON_FINER_CELLS } else { 1.0 };
+        Ok(Box::new(Ends { map, interrupt, patience, spoilt, heavier, share, watch: Watch::default() }))
     };
     let (mut out, err) = (Vec::new(), Buffer::default());
     let mut context = Context {
@@ -370,6 +378,8 @@ fn arguments_are_consistent() {
         "--resume runs/x --epochs 40",
         "simulate --plan p --json",
         "simulate --plan p --executed e",
+        "simulate --plan p --refine 2",
+        "refine p --by 3 --out d --json",
         "scenes --json",
         "new mine.toml --from bench-small",
         "completions fish",
@@ -390,6 +400,9 @@ fn arguments_are_consistent() {
         "simulate --plan p --theta 0",
         "simulate --plan p --seed 1",
         "simulate --executed e",
+        "simulate --plan p --refine 1",
+        "refine",
+        "refine p --by 5",
         "simulate --theta 0,0,0,0,0 --executed e",
         "validate --short --full",
         "validate --threads 0",
@@ -961,6 +974,32 @@ fn plan_reproduces_exactly() {
     assert_eq!(report["theta"][2].as_f64().map(f64::to_bits), Some(header.theta[2].to_bits()));
     let text = optimise(&["simulate", "--plan", &plan]).out;
     assert!(text.contains("exactly those that the plan predicts"), "{text}");
+}
+
+#[test]
+fn what_a_plan_brings_on_smaller_cells_is_said_beside_what_it_brings() {
+    let place = Place::new();
+    let plan = format!("{}/skill.plan", place.finished("run", 3));
+    let done = optimise(&["simulate", "--plan", &plan, "--refine", "2", "--json"]);
+    let report: Value = serde_json::from_str(&done.out).unwrap();
+    assert_eq!(report["plan"]["reproduced"], true);
+    let finer = &report["finer"];
+    let [own, fine] = [&report, finer].map(|of| of["mass_kg"].as_f64().unwrap());
+    assert!((fine / own - ON_FINER_CELLS).abs() < 0.01, "{own} {fine}");
+    assert!(near(&finer["change"], fine / own - 1.0, 1e-12) && near(&finer["cell_m"], 0.002, 1e-12));
+    assert!(near(&finer["amounts"]["particle_mass_kg"], 1e-6, 1e-9), "{finer}");
+    let text = optimise(&["simulate", "--plan", &plan, "--refine", "2"]).out;
+    let line = text.lines().nth(3).unwrap();
+    assert!(
+        line.starts_with("On cells of 2 mm: ") && line.contains(" 20 % less than on the scene's own, "),
+        "{text}"
+    );
+    // Nothing is simulated first.
+    assert_sentence(
+        &optimise_for(1, &["simulate", "workcell", "--theta=0,0,0,0,0", "--refine", "2"]),
+        2,
+        "0.0015",
+    );
 }
 
 /// A plan, and the motion of an arm that performs it to the last bit, to be spoilt.

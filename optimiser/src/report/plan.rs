@@ -1,8 +1,7 @@
 //! From a skill to the bytes of a plan.
 
 use powderline_shared::plan::{
-    Mounting, PlanError, PlanHeader, PlanReader, PlanWriter, Precision, Prediction, StartPose, Version,
-    WriteError,
+    Finer, Mounting, PlanError, PlanHeader, PlanWriter, Precision, Prediction, StartPose, Version, WriteError,
 };
 use powderline_simulator::{
     rollout::Evaluation,
@@ -24,10 +23,14 @@ pub struct PlanParts<'a> {
     pub precision: Precision,
     /// The skill.
     pub theta: &'a Theta,
-    /// The skill's quantised motion.
+    /// How many numbers say how the motion leaves the skill's.
+    pub path_coefficients: usize,
+    /// The quantised motion.
     pub quantised: &'a QuantisedControls,
     /// What the quantised motion achieves.
     pub evaluation: &'a Evaluation,
+    /// What it achieves on a finer grid.
+    pub finer: Option<Finer>,
     /// The arm that can make it.
     pub arm: Option<Mounting>,
 }
@@ -67,6 +70,7 @@ impl PlanParts<'_> {
             precision: self.precision,
             theta: self.theta.components(),
             skill_parameters: map.parameters(self.theta),
+            path_coefficients: self.path_coefficients as u32,
             control_period_us: scene.time.control_period_us,
             step_count: self.quantised.steps.len() as u32,
             lsb: LSB,
@@ -79,16 +83,10 @@ impl PlanParts<'_> {
                 particle_mass_kg: scene.particle_mass_kg(),
                 census: evaluation.census,
             },
+            finer: self.finer,
             arm: self.arm,
         }
     }
-}
-
-/// Whether a plan's motion is its skill's own. If not, it is a path near that.
-pub fn is_motion_of_skill(scene: &Scene, plan: &PlanReader<'_>) -> bool {
-    let map = SkillMap::new(scene);
-    let skill = Theta::new(plan.header().theta).ok().and_then(|theta| map.quantise(&theta).ok());
-    skill.is_some_and(|skill| plan.steps().eq(skill.steps.iter().copied()))
 }
 
 /// Version of this program.

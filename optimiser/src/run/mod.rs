@@ -65,6 +65,7 @@ pub struct Run {
 /// A skill, its motion in whole counts, and what that brings.
 struct Performed {
     theta: Theta,
+    path_coefficients: usize,
     quantised: QuantisedControls,
     evaluation: Evaluation,
 }
@@ -303,7 +304,8 @@ impl Run {
     }
 
     /// Writes the chosen skill's motion, and what it brings as it will be performed.
-    fn write_plan(&mut self, Performed { theta, quantised, evaluation }: &Performed) -> Result<(), Failure> {
+    fn write_plan(&mut self, performed: &Performed) -> Result<(), Failure> {
+        let Performed { theta, path_coefficients, quantised, evaluation } = performed;
         let RunRecord { scene, map, state, .. } = &self.record;
         let arm = arm_motion(scene, map, quantised).map_err(|refusal| {
             Failure::Failed(format!("the arm cannot make the plan's motion: {refusal}"))
@@ -314,8 +316,10 @@ impl Run {
             seed: state.seed,
             precision: state.precision,
             theta,
+            path_coefficients: *path_coefficients,
             quantised,
             evaluation,
+            finer: None,
             arm: arm.as_ref().map(|arm| Mounting::from(&arm.model)),
         };
         let unfit = |error| Failure::Failed(format!("no plan can be made: {error}"));
@@ -347,7 +351,8 @@ impl Run {
             let is_nearer = nearest.as_ref().is_none_or(|other| miss(&evaluation) < miss(&other.evaluation));
             let is_met = amounts.is_met(evaluation.census.target) == Some(true);
             if is_met || is_nearer {
-                nearest = Some(Performed { theta, quantised, evaluation });
+                let path_coefficients = record.splines.as_ref().map_or(0, |added| added.coefficients.len());
+                nearest = Some(Performed { theta, path_coefficients, quantised, evaluation });
             }
             if is_met {
                 break;

@@ -70,6 +70,11 @@ pub enum PlanError {
         /// Its value, kilograms.
         value: f64,
     },
+    /// The cells of the finer grid have no size.
+    NoCell {
+        /// Their edge, metres.
+        value: f64,
+    },
     /// An orientation is no rotation.
     OrientationNotUnit {
         /// What it is of.
@@ -140,6 +145,9 @@ impl fmt::Display for PlanError {
             }
             Self::NegativeMass { field, value } => {
                 write!(f, "its {field} is {value} kg, but must not be negative")
+            }
+            Self::NoCell { value } => {
+                write!(f, "its finer grid has cells of {value} m, but they must be larger than 0")
             }
             Self::OrientationNotUnit { field, norm } => {
                 write!(f, "its {field} is a quaternion of norm {norm}, but must have norm 1")

@@ -99,6 +99,8 @@ pub struct PlanHeader {
     pub theta: [f64; 5],
     /// The same in physical units: m, rad, m, m, rad.
     pub skill_parameters: [f64; 5],
+    /// How many numbers say how the motion leaves the skill's: 0 where it is the skill's own.
+    pub path_coefficients: u32,
     /// Control period, microseconds; one step of the body each.
     pub control_period_us: u32,
     /// Steps in the body.
@@ -111,6 +113,8 @@ pub struct PlanHeader {
     pub limits: Limits,
     /// What the quantised motion brings.
     pub predicted: Prediction,
+    /// What it brings on a finer grid; none if nobody looked.
+    pub finer: Option<Finer>,
     /// The arm that can make the motion, as was looked at when the plan was made; none if nobody looked.
     pub arm: Option<Mounting>,
 }
@@ -170,6 +174,27 @@ impl Prediction {
     }
 }
 
+/// What a motion brings on a finer grid than the one that it was found on, which says how far that is to be believed.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Finer {
+    /// Edge of the grid's cells, metres.
+    pub cell_m: f64,
+    /// Loss, metres.
+    pub loss_m: f64,
+    /// Mass of one particle, kilograms.
+    pub particle_mass_kg: f64,
+    /// Particles by where they are at the end.
+    pub census: Census,
+}
+
+impl Finer {
+    /// What arrives in the target container, kilograms.
+    #[must_use]
+    pub fn arrives_kg(&self) -> f64 {
+        f64::from(self.census.target) * self.particle_mass_kg
+    }
+}
+
 impl PlanHeader {
     /// The anchor X0.
     #[must_use]
@@ -192,7 +217,8 @@ impl PlanHeader {
     fn check_finite(&self) -> Result<(), PlanError> {
         let start = &self.start;
         let [base, tool] = self.mounted();
-        let groups: [(&'static str, &[f64]); 11] = [
+        let finer = self.finer();
+        let groups: [(&'static str, &[f64]); 14] = [
             ("theta", &self.theta),
             ("skill parameters", &self.skill_parameters),
             ("start position", &start.position_m),
@@ -200,6 +226,9 @@ impl PlanHeader {
             ("predicted loss", &[self.predicted.loss_m]),
             ("wanted mass", &[self.predicted.wanted_kg]),
             ("mass of a particle", &[self.predicted.particle_mass_kg]),
+            ("cell of the finer grid", &[finer.cell_m]),
+            ("loss on the finer grid", &[finer.loss_m]),
+            ("mass of a particle of the finer grid", &[finer.particle_mass_kg]),
             ("position of the arm's base", &base.position_m),
             ("orientation of the arm's base", &base.orientation_wxyz),
             ("position of the tool in the flange", &tool.position_m),
@@ -218,10 +247,18 @@ impl PlanHeader {
             return Err(PlanError::ThetaOutOfRange { value });
         }
         let Prediction { wanted_kg, particle_mass_kg, .. } = self.predicted;
-        for (field, value) in [("wanted mass", wanted_kg), ("mass of a particle", particle_mass_kg)] {
+        let finer = self.finer();
+        for (field, value) in [
+            ("wanted mass", wanted_kg),
+            ("mass of a particle", particle_mass_kg),
+            ("mass of a particle of the finer grid", finer.particle_mass_kg),
+        ] {
             if value < 0.0 {
                 return Err(PlanError::NegativeMass { field, value });
             }
+        }
+        if finer.cell_m <= 0.0 {
+            return Err(PlanError::NoCell { value: finer.cell_m });
         }
         in_range("control period in microseconds", self.control_period_us, PERIOD_US_MIN, PERIOD_US_MAX)?;
         in_range("step count", self.step_count, 1, MAX_STEPS)?;
@@ -240,6 +277,12 @@ impl PlanHeader {
             }
         }
         Ok(())
+    }
+
+    /// The finer grid; where there is none, one that stands for it.
+    fn finer(&self) -> Finer {
+        let none = Finer { cell_m: 1.0, loss_m: 0.0, particle_mass_kg: 0.0, census: Census::default() };
+        self.finer.unwrap_or(none)
     }
 
     /// Base and tool of the arm; where there is none, poses that stand for them.

@@ -24,7 +24,8 @@ mod writer;
 pub use checksum::{Crc32, Fnv1a64};
 pub use error::PlanError;
 pub use header::{
-    MAX_STEPS, Mounting, PERIOD_US_MAX, PERIOD_US_MIN, PlanHeader, Precision, Prediction, StartPose, Version,
+    Finer, MAX_STEPS, Mounting, PERIOD_US_MAX, PERIOD_US_MIN, PlanHeader, Precision, Prediction, StartPose,
+    Version,
 };
 pub use parameter::SkillParameter;
 pub use reader::{PlanReader, Setpoints, Steps};
@@ -34,7 +35,7 @@ pub use writer::{PlanSummary, PlanWriter, Sink, SliceSink, WriteError};
 pub const MAGIC: [u8; 8] = *b"PWDLPLAN";
 
 /// The format version that this crate writes, and the only one that it reads.
-pub const FORMAT_VERSION: u16 = 3;
+pub const FORMAT_VERSION: u16 = 4;
 
 /// No plan is larger; a reader may refuse a longer file unread.
 pub const MAX_FILE_BYTES: usize = 32 * 1024 * 1024;

@@ -201,7 +201,7 @@ fn loads() {
 /// Reads a plan by the table, row by row, and nothing else; to its last byte.
 #[test]
 fn plan_files() {
-    let file = include_bytes!("../golden/plan-v3.plan");
+    let file = include_bytes!("../golden/plan-v4.plan");
     let plan = PlanReader::new(file).unwrap();
     let mut walk = Walk { rest: file, numbers: Vec::new() };
     for row in table("## Plan files", 0) {
@@ -211,7 +211,7 @@ fn plan_files() {
             _ => walk.take(row[0], 1),
         }
     }
-    assert!(walk.rest.is_empty() && plan.header().arm.is_some());
+    assert!(walk.rest.is_empty() && plan.header().arm.is_some() && plan.header().finer.is_some());
     let of_steps = 6 * plan.header().step_count as usize;
     let (before, [crc]) = walk.numbers.split_at(walk.numbers.len() - 1) else { unreachable!() };
     assert_eq!(*crc as u32, crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC).checksum(&file[..file.len() - 4]));
@@ -221,8 +221,8 @@ fn plan_files() {
     assert_eq!(before[PLAN_STEPS - 1], i64::from(plan.header().control_period_us));
 }
 
-/// Which of the whole numbers of a plan is that of its steps: after version, program, seed, precision and period.
-const PLAN_STEPS: usize = 7;
+/// Which of the whole numbers of a plan is that of its steps: after version, program, seed, precision, path and period.
+const PLAN_STEPS: usize = 8;
 
 /// What is left of a file, and the whole numbers of what has been taken.
 struct Walk<'a> {

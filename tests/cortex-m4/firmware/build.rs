@@ -7,7 +7,7 @@ fn main() -> io::Result<()> {
     let here = PathBuf::from(env::var_os("CARGO_MANIFEST_DIR").ok_or(io::ErrorKind::NotFound)?);
     let out = PathBuf::from(env::var_os("OUT_DIR").ok_or(io::ErrorKind::NotFound)?);
     let plan = env::var_os("PLAN")
-        .map_or_else(|| here.join("../../../shared/tests/golden/plan-v3.plan"), PathBuf::from);
+        .map_or_else(|| here.join("../../../shared/tests/golden/plan-v4.plan"), PathBuf::from);
     fs::copy(here.join("memory.x"), out.join("memory.x"))?;
     fs::copy(&plan, out.join("plan"))?;
     println!("cargo::rustc-link-search={}", out.display());

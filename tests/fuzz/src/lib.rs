@@ -11,7 +11,7 @@ use std::path::PathBuf;
 pub const CONTEXT: Context = Context { session: 0x1234, seal: 0xcef0_4bf9_5369_9a72, key: None };
 
 /// The plan whose bytes are pinned.
-pub const GOLDEN_PLAN: &[u8] = include_bytes!("../../../shared/tests/golden/plan-v3.plan");
+pub const GOLDEN_PLAN: &[u8] = include_bytes!("../../../shared/tests/golden/plan-v4.plan");
 
 const GOLDEN_CLASSIC: &str = include_str!("../../../shared/tests/golden/wire-v3-classic.txt");
 const GOLDEN_FD: &str = include_str!("../../../shared/tests/golden/wire-v3-fd.txt");

@@ -68,12 +68,14 @@ pub fn plan_bytes(start: &Pose, limits: Limits, period_us: u32, moves: &[Move]) 
         precision: Precision::F64,
         theta: [0.0; 5],
         skill_parameters: [0.0; 5],
+        path_coefficients: 0,
         control_period_us: period_us,
         step_count: moves.iter().map(|part| part.steps).sum(),
         lsb: Lsb::default(),
         start: StartPose::from(start),
         limits,
         predicted: Prediction::default(),
+        finer: None,
         arm: None,
     };
     let mut bytes = Vec::new();

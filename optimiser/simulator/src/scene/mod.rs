@@ -52,6 +52,7 @@ mod packing;
 mod parse;
 mod path;
 mod read;
+mod refined;
 mod remarks;
 mod ruler;
 mod solid;

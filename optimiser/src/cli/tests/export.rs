@@ -4,7 +4,7 @@ use super::*;
 use powderline_shared::plan::PlanHeader;
 
 /// A plan of 100 ticks that an arm can make, pinned where plans are at home.
-const GOLDEN: &[u8] = include_bytes!("../../../../shared/tests/golden/plan-v3.plan");
+const GOLDEN: &[u8] = include_bytes!("../../../../shared/tests/golden/plan-v4.plan");
 
 /// An arm that can make it.
 const ARM: [&str; 6] = ["--arm", "ur5e", "--base", "0.6,0.25,0,0,0,0", "--tool", "0,0,0.1,20,0,0"];

@@ -30,7 +30,7 @@ fn a_path_is_found_shipped_told_apart_from_a_skill_and_gone_on_with_to_the_same_
         "{}",
         done.out
     );
-    // What the plan says of itself, with its scene beside it.
+    // What the plan says of itself.
     let plan = format!("{folder}/skill.plan");
     let inspected = optimise(&["inspect", &plan]);
     assert!(inspected.out.contains("not this skill's own, but a path near it"), "{}", inspected.out);
@@ -38,7 +38,7 @@ fn a_path_is_found_shipped_told_apart_from_a_skill_and_gone_on_with_to_the_same_
     assert!(simulated.code == 0, "{}", simulated.out);
     let skill = place.finished("skill", 3);
     let inspected = optimise(&["inspect", &format!("{skill}/skill.plan"), "--json"]);
-    assert!(inspected.out.contains("\"is_motion_of_skill\":true"), "{}", inspected.out);
+    assert!(inspected.out.contains("\"path_coefficients\":0"), "{}", inspected.out);
     // Ended in the middle of the path, again and again.
     let (stopped, done) = run("stopped", "22", 150);
     assert_eq!(done.code, 130, "{}", done.err);

@@ -55,12 +55,14 @@ fn plan_along(
         precision: Precision::F32,
         theta: [0.0; 5],
         skill_parameters: [0.0; 5],
+        path_coefficients: 0,
         control_period_us: PERIOD_US,
         step_count: ticks,
         lsb: Lsb::default(),
         start: StartPose { position_m: [-0.45, -0.1, 0.3], orientation_wxyz: [0.5, 0.5, -0.5, 0.5] },
         limits,
         predicted: Prediction::default(),
+        finer: None,
         arm: None,
     };
     let at = |tick: u32| done(f64::from(tick) / f64::from(ticks));

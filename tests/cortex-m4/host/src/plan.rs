@@ -60,6 +60,7 @@ fn header() -> PlanHeader {
         precision: Precision::F32,
         theta: [0.0; 5],
         skill_parameters: [0.018, 1.2, 0.06, 0.112, 2.2],
+        path_coefficients: 0,
         control_period_us: 10_000,
         step_count: MOVES.iter().map(|(_, _, steps)| steps).sum(),
         lsb: Lsb::default(),
@@ -81,6 +82,7 @@ fn header() -> PlanHeader {
             particle_mass_kg: 8e-6,
             census: Census { source: 2000, target: 850, rims: 1, tool: 0, spilled: 2, in_flight: 0 },
         },
+        finer: None,
         arm: None,
     }
 }

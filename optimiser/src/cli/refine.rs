@@ -1,0 +1,444 @@
+//! `optimise refine`: a plan corrected until what it brings on smaller cells is what is wanted.
+
+use super::{
+    CliError, Context, Progress, Resources, Setup,
+    motion::{Motion, MotionArgs, Task},
+    next,
+};
+use crate::{
+    able::obstacle,
+    refine::{Corrected, Grid, Look, Wanted, corrected},
+    report::{
+        amounts::Amounts,
+        finding::Outcome,
+        folder::{PLAN, RunFolder, SCENE},
+        plan::PlanParts,
+        record::RunRecord,
+        words::parameter,
+    },
+};
+use clap::Args;
+use powderline_shared::plan::{Finer, Mounting, PlanHeader, SkillParameter};
+use powderline_simulator::{
+    PHYSICS_VERSION,
+    arm::arm_motion,
+    bench::cpu_seconds,
+    rollout::{Census, Displacement, Evaluation, RolloutError, Simulate, Workload},
+    scene::{
+        Scene,
+        figures::{about, mass},
+    },
+    skill::{QuantisedControls, SkillMap, Splines, Theta},
+};
+use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
+
+/// Arguments of `optimise refine`.
+#[derive(Clone, Debug, Args)]
+pub(super) struct RefineArgs {
+    /// The plan
+    #[arg(value_name = "PLAN")]
+    pub plan: PathBuf,
+    /// By how much smaller the cells are: 2 is half the size, and a rollout takes about 16 times as long
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = clap::value_parser!(u32).range(2..=4))]
+    pub by: u32,
+    /// Threads and memory.
+    #[command(flatten)]
+    pub resources: Resources,
+    /// Folder for the corrected plan, and for what was simulated: one that was stopped goes on from there [default: `refined` beside the
+    /// plan]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Print one JSON object
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// What was simulated so far, in the folder.
+const LOOKS: &str = "looks.json";
+
+#[derive(Serialize, Deserialize)]
+struct Looks {
+    #[serde(flatten)]
+    of: Subject,
+    looks: Vec<Seen>,
+}
+
+/// What the looks are of: those of something else are not gone on with.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Subject {
+    plan: String,
+    by: u32,
+    physics: u32,
+}
+
+/// A look, or that there is nothing to be seen.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Seen {
+    grid: Grid,
+    theta: Theta,
+    /// Why there is nothing to be seen.
+    obstacle: Option<String>,
+    loss_m: f64,
+    indicator: i64,
+    census: Census,
+    cpu_seconds: f64,
+}
+
+/// What is said.
+#[derive(Serialize)]
+struct Report {
+    folder: PathBuf,
+    plan: PathBuf,
+    /// Whether the finer grid brings what is wanted; null where as much as can be had is.
+    met: Option<bool>,
+    cell_m: f64,
+    finer_cell_m: f64,
+    amounts: Amounts,
+    finer_amounts: Amounts,
+    /// As it came, and each correction of it, on the smaller cells.
+    tried: Vec<Line>,
+    best: usize,
+    /// As it came, and the best, on the scene's own cells.
+    own: [Outcome; 2],
+    rollouts: [usize; 2],
+    cpu_seconds: f64,
+}
+
+/// One skill on the smaller cells.
+#[derive(Serialize)]
+struct Line {
+    theta: Theta,
+    #[serde(flatten)]
+    outcome: Outcome,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// One sentence; what was simulated before is saved.
+pub(super) fn execute(arguments: &RefineArgs, context: &mut Context<'_>) -> Result<(), CliError> {
+    let task = MotionArgs {
+        scene: None,
+        theta: None,
+        plan: Some(arguments.plan.clone()),
+        executed: None,
+        seed: None,
+        precision: None,
+        resources: arguments.resources,
+    }
+    .task()?;
+    let Motion::Plan { header, content_hash, controls } = &task.motion else {
+        unreachable!("a plan was given")
+    };
+    let finer = task.scene.refined(arguments.by)?;
+    task.setup.check_memory(&finer, Workload::Single, 0)?;
+    let splines = splines_of(&arguments.plan, &task, header, controls)?;
+    let of = Subject { plan: format!("{content_hash:016x}"), by: arguments.by, physics: PHYSICS_VERSION };
+    let out = match &arguments.out {
+        Some(out) => out.clone(),
+        None => arguments.plan.with_file_name("refined"),
+    };
+    let mut bench = Bench {
+        looks: begun(of, &out)?,
+        folder: RunFolder::take(&out)?,
+        scenes: [task.scene.clone(), finer],
+        map: SkillMap::new(&task.scene),
+        splines,
+        setup: task.setup,
+        present: None,
+    };
+    let theta = Theta::new(header.theta)?;
+    let amounts = Amounts::from(&task.scene);
+    let wanted = Wanted { mass_kg: amounts.wanted_kg, tolerance: amounts.tolerance };
+    let progress = Progress::new(&context.err, context.live);
+    let found = {
+        let context = &*context;
+        corrected(&theta, wanted, &mut |grid, theta| bench.look(grid, theta, &progress, context))
+    };
+    progress.clear();
+    let found = found.map_err(|error| {
+        error.with_remark("what was simulated is saved, and the same command goes on from there")
+    })?;
+    bench.write_plan(&found, header)?;
+    let report = bench.report(&found, amounts);
+    if arguments.json {
+        context.json(&report)?;
+    } else {
+        write!(context.out, "{}", report.text(&bench.map))?;
+        write!(context.out, "{}", next::play(&report.plan))?;
+    }
+    report.shortfall().map_or(Ok(()), |shortfall| Err(CliError::Missed(shortfall)))
+}
+
+/// What is added to the skill's motion; as the run has it beside which the plan lies.
+fn splines_of(
+    path: &Path,
+    task: &Task,
+    header: &PlanHeader,
+    controls: &[Displacement],
+) -> Result<Option<Splines>, CliError> {
+    let (map, theta) = (SkillMap::new(&task.scene), Theta::new(header.theta)?);
+    let is_it = |splines: Option<&Splines>| {
+        let made = map.motion(&theta, splines).and_then(|controls| QuantisedControls::new(&controls));
+        made.is_ok_and(|made| made.controls == controls)
+    };
+    if is_it(None) {
+        return Ok(None);
+    }
+    let run = path.parent().and_then(|folder| RunRecord::read(folder).ok());
+    let added = run.iter().flat_map(|run| &run.epochs).filter_map(|epoch| epoch.record.splines.as_ref());
+    match added.into_iter().find(|splines| is_it(Some(splines))) {
+        Some(splines) => Ok(Some(splines.clone())),
+        None => Err(CliError::Input(format!(
+            "{}: its motion is not its skill's own, and the run that found it is not beside it, so it cannot be changed; `{}` says \
+             what it brings on smaller cells",
+            path.display(),
+            next::optimise(&["simulate", "--plan", &path.to_string_lossy(), "--refine", "2"])
+        ))),
+    }
+}
+
+/// What the folder has of the same.
+fn begun(of: Subject, folder: &Path) -> Result<Looks, CliError> {
+    let file = folder.join(LOOKS);
+    if !file.exists() {
+        if folder.join(PLAN).exists() {
+            return Err(CliError::Input(format!(
+                "{} holds a plan of something else; another --out would be right",
+                folder.display()
+            )));
+        }
+        return Ok(Looks { of, looks: Vec::new() });
+    }
+    let name = file.display();
+    let looks: Looks = serde_json::from_slice(&crate::report::folder::read_file(&file)?)
+        .map_err(|error| CliError::Input(format!("{name} is nothing to go on from: {error}")))?;
+    if looks.of != of {
+        return Err(CliError::Input(format!(
+            "{name} is of {:?}, and {of:?} is asked for; another --out would be right",
+            looks.of
+        )));
+    }
+    Ok(looks)
+}
+
+/// Both grids, one at a time in memory.
+struct Bench {
+    looks: Looks,
+    folder: RunFolder,
+    /// The scene, and its finer copy.
+    scenes: [Scene; 2],
+    map: SkillMap,
+    splines: Option<Splines>,
+    setup: Setup,
+    present: Option<(Grid, Box<dyn Simulate>)>,
+}
+
+impl Bench {
+    fn scene(&self, grid: Grid) -> &Scene {
+        &self.scenes[usize::from(grid == Grid::Finer)]
+    }
+
+    /// As it was seen before, or else simulated and saved.
+    fn look(
+        &mut self,
+        grid: Grid,
+        theta: &Theta,
+        progress: &Progress,
+        context: &Context<'_>,
+    ) -> Result<Option<Look>, CliError> {
+        let bits = |theta: &Theta| theta.components().map(f64::to_bits);
+        let known = |seen: &&Seen| seen.grid == grid && bits(&seen.theta) == bits(theta);
+        let seen = match self.looks.looks.iter().find(known) {
+            Some(seen) => seen.clone(),
+            None => {
+                let seen = self.simulated(grid, theta, progress, context)?;
+                self.looks.looks.push(seen.clone());
+                let text = serde_json::to_vec(&self.looks).map_err(std::io::Error::from)?;
+                self.folder.replace(LOOKS, &text)?;
+                self.say(&seen, progress);
+                seen
+            }
+        };
+        let mass_kg = f64::from(seen.census.target) * self.scene(grid).particle_mass_kg();
+        let evaluation = Evaluation::new(seen.loss_m, seen.indicator, seen.census);
+        Ok(seen.obstacle.is_none().then_some(Look { theta: *theta, mass_kg, evaluation }))
+    }
+
+    fn simulated(
+        &mut self,
+        grid: Grid,
+        theta: &Theta,
+        progress: &Progress,
+        context: &Context<'_>,
+    ) -> Result<Seen, CliError> {
+        let none = Seen {
+            grid,
+            theta: *theta,
+            obstacle: None,
+            loss_m: 0.0,
+            indicator: 0,
+            census: Census::default(),
+            cpu_seconds: 0.0,
+        };
+        if let Some(why) = obstacle(&self.scenes[0], &self.map, theta, self.splines.as_ref()) {
+            return Ok(Seen { obstacle: Some(why), ..none });
+        }
+        let motion = QuantisedControls::new(&self.map.motion(theta, self.splines.as_ref())?)?;
+        if context.interrupt.is_requested() {
+            return Err(RolloutError::Stopped.into());
+        }
+        let begun_s = cpu_seconds();
+        progress.begin(&format!("look {}, {}", self.looks.looks.len() + 1, self.grid_words(grid)), 0, &[]);
+        if self.present.as_ref().is_none_or(|(present, _)| *present != grid) {
+            // What the other one holds is given back first.
+            self.present = None;
+            let mut simulator = (context.factory)(self.scene(grid), &self.setup)?;
+            simulator.set_progress(progress.watch(&context.interrupt));
+            self.present = Some((grid, simulator));
+        }
+        let (_, simulator) = self.present.as_mut().expect("made above");
+        match simulator.simulate(&motion.controls) {
+            Ok(Evaluation { loss, indicator, census, .. }) => {
+                let cpu_seconds = cpu_seconds() - begun_s;
+                Ok(Seen { loss_m: loss, indicator, census, cpu_seconds, ..none })
+            }
+            Err(error @ (RolloutError::Escaped { .. } | RolloutError::NonFinite { .. })) => {
+                Ok(Seen { obstacle: Some(error.to_string()), ..none })
+            }
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    fn grid_words(&self, grid: Grid) -> String {
+        format!("cells of {} mm", about(1e3 * self.scene(grid).domain.cell_m, 3))
+    }
+
+    fn say(&self, seen: &Seen, progress: &Progress) {
+        let skill = self.map.parameters(&seen.theta);
+        let skill: Vec<String> =
+            SkillParameter::ALL.iter().map(|which| parameter(*which, skill[which.index()])).collect();
+        let found = match &seen.obstacle {
+            Some(why) => why.clone(),
+            None => {
+                let amounts = Amounts::from(self.scene(seen.grid));
+                format!("{} ({})", amounts.mass(seen.census.target), amounts.off(seen.census.target))
+            }
+        };
+        progress.line(&format!("{}, {}: {found}", self.grid_words(seen.grid), skill.join(", ")));
+    }
+
+    /// The best of what was tried.
+    fn write_plan(&self, found: &Corrected, header: &PlanHeader) -> Result<(), CliError> {
+        let (own, finer) = (&found.own[1], found.best());
+        let [scene, fine] = &self.scenes;
+        let unfit = |error: String| CliError::Failed(format!("no plan can be made: {error}"));
+        let quantised = QuantisedControls::new(&self.map.motion(&own.theta, self.splines.as_ref())?)?;
+        let arm = arm_motion(scene, &self.map, &quantised).map_err(|refusal| unfit(refusal.to_string()))?;
+        let parts = PlanParts {
+            scene,
+            map: &self.map,
+            seed: header.seed,
+            precision: header.precision,
+            theta: &own.theta,
+            path_coefficients: self.splines.as_ref().map_or(0, |added| added.coefficients.len()),
+            quantised: &quantised,
+            evaluation: &own.evaluation,
+            finer: Some(Finer {
+                cell_m: fine.domain.cell_m,
+                loss_m: finer.evaluation.loss,
+                particle_mass_kg: fine.particle_mass_kg(),
+                census: finer.evaluation.census,
+            }),
+            arm: arm.as_ref().map(|arm| Mounting::from(&arm.model)),
+        };
+        let plan = parts.to_bytes().map_err(|error| unfit(error.to_string()))?;
+        self.folder.replace(SCENE, scene.to_toml().as_bytes())?;
+        Ok(self.folder.replace(PLAN, &plan)?)
+    }
+
+    fn report(&self, found: &Corrected, amounts: Amounts) -> Report {
+        let [scene, fine] = &self.scenes;
+        let of_fine = Amounts::from(fine);
+        let line = |look: &Look| Line {
+            theta: look.theta,
+            outcome: Outcome::of_evaluation(&of_fine, &look.evaluation),
+        };
+        let simulated = |grid| {
+            let is_it = |seen: &&Seen| seen.grid == grid && seen.obstacle.is_none();
+            self.looks.looks.iter().filter(is_it).count()
+        };
+        Report {
+            folder: self.folder.path().into(),
+            plan: self.folder.file(PLAN),
+            met: of_fine.is_met(found.best().evaluation.census.target),
+            cell_m: scene.domain.cell_m,
+            finer_cell_m: fine.domain.cell_m,
+            amounts,
+            finer_amounts: of_fine,
+            tried: found.tried.iter().map(line).collect(),
+            best: found.best,
+            own: found.own.map(|look| Outcome::of_evaluation(&amounts, &look.evaluation)),
+            rollouts: [Grid::Own, Grid::Finer].map(simulated),
+            cpu_seconds: self.looks.looks.iter().map(|seen| seen.cpu_seconds).sum(),
+        }
+    }
+}
+
+impl Report {
+    /// Such as `18 % too little`.
+    fn off(&self, line: &Line) -> String {
+        self.finer_amounts.off(line.outcome.census.target)
+    }
+
+    fn text(&self, map: &SkillMap) -> String {
+        let Self { tried, best, amounts, .. } = self;
+        let [cells, finer_cells] = [self.cell_m, self.finer_cell_m].map(|cell_m| about(1e3 * cell_m, 3));
+        let (first, line) = (&tried[0], &tried[*best]);
+        let within = match self.met {
+            Some(true) => format!(", within the tolerance of {}", amounts.tolerance()),
+            Some(false) => format!(", more than the tolerance of {}", amounts.tolerance()),
+            None => String::new(),
+        };
+        let mut text = format!(
+            "On cells of {finer_cells} mm the plan brings {} of the {} wanted: {}{within}; on the scene's own of {cells} mm it brings {}.\n",
+            mass(line.outcome.mass_kg),
+            mass(amounts.wanted_kg),
+            self.off(line),
+            mass(self.own[1].mass_kg),
+        );
+        text += &match best {
+            0 => "It is the plan as it came".to_owned(),
+            _ => format!(
+                "As it came, it brought {} ({}) and {}",
+                mass(first.outcome.mass_kg),
+                self.off(first),
+                mass(self.own[0].mass_kg)
+            ),
+        };
+        text += &format!(
+            ". Simulated: {} motions on the scene's own cells, {} on the smaller ones, {:.0} s of processor time.\n",
+            self.rollouts[0], self.rollouts[1], self.cpu_seconds
+        );
+        let [from, to] = [first, line].map(|line| map.parameters(&line.theta));
+        for which in SkillParameter::ALL {
+            let [from, to] = [from, to].map(|values| parameter(which, values[which.index()]));
+            if from != to {
+                text += &format!("{}: {from} before, {to} now.\n", which.name());
+            }
+        }
+        text
+    }
+
+    fn shortfall(&self) -> Option<String> {
+        (self.met == Some(false)).then(|| {
+            format!(
+                "on cells of {} mm the plan brings {}, and the tolerance is {}",
+                about(1e3 * self.finer_cell_m, 3),
+                self.off(&self.tried[self.best]),
+                self.amounts.tolerance()
+            )
+        })
+    }
+}

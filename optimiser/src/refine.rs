@@ -1,0 +1,296 @@
+//! A plan's skill changed until what it brings on a finer grid is what is wanted.
+//!
+//! A rollout on cells of half the size takes 16 times as long, so few are spent: to which parameter the amount answers best, and how much, is seen
+//! by differences on the scene's own grid, and then that parameter is changed by the secant through the last looks at the finer one. How the amounts of both
+//! grids answer may differ by more than a factor of two, their ratio changes with the skill: what the own grid says is good for a first step only.
+
+use crate::failure::Failure;
+use powderline_shared::plan::SkillParameter;
+use powderline_simulator::{rollout::Evaluation, skill::Theta};
+
+/// Looks at the finer grid after the first, at most.
+const MOST_CORRECTIONS: usize = 6;
+/// Half the step of the differences that tell how the amount answers to a parameter.
+const HALF_STEP: f64 = 0.1;
+/// The largest step of a parameter.
+const LARGEST_STEP: f64 = 0.5;
+/// By how much two looks may say that the amount answers otherwise than it seemed before: the rest is taken for noise.
+const MOST_STEEPER: f64 = 3.0;
+/// Between two looks on either side of what is wanted the next one keeps so far from both, as a share of the way.
+const KEEPS_FROM_ENDS: f64 = 0.2;
+/// A parameter leads no farther where it could be changed by less than this.
+const NEXT_TO_NOTHING: f64 = 1e-3;
+
+/// Where a skill is looked at.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Grid {
+    /// The scene's own.
+    Own,
+    /// The finer one.
+    Finer,
+}
+
+/// What a skill brings.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Look {
+    /// The skill.
+    pub theta: Theta,
+    /// In the target, kilogram.
+    pub mass_kg: f64,
+    /// All that was found.
+    pub evaluation: Evaluation,
+}
+
+/// Looks at a skill; none if the arm may not perform it, or powder is lost from the simulation.
+pub type LookFn<'a> = &'a mut dyn FnMut(Grid, &Theta) -> Result<Option<Look>, Failure>;
+
+/// What is wanted.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Wanted {
+    /// Kilogram.
+    pub mass_kg: f64,
+    /// Relative; none where as much as can be had is wanted.
+    pub tolerance: Option<f64>,
+}
+
+impl Wanted {
+    fn off(self, mass_kg: f64) -> f64 {
+        (mass_kg / self.mass_kg - 1.0).abs()
+    }
+
+    fn is_met(self, mass_kg: f64) -> bool {
+        self.tolerance.is_none_or(|tolerance| self.off(mass_kg) <= tolerance * (1.0 + 1e-9))
+    }
+}
+
+/// How a skill was corrected.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Corrected {
+    /// As it came, and each correction of it, on the finer grid.
+    pub tried: Vec<Look>,
+    /// Which of them brings there what is wanted, or comes nearest.
+    pub best: usize,
+    /// As it came, and that one, on the scene's own grid.
+    pub own: [Look; 2],
+}
+
+impl Corrected {
+    /// The one to be performed, on the finer grid.
+    pub fn best(&self) -> &Look {
+        &self.tried[self.best]
+    }
+}
+
+/// Corrects a skill until the finer grid brings what is wanted.
+///
+/// # Errors
+/// What a look ends with. [`Failure::Failed`] where the skill itself cannot be looked at.
+pub fn corrected(theta: &Theta, wanted: Wanted, look: LookFn<'_>) -> Result<Corrected, Failure> {
+    let none = || Failure::Failed("the plan's skill cannot be simulated: powder leaves the grid".into());
+    let own = look(Grid::Own, theta)?.ok_or_else(none)?;
+    let finer = look(Grid::Finer, theta)?.ok_or_else(none)?;
+    let mut found = Corrected { tried: vec![finer], best: 0, own: [own; 2] };
+    if wanted.is_met(finer.mass_kg) || finer.mass_kg <= 0.0 || own.mass_kg <= 0.0 {
+        return Ok(found);
+    }
+    let share = finer.mass_kg / own.mass_kg;
+    for (parameter, slope) in slopes(theta, look)? {
+        found.along(parameter, share * slope, wanted, look)?;
+        if wanted.is_met(found.best().mass_kg) {
+            break;
+        }
+    }
+    let best = found.best().theta;
+    found.own[1] = look(Grid::Own, &best)?.ok_or_else(none)?;
+    Ok(found)
+}
+
+/// Parameters by how the amount answers to them on the own grid, kilogram per unit: the one that answers best comes first.
+fn slopes(theta: &Theta, look: LookFn<'_>) -> Result<Vec<(SkillParameter, f64)>, Failure> {
+    let mut slopes = Vec::new();
+    for parameter in SkillParameter::ALL {
+        let mut seen = Vec::new();
+        for step in [-HALF_STEP, HALF_STEP] {
+            let moved = with(theta, parameter, at(theta, parameter) + step);
+            seen.extend(look(Grid::Own, &moved)?);
+        }
+        if let [low, high] = seen[..] {
+            let run = at(&high.theta, parameter) - at(&low.theta, parameter);
+            slopes.push((parameter, (high.mass_kg - low.mass_kg) / run));
+        }
+    }
+    // Stable: the first of equals stays first.
+    slopes.sort_by(|(_, a), (_, b)| b.abs().total_cmp(&a.abs()));
+    slopes.retain(|(_, slope)| *slope != 0.0);
+    Ok(slopes)
+}
+
+impl Corrected {
+    /// Changes one parameter, from the best so far on, as long as that leads nearer.
+    fn along(
+        &mut self,
+        parameter: SkillParameter,
+        mut slope: f64,
+        wanted: Wanted,
+        look: LookFn<'_>,
+    ) -> Result<(), Failure> {
+        let mut last = *self.best();
+        // The nearest looks with too little and with too much.
+        let mut sides = [None; 2];
+        let mut reach = LARGEST_STEP;
+        while self.tried.len() <= MOST_CORRECTIONS && !wanted.is_met(self.best().mass_kg) {
+            sides[usize::from(last.mass_kg > wanted.mass_kg)] = Some(last);
+            let from = *self.best();
+            let theta = with(&from.theta, parameter, next(&from, sides, parameter, (slope, reach), wanted));
+            if (at(&theta, parameter) - at(&from.theta, parameter)).abs() < NEXT_TO_NOTHING {
+                break;
+            }
+            let Some(now) = look(Grid::Finer, &theta)? else {
+                // What the arm may not perform is too far.
+                reach *= 0.5;
+                continue;
+            };
+            let risen = (now.mass_kg - last.mass_kg) / (at(&theta, parameter) - at(&last.theta, parameter));
+            if (risen / slope).is_finite() {
+                slope *= (risen / slope).clamp(1.0 / MOST_STEEPER, MOST_STEEPER);
+            }
+            self.tried.push(now);
+            if wanted.off(now.mass_kg) < wanted.off(self.best().mass_kg) {
+                self.best = self.tried.len() - 1;
+            } else if sides.contains(&None) {
+                reach *= 0.5;
+            }
+            last = now;
+        }
+        Ok(())
+    }
+}
+
+/// Where to look next: between the sides where there are both, else along the slope.
+fn next(
+    from: &Look,
+    sides: [Option<Look>; 2],
+    parameter: SkillParameter,
+    (slope, reach): (f64, f64),
+    wanted: Wanted,
+) -> f64 {
+    if let [Some(little), Some(much)] = sides {
+        let share = (wanted.mass_kg - little.mass_kg) / (much.mass_kg - little.mass_kg);
+        let share = share.clamp(KEEPS_FROM_ENDS, 1.0 - KEEPS_FROM_ENDS);
+        let [low, high] = [little, much].map(|look| at(&look.theta, parameter));
+        return low + share * (high - low);
+    }
+    let step = ((wanted.mass_kg - from.mass_kg) / slope).clamp(-reach, reach);
+    at(&from.theta, parameter) + step
+}
+
+fn at(theta: &Theta, parameter: SkillParameter) -> f64 {
+    theta.components()[parameter.index()]
+}
+
+fn with(theta: &Theta, parameter: SkillParameter, value: f64) -> Theta {
+    let mut components = theta.components();
+    components[parameter.index()] = value;
+    Theta::clamped(components)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use powderline_simulator::rollout::Census;
+
+    const WANTED: Wanted = Wanted { mass_kg: 0.01, tolerance: Some(0.02) };
+
+    /// Depth brings most, lift a little; the finer grid `share` of it, which falls with the depth. What is deeper than `deepest` the arm
+    /// may not perform.
+    fn bench(share: f64, deepest: f64) -> impl FnMut(Grid, &Theta) -> Result<Option<Look>, Failure> {
+        move |grid, theta| {
+            let [depth, _, lift, _, _] = theta.components();
+            if depth > deepest {
+                return Ok(None);
+            }
+            let own_kg = 0.01 + 0.006 * depth + 0.001 * depth * depth + 0.0005 * lift;
+            let share = if grid == Grid::Finer { share - 0.02 * depth } else { 1.0 };
+            // In particles of 8 mg.
+            let target = (share * own_kg / 8e-6) as u32;
+            let evaluation = Evaluation::new(1.0, 0, Census { target, ..Census::default() });
+            Ok(Some(Look { theta: *theta, mass_kg: f64::from(target) * 8e-6, evaluation }))
+        }
+    }
+
+    #[test]
+    fn a_skill_is_corrected_by_what_answers_best_in_few_looks() {
+        for share in [0.75, 0.9, 1.2] {
+            let (mut bench, mut looks) = (bench(share, 1.0), [0, 0]);
+            let start = Theta::clamped([0.0; 5]);
+            let mut look = |grid, theta: &Theta| {
+                looks[usize::from(grid == Grid::Finer)] += 1;
+                bench(grid, theta)
+            };
+            let found = corrected(&start, WANTED, &mut look).unwrap();
+            let best = found.best();
+            assert!(WANTED.is_met(best.mass_kg), "{share}: {best:?}");
+            let [depth, angle, lift, ..] = best.theta.components();
+            assert!(depth.signum() == (1.0 - share).signum() && (angle, lift) == (0.0, 0.0), "{best:?}");
+            assert_eq!([found.own[0].theta, found.own[1].theta], [start, best.theta]);
+            assert!(looks[1] <= 4 && looks[0] == 12, "{share}: {looks:?}");
+        }
+    }
+
+    /// The finer grid answers a third as much as the own one, and both by steps of a particle.
+    #[test]
+    fn a_grid_that_answers_otherwise_is_met_all_the_same() {
+        for [mass_kg, slope] in [[0.0115, 0.002], [0.0085, 0.002], [0.0115, 0.012], [0.0085, 0.012]] {
+            let mut look = |grid, theta: &Theta| {
+                let depth = theta.components()[0];
+                let kg = if grid == Grid::Finer { mass_kg + slope * depth } else { 0.01 + 0.006 * depth };
+                let target = (kg / 8e-6) as u32;
+                let evaluation = Evaluation::new(1.0, 0, Census { target, ..Census::default() });
+                Ok(Some(Look { theta: *theta, mass_kg: f64::from(target) * 8e-6, evaluation }))
+            };
+            let found = corrected(&Theta::clamped([0.0; 5]), WANTED, &mut look).unwrap();
+            assert!(WANTED.is_met(found.best().mass_kg), "{mass_kg} {slope}: {found:?}");
+        }
+    }
+
+    /// Depth leads no farther than the arm may go, lift a little farther.
+    #[test]
+    fn what_cannot_be_met_comes_as_near_as_it_may() {
+        let found = corrected(&Theta::clamped([0.0; 5]), WANTED, &mut bench(0.7, 0.2)).unwrap();
+        let best = found.best();
+        let [depth, _, lift, ..] = best.theta.components();
+        assert!(!WANTED.is_met(best.mass_kg) && found.best > 0, "{best:?}");
+        assert!(depth > 0.1 && depth <= 0.2 && lift > 0.4, "{best:?}");
+    }
+
+    #[test]
+    fn a_skill_that_brings_what_is_wanted_stays_and_so_does_one_of_which_all_is_wanted() {
+        let start = Theta::clamped([0.0; 5]);
+        let found = corrected(&start, WANTED, &mut bench(0.99, 1.0)).unwrap();
+        assert_eq!((found.tried.len(), found.best().theta, found.own[0]), (1, start, found.own[1]));
+        let all = Wanted { tolerance: None, ..WANTED };
+        assert_eq!(corrected(&start, all, &mut bench(0.7, 1.0)).unwrap().tried.len(), 1);
+        // Nothing arrives: nothing to correct by.
+        let mut nothing = |_, theta: &Theta| {
+            Ok(Some(Look {
+                theta: *theta,
+                mass_kg: 0.0,
+                evaluation: Evaluation::new(1.0, 0, Census::default()),
+            }))
+        };
+        assert_eq!(corrected(&start, WANTED, &mut nothing).unwrap().tried.len(), 1);
+    }
+
+    #[test]
+    fn whoever_stops_is_heard() {
+        let mut bench = bench(0.8, 1.0);
+        let mut left = 7;
+        let mut look = |grid, theta: &Theta| {
+            left -= 1;
+            if left == 0 { Err(Failure::Interrupted("stopped".into())) } else { bench(grid, theta) }
+        };
+        let stopped = corrected(&Theta::clamped([0.0; 5]), WANTED, &mut look);
+        assert_eq!(stopped, Err(Failure::Interrupted("stopped".into())));
+    }
+}
