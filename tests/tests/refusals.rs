@@ -34,7 +34,7 @@ fn a_damaged_plan_is_refused_by_every_command_that_reads_plans() {
         ("flipped-in-the-header", flipped(8 * 40), "checksum"),
         ("flipped-in-a-step", flipped(8 * (sound.len() - 99) + 3), "checksum"),
         ("flipped-in-the-checksum", flipped(8 * sound.len() - 1), "checksum"),
-        ("from-the-future", from_the_future(&sound), "version 3"),
+        ("from-the-future", from_the_future(&sound), &format!("version {FORMAT_VERSION}")),
         ("text", b"a plan\n".repeat(100), "begins with"),
     ];
     for (name, plan, about) in cases {

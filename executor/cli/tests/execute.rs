@@ -8,7 +8,7 @@ use std::process::{Command, Output};
 
 use common::{header, one_move, plan_bytes};
 use powderline_shared::limits::Limits;
-use powderline_shared::plan::{MAX_FILE_BYTES, PlanHeader};
+use powderline_shared::plan::{FORMAT_VERSION, MAX_FILE_BYTES, PlanHeader};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -127,7 +127,7 @@ fn files_that_are_no_plans_are_refused_in_one_sentence() {
     assert_refused(&written(&dir, "flipped", &flipped), &["checksum", "damaged"]);
     let mut future = good;
     future[8] = 9;
-    assert_refused(&written(&dir, "future", &future), &["version 9", "version 3"]);
+    assert_refused(&written(&dir, "future", &future), &["version 9", &format!("version {FORMAT_VERSION}")]);
 }
 
 #[test]

@@ -72,6 +72,18 @@ struct Subject {
     physics: u32,
 }
 
+impl Subject {
+    /// What another one is not of: the field, what this has and what that has.
+    fn other_than(&self, that: &Self) -> Option<(&'static str, [String; 2])> {
+        let fields = [
+            ("plan", [self.plan.clone(), that.plan.clone()]),
+            ("--by", [self.by, that.by].map(|by| by.to_string())),
+            ("physics", [self.physics, that.physics].map(|physics| physics.to_string())),
+        ];
+        fields.into_iter().find(|(_, [a, b])| a != b)
+    }
+}
+
 /// A look, or that there is nothing to be seen.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Seen {
@@ -139,9 +151,10 @@ pub(super) fn execute(arguments: &RefineArgs, context: &mut Context<'_>) -> Resu
         Some(out) => out.clone(),
         None => arguments.plan.with_file_name("refined"),
     };
+    let folder = RunFolder::take(&out)?;
     let mut bench = Bench {
-        looks: begun(of, &out)?,
-        folder: RunFolder::take(&out)?,
+        looks: begun(of, &folder)?,
+        folder,
         scenes: [task.scene.clone(), finer],
         map: SkillMap::new(&task.scene),
         splines,
@@ -200,24 +213,23 @@ fn splines_of(
 }
 
 /// What the folder has of the same.
-fn begun(of: Subject, folder: &Path) -> Result<Looks, CliError> {
-    let file = folder.join(LOOKS);
+fn begun(of: Subject, folder: &RunFolder) -> Result<Looks, CliError> {
+    let file = folder.file(LOOKS);
     if !file.exists() {
-        if folder.join(PLAN).exists() {
+        if folder.file(PLAN).exists() {
             return Err(CliError::Input(format!(
                 "{} holds a plan of something else; another --out would be right",
-                folder.display()
+                folder.path().display()
             )));
         }
         return Ok(Looks { of, looks: Vec::new() });
     }
     let name = file.display();
-    let looks: Looks = serde_json::from_slice(&crate::report::folder::read_file(&file)?)
+    let looks: Looks = serde_json::from_slice(&folder.read(LOOKS)?)
         .map_err(|error| CliError::Input(format!("{name} is nothing to go on from: {error}")))?;
-    if looks.of != of {
+    if let Some((field, [found, asked])) = looks.of.other_than(&of) {
         return Err(CliError::Input(format!(
-            "{name} is of {:?}, and {of:?} is asked for; another --out would be right",
-            looks.of
+            "{name} was begun with {field} {found}, and {asked} is asked for; another --out would be right"
         )));
     }
     Ok(looks)

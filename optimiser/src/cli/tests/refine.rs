@@ -50,7 +50,7 @@ fn what_is_of_something_else_is_not_gone_on_with() {
     refined(&place, &plan, "a", u64::MAX);
     let out = place.text("a");
     let other = optimise(&["refine", &plan, "--by", "3", "--out", &out]);
-    assert_sentence(&other, 2, "by: 3");
+    assert_sentence(&other, 2, "looks.json was begun with --by 2, and 3 is asked for");
     fs::write(place.path("a").join("looks.json"), "{}").unwrap();
     assert_sentence(&optimise(&["refine", &plan, "--out", &out]), 2, "looks.json is nothing to go on from");
     let run = place.text("run");
