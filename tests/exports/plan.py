@@ -89,13 +89,13 @@ def framed(body):
 
 def read(path):
     data = path.read_bytes()
-    assert data[:8] == b"PWDLPLAN" and struct.unpack("<H", data[8:10]) == (3,), "magic and version"
+    assert data[:8] == b"PWDLPLAN" and struct.unpack("<H", data[8:10]) == (4,), "magic and version"
     assert zlib.crc32(data[:-4]) == struct.unpack("<I", data[-4:])[0], "checksum"
     body = Bytes(data[10:-4])
     digest = body.take(32).hex()
     version = ".".join(str(body.whole()) for _ in range(3))
     body.whole(), body.whole()  # seed, precision
-    body.floats(10)  # skill
+    body.floats(10), body.whole()  # skill, and how many numbers the motion leaves it by
     period_us, steps = body.whole(), body.whole()
     nano = (body.whole(), body.whole())
     start, orientation = numpy.array(body.floats(3)), of_quaternion(*body.floats(4))
@@ -104,6 +104,8 @@ def read(path):
     body.floats(1), body.signed(), body.floats(2)  # loss, indicator; masses wanted and of a particle
     for _ in range(6):  # particles by where they end
         body.whole()
+    if body.whole():  # the same on a finer grid
+        body.floats(3), [body.whole() for _ in range(6)]
     arm = None
     if body.whole():
         kind = KINDS[body.whole()]
