@@ -287,22 +287,25 @@ impl fmt::Display for PlanFacts {
             }
             None => writeln!(f, "  for       no arm that was looked at: its scene has no [arm]")?,
         }
-        writeln!(
-            f,
-            "  predicts  {} ({}) of the {} wanted arrive; {}",
+        let wanted = Mass(predicted.wanted_kg);
+        let own = format!(
+            "{} ({})",
             Mass(predicted.arrives_kg()),
-            counted(predicted.census.target, "particle", "particles"),
-            Mass(predicted.wanted_kg),
-            predicted.census.rest(predicted.particle_mass_kg)
-        )?;
-        let Some(finer) = &self.finer else { return Ok(()) };
+            counted(predicted.census.target, "particle", "particles")
+        );
+        let rest = predicted.census.rest(predicted.particle_mass_kg);
+        // What it was corrected by comes first.
+        let Some(finer) = &self.finer else {
+            return writeln!(f, "  predicts  {own} of the {wanted} wanted arrive; {rest}");
+        };
         writeln!(
             f,
-            "            {} on a finer grid, with cells of {} mm; {}",
+            "  predicts  {} of the {wanted} wanted arrive, on a finer grid with cells of {} mm; {}",
             Mass(finer.arrives_kg()),
-            1e3 * finer.cell_m,
+            (1e6 * finer.cell_m).round() / 1e3,
             finer.census.rest(finer.particle_mass_kg)
-        )
+        )?;
+        writeln!(f, "            {own} on the scene's own; {rest}")
     }
 }
 

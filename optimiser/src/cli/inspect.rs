@@ -174,18 +174,23 @@ impl Report {
             return writeln!(text);
         }
         let Prediction { loss_m, wanted_kg, particle_mass_kg, census, .. } = self.predicted;
-        writeln!(
-            text,
-            "The plan brings {} ({}) of the {} wanted; {}. Its loss is {loss_m:.3} m.",
-            mass(self.predicted.arrives_kg()),
-            counted(census.target),
-            mass(wanted_kg),
-            census.rest(particle_mass_kg),
-        )?;
-        if let Some(finer) = &self.finer {
-            let (arrives, cell_mm) = (mass(finer.arrives_kg()), about(1e3 * finer.cell_m, 3));
-            writeln!(text, "On a finer grid, with cells of {cell_mm} mm, it brings {arrives}.")?;
+        let (wanted, rest) = (mass(wanted_kg), census.rest(particle_mass_kg));
+        let own = format!("{} ({})", mass(self.predicted.arrives_kg()), counted(census.target));
+        match &self.finer {
+            None => writeln!(text, "The plan brings {own} of the {wanted} wanted; {rest}.")?,
+            // What it was corrected by comes first.
+            Some(finer) => {
+                writeln!(
+                    text,
+                    "On a finer grid, with cells of {} mm, the plan brings {} of the {wanted} wanted; {}.",
+                    about(1e3 * finer.cell_m, 3),
+                    mass(finer.arrives_kg()),
+                    finer.census.rest(finer.particle_mass_kg)
+                )?;
+                writeln!(text, "On the scene's own it brings {own}; {rest}.")?;
+            }
         }
+        writeln!(text, "Its loss is {loss_m:.3} m.")?;
         writeln!(text)
     }
 
