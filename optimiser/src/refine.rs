@@ -238,6 +238,18 @@ mod tests {
         }
     }
 
+    /// Where both grids' amounts keep their ratio, the first step is right.
+    #[test]
+    fn the_first_step_knows_how_much_of_the_own_grids_amount_the_finer_one_has() {
+        let mut look = |grid, theta: &Theta| {
+            let share = if grid == Grid::Finer { 0.85 } else { 1.0 };
+            let mass_kg = share * (0.01 + 0.006 * theta.components()[0]);
+            Ok(Some(Look { theta: *theta, mass_kg, evaluation: Evaluation::new(1.0, 0, Census::default()) }))
+        };
+        let found = corrected(&Theta::clamped([0.0; 5]), WANTED, &mut look).unwrap();
+        assert!(found.tried.len() == 2 && WANTED.off(found.best().mass_kg) < 1e-9, "{found:?}");
+    }
+
     /// The finer grid answers a third as much as the own one, and both by steps of a particle.
     #[test]
     fn a_grid_that_answers_otherwise_is_met_all_the_same() {
