@@ -10,6 +10,7 @@ use crate::report::{
     amounts::{Amounts, percent},
     words::{duration, grouped},
 };
+use crate::run::MAX_EPOCHS;
 use powderline_simulator::rollout::ProgressFn;
 use std::{
     io::{self, IsTerminal, Write},
@@ -250,12 +251,15 @@ impl Line {
     ) {
         let mean_s = history.iter().map(|record| record.seconds).sum::<f64>() / history.len().max(1) as f64;
         let left_s = mean_s * f64::from(last - record.epoch);
-        let left = match record.epoch < last {
+        // A search that others end does not know how many epochs it has.
+        let is_open = epochs == MAX_EPOCHS;
+        let all = if is_open { String::new() } else { format!("/{epochs}") };
+        let left = match record.epoch < last && !is_open {
             true => format!("  about {} left", duration(left_s)),
             false => String::new(),
         };
         let done = format!(
-            "epoch {:>3}/{epochs} {:>9} arrive ({:>7}) {:>8} lost  loss {:>8.3} m {:>5.1} s",
+            "epoch {:>3}{all} {:>9} arrive ({:>7}) {:>8} lost  loss {:>8.3} m {:>5.1} s",
             record.epoch,
             amounts.mass(record.census.target),
             signed(amounts.miss(record.census.target)),
