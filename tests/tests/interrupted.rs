@@ -6,15 +6,22 @@ use std::process::{Child, ChildStderr, Command};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
+use powderline_shared::plan::PlanReader;
+
 use crate::programs::{OPTIMISE, Place, assert_same_bits, bytes, command, metrics, run, wait};
 
 const EPOCHS: u32 = 3;
 
-/// Starts a run of the tiny scene; the process, and the rest of its standard error from the line on that starts
-/// with `line`.
+/// Starts a run of the tiny scene that does not look at smaller cells; the process, and the rest of its standard error from the line on
+/// that starts with `line`.
 fn started_until(line: &str, scene: &str, folder: &str) -> (Child, BufReader<ChildStderr>) {
-    let arguments = [scene, "--epochs", &EPOCHS.to_string(), "--out", folder];
-    let mut child = command(OPTIMISE, &arguments).spawn().unwrap();
+    let arguments = [scene, "--no-refine", "--epochs", &EPOCHS.to_string(), "--out", folder];
+    until(line, &arguments)
+}
+
+/// Starts `optimise`, see [`started_until`].
+fn until(line: &str, arguments: &[&str]) -> (Child, BufReader<ChildStderr>) {
+    let mut child = command(OPTIMISE, arguments).spawn().unwrap();
     let mut err = BufReader::new(child.stderr.take().unwrap());
     let mut text = String::new();
     while !text.lines().last().unwrap_or_default().starts_with(line) {
@@ -77,6 +84,28 @@ fn a_run_that_was_killed_goes_on_to_the_same_bits() {
     child.wait().unwrap();
     run(OPTIMISE, &["--resume", &folder]).finished();
     assert_same_bits(&folder, &whole);
+}
+
+/// The plan that the search left is there, and says that nobody has seen it on smaller cells.
+#[cfg(unix)]
+#[test]
+fn a_run_stopped_while_its_plan_is_corrected_has_a_plan_and_goes_on_to_the_same_bits() {
+    let place = Place::new();
+    let finer = |folder: &str| PlanReader::new(&bytes(folder, "skill.plan")).unwrap().header().finer;
+    let (scene, whole) = (place.tiny(), place.path("whole"));
+    run(OPTIMISE, &[&scene, "--epochs", "0", "--out", &whole]).finished();
+    assert!(finer(&whole).is_some_and(|finer| (finer.cell_m - 0.004).abs() < 1e-12));
+    for signal in ["INT", "KILL"] {
+        let folder = place.path(signal);
+        let (mut child, mut err) = until("  cells of 4 mm", &[&scene, "--epochs", "0", "--out", &folder]);
+        send(signal, &child);
+        let mut said = String::new();
+        err.read_to_string(&mut said).unwrap();
+        assert!(!child.wait().unwrap().success(), "{said}");
+        assert_eq!(finer(&folder), None, "{said}");
+        run(OPTIMISE, &["--resume", &folder]).finished();
+        assert_same_bits(&folder, &whole);
+    }
 }
 
 #[test]

@@ -28,7 +28,7 @@ fn what_is_said_to_type_next_can_be_typed() {
     for (on_path, begins) in [(false, "'"), (true, "execute ")] {
         let run = if on_path { "a run" } else { "run" };
         let mut first = Command::new(&program);
-        first.args([&scene, "--epochs", "0", "--out", &place.path(run)]);
+        first.args([&scene, "--no-refine", "--epochs", "0", "--out", &place.path(run)]);
         if on_path {
             first.env("PATH", &path);
         }

@@ -9,7 +9,7 @@ use crate::programs::{EXECUTE, OPTIMISE, Place, assert_same_bits, metrics, run};
 fn a_skill_is_optimised_played_and_reproduced_with_the_same_bits_for_any_number_of_threads() {
     let place = Place::new();
     let [folder, alone] = ["two-threads", "one-thread"].map(|name| place.path(name));
-    let epochs = ["run", "bench-small", "--epochs", "2"];
+    let epochs = ["run", "bench-small", "--no-refine", "--epochs", "2"];
     run(OPTIMISE, &[&epochs[..], &["--threads", "2", "--out", &folder]].concat()).finished();
     run(OPTIMISE, &[&epochs[..], &["--threads", "1", "--out", &alone]].concat()).finished();
     assert_same_bits(&folder, &alone);

@@ -48,7 +48,7 @@ fn a_closed_pipe_is_no_failure_that_anybody_is_told_of() {
 fn a_run_that_nobody_watches_any_more_comes_to_its_plan() {
     let place = Place::new();
     let folder = place.path("run");
-    let arguments = ["run", &place.tiny(), "--epochs", "1", "--out", &folder];
+    let arguments = ["run", &place.tiny(), "--no-refine", "--epochs", "1", "--out", &folder];
     let both = closed();
     let status =
         command(OPTIMISE, &arguments).stdout(both.try_clone().unwrap()).stderr(both).status().unwrap();

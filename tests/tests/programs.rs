@@ -110,10 +110,11 @@ impl Place {
         self.write("tiny.toml", scene.to_toml().as_bytes())
     }
 
-    /// A finished run of the tiny scene.
+    /// A finished run of the tiny scene, without the look at smaller cells.
     pub(crate) fn tiny_run(&self, name: &str, epochs: u32) -> String {
         let folder = self.path(name);
-        let arguments = ["run", &self.tiny(), "--epochs", &epochs.to_string(), "--out", &folder];
+        let arguments =
+            ["run", &self.tiny(), "--no-refine", "--epochs", &epochs.to_string(), "--out", &folder];
         run(OPTIMISE, &arguments).finished();
         folder
     }

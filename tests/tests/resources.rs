@@ -24,7 +24,8 @@ fn a_memory_budget_holds_as_the_operating_system_counts_and_changes_no_bit() {
     let run_with = |memory: &str, threads: &str, folder: &str| {
         let resources = ["--memory", memory, "--threads", threads, "--out", folder];
         let arguments =
-            [&["run", "bench-small", "--method", "mixed", "--epochs", "4"][..], &resources].concat();
+            [&["run", "bench-small", "--method", "mixed", "--epochs", "4", "--no-refine"][..], &resources]
+                .concat();
         let mut child = command(OPTIMISE, &arguments).spawn().unwrap();
         let mut peak = 0;
         // The peak only grows, so the last reading before the end is the peak but for the last moment.
@@ -74,7 +75,7 @@ fn a_disk_that_fills_up_during_a_run_costs_nothing_that_was_saved() {
     let whole = place.tiny_run("whole", 2);
     let folder = place.path("run");
     // Room for the scene and the state, not for the curves of the first epoch.
-    let done = on_a_full_disk(10, &[&place.tiny(), "--epochs", "2", "--out", &folder]);
+    let done = on_a_full_disk(10, &[&place.tiny(), "--no-refine", "--epochs", "2", "--out", &folder]);
     done.ended(1, "curves.svg cannot be written");
     assert!(done.err.contains("the epochs before are saved, go on with"), "{}", done.err);
     assert_eq!(metrics(&folder), metrics(&whole)[..1]);
@@ -90,7 +91,7 @@ fn a_disk_that_is_full_from_the_start_leaves_the_way_free() {
     let place = Place::new();
     let folder = place.path("run");
     on_a_full_disk(1, &[&place.tiny(), "--out", &folder]).refused(1, "scene.toml cannot be written");
-    run(OPTIMISE, &[&place.tiny(), "--epochs", "0", "--out", &folder]).finished();
+    run(OPTIMISE, &[&place.tiny(), "--no-refine", "--epochs", "0", "--out", &folder]).finished();
 }
 
 #[test]

@@ -117,7 +117,7 @@ fn progress_takes_one_row_of_any_terminal() {
     let place = Place::new();
     for columns in [30, 60, 80] {
         let folder = place.path(&format!("run{columns}"));
-        let arguments = ["run", &place.tiny(), "--epochs", "3", "--out", &folder];
+        let arguments = ["run", &place.tiny(), "--no-refine", "--epochs", "3", "--out", &folder];
         let mut terminal = Terminal::start(columns, OPTIMISE, &arguments, &[]).watch(BAR);
         let rows = terminal.ended();
         // What is left is what stays, each line in as many rows as it has to have.
@@ -141,7 +141,7 @@ fn progress_takes_one_row_of_any_terminal() {
 #[test]
 fn a_window_that_changes_while_it_runs_is_not_flooded() {
     let place = Place::new();
-    let arguments = ["run", &place.tiny(), "--epochs", "6", "--out", &place.path("run")];
+    let arguments = ["run", &place.tiny(), "--no-refine", "--epochs", "6", "--out", &place.path("run")];
     let mut terminal = Terminal::start(132, OPTIMISE, &arguments, &[]);
     let mut widths = [60, 100, 40, 80, 20].into_iter();
     let (mut changes, mut seen) = (0, 0);
@@ -164,7 +164,7 @@ fn a_window_that_changes_while_it_runs_is_not_flooded() {
 #[test]
 fn a_terminal_that_understands_nothing_gets_what_a_file_gets() {
     let place = Place::new();
-    let arguments = ["run", &place.tiny(), "--epochs", "1", "--out", &place.path("run")];
+    let arguments = ["run", &place.tiny(), "--no-refine", "--epochs", "1", "--out", &place.path("run")];
     let mut terminal = Terminal::start(80, OPTIMISE, &arguments, &[("TERM", "dumb")]).watch(BAR);
     terminal.ended();
     let text = terminal.text.replace("\r\n", "\n");
@@ -192,7 +192,7 @@ fn no_color_means_none() {
         assert!(!is_styled(&text(program, &["--help"], &[("NO_COLOR", "1")])), "{program}");
     }
     // Progress has no colour to begin with.
-    let run = ["run", &place.tiny(), "--epochs", "0", "--out", &place.path("run")];
+    let run = ["run", &place.tiny(), "--no-refine", "--epochs", "0", "--out", &place.path("run")];
     let text = text(OPTIMISE, &run, &[]);
     assert!(text.contains(REDRAW) && !is_styled(&text), "{text:?}");
 }

@@ -115,10 +115,17 @@ impl Plan {
         self.header.path_coefficients
     }
 
-    /// What arrives on a finer grid, kilogram, if the plan was looked at there (`optimise refine`); None if not.
+    /// Edge of the cells smaller than the scene's on which the plan was looked at, and perhaps corrected, metres; None if it was not.
+    /// Mass, miss and the like are those there.
     #[getter]
-    fn finer_mass_kg(&self) -> Option<f64> {
-        self.header.finer.map(|finer| finer.arrives_kg())
+    fn finer_cell_m(&self) -> Option<f64> {
+        self.header.finer.map(|finer| finer.cell_m)
+    }
+
+    /// What it brings on the scene's own cells, kilogram.
+    #[getter]
+    fn own_mass_kg(&self) -> f64 {
+        self.header.predicted.arrives_kg()
     }
 
     /// Seed of the packing that it was made with.
@@ -155,10 +162,10 @@ impl Plan {
         arrays::array(py, &times)
     }
 
-    /// What it brings, simulated as shipped, kilogram.
+    /// What it brings, simulated as shipped, on the smallest cells on which it was looked at, kilogram.
     #[getter]
     fn mass_kg(&self) -> f64 {
-        self.header.predicted.arrives_kg()
+        self.outcome().mass_kg
     }
 
     /// What was wanted, kilogram.
@@ -176,7 +183,7 @@ impl Plan {
     /// Whether the miss is within the scene's tolerance; None where the scene is not known, or as much as can be had is wanted.
     #[getter]
     fn met(&self) -> Option<bool> {
-        self.amounts().is_met(self.header.predicted.census.target)
+        self.amounts().is_met(self.outcome().census.target)
     }
 
     /// What is on rims, spilled or in flight at the end, kilogram.
@@ -249,6 +256,7 @@ impl Plan {
         };
         let mut rows = vec![
             row("arrives", self.arrives_in_words()),
+            row("on the scene's own cells", mass(self.own_mass_kg())),
             row("lost", mass(self.lost_kg())),
             row("loss", format!("{:.3} m", self.loss())),
             row("lasts", format!("{:.2} s", self.controls.len() as f64 * self.control_period_s())),
@@ -292,21 +300,27 @@ impl Plan {
         Ok(Self::new(&plan, bytes, scene))
     }
 
-    /// What is wanted, and what counts as that, where the scene is known.
     fn amounts(&self) -> Amounts {
-        let Prediction { wanted_kg, indicator, particle_mass_kg, census, .. } = self.header.predicted;
-        let wanted_particles = (indicator + i64::from(census.target)).max(0) as u32;
-        let tolerance = self.scene.as_ref().and_then(|scene| Amounts::from(scene).tolerance);
-        Amounts { wanted_kg, wanted_particles, tolerance, particle_mass_kg }
+        self.finest().0
     }
 
     fn outcome(&self) -> Outcome {
-        Outcome::of_plan(&self.amounts(), &self.header)
+        self.finest().1
+    }
+
+    /// What is wanted, and what counts as that, where the scene is known; and what it brings, on the smallest cells on which it was looked at.
+    fn finest(&self) -> (Amounts, Outcome) {
+        let Prediction { wanted_kg, indicator, particle_mass_kg, census, .. } = self.header.predicted;
+        let wanted_particles = (indicator + i64::from(census.target)).max(0) as u32;
+        let tolerance = self.scene.as_ref().and_then(|scene| Amounts::from(scene).tolerance);
+        let own = Amounts { wanted_kg, wanted_particles, tolerance, particle_mass_kg };
+        Outcome::finest_of_plan(&own, &self.header)
     }
 
     /// A miss first.
     fn arrives_in_words(&self) -> String {
-        let (amounts, target) = (self.amounts(), self.header.predicted.census.target);
+        let (amounts, outcome) = self.finest();
+        let target = outcome.census.target;
         let arrival = format!(
             "{} of {} wanted: {}",
             amounts.mass(target),

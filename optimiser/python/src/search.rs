@@ -24,7 +24,7 @@ fn checked_method(name: &Bound<'_, PyAny>) -> PyResult<Method> {
 /// As `optimise run`; the Python package makes a `Run` of what this returns. `on_epoch` gets each line of `metrics.jsonl`, `say` what
 /// the program says.
 #[pyfunction]
-#[pyo3(signature = (scene, *, seed, method, epochs, patience, precision, threads, memory, out, resume, on_epoch, say))]
+#[pyo3(signature = (scene, *, seed, method, epochs, patience, refine, precision, threads, memory, out, resume, on_epoch, say))]
 #[expect(clippy::too_many_arguments, reason = "keywords")]
 pub(crate) fn optimise<'py>(
     py: Python<'py>,
@@ -33,6 +33,7 @@ pub(crate) fn optimise<'py>(
     method: Option<&Bound<'py, PyAny>>,
     epochs: Option<&Bound<'py, PyAny>>,
     patience: Option<&Bound<'py, PyAny>>,
+    refine: bool,
     precision: Option<&Bound<'py, PyAny>>,
     threads: Option<&Bound<'py, PyAny>>,
     memory: &Bound<'py, PyAny>,
@@ -53,6 +54,7 @@ pub(crate) fn optimise<'py>(
         method,
         epochs,
         patience,
+        no_refine: !refine,
         precision,
         resources,
         out,

@@ -33,7 +33,7 @@ density_kg_m3 = 1500.0
 name = "steep"
 friction_angle_deg = 38.0
 """
-SEARCHES = 'name = "searches"\nbenches = ["tiny.toml"]\nseeds = [1, 2]\nepochs = 1\nreplays = false\n'
+SEARCHES = 'name = "searches"\nbenches = ["tiny.toml"]\nseeds = [1, 2]\nepochs = 1\nrefine = false\nreplays = false\n'
 
 
 # What is started here, and nobody else, may use the clusters; and a machine that is busy takes its time.

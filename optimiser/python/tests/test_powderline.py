@@ -308,7 +308,7 @@ def test_plans_are_made_saved_loaded_and_turned_into_joints(scene, simulator, tm
     assert again.arm == "ur3e"
     achieved = simulator.motion(again.displacements).evaluation
     assert (again.miss, again.met, again.lost_kg) == (achieved.miss, achieved.met, achieved.lost_kg)
-    assert (again.path_coefficients, again.finer_mass_kg) == (0, None)
+    assert (again.path_coefficients, again.finer_cell_m, again.own_mass_kg) == (0, None, again.mass_kg)
     assert again.met is False and "Plan(misses: " in repr(again)
     assert pl.Plan.from_bytes(plan.to_bytes()).met is None
     assert again.parameters["scooping_depth_m"] == scene.parameters(THETA)[0]
@@ -327,7 +327,7 @@ def test_plans_are_made_saved_loaded_and_turned_into_joints(scene, simulator, tm
 def test_a_search_is_the_programs(scene, simulator, tmp_path, capsys):
     file, told = tmp_path / "tiny.toml", []
     file.write_text(scene.to_toml())
-    run = pl.optimise(scene, method="restarted", epochs=1, out=tmp_path / "run", callback=told.append)
+    run = pl.optimise(scene, method="restarted", epochs=1, refine=False, out=tmp_path / "run", callback=told.append)
     _, gradient = simulator.gradient(told[0]["theta"], kind="restarted")
     np.testing.assert_array_equal(gradient, told[0]["slopes"]["adjoint"])
     assert [epoch["epoch"] for epoch in told] == [0, 1]
@@ -343,7 +343,7 @@ def test_a_search_is_the_programs(scene, simulator, tmp_path, capsys):
     assert run.summary.startswith("The plan brings ") and "more than the tolerance of 2 %" in run.summary.splitlines()[0]
     subprocess.run(
         [sys.executable, "-m", "powderline", str(file)]
-        + ["--method", "restarted", "--epochs", "1", "--out", str(tmp_path / "program")],
+        + ["--method", "restarted", "--epochs", "1", "--no-refine", "--out", str(tmp_path / "program")],
         capture_output=True,
     )
     for file in ["skill.plan", "scene.toml"]:

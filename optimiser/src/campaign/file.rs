@@ -28,6 +28,9 @@ pub struct CampaignFile {
     /// A skill: each case is then one rollout of it, and no search.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub theta: Option<[f64; 5]>,
+    /// Whether each search's plan is corrected by what it brings on smaller cells.
+    #[serde(default = "yes")]
+    pub refine: bool,
     /// Number format of the simulation.
     #[serde(default)]
     pub precision: PrecisionName,

@@ -56,8 +56,10 @@ impl Status {
 pub struct Found {
     /// Wanted in the target container, kilogram.
     pub wanted_kg: f64,
-    /// What arrives there: by the plan as shipped, or by the rollout.
+    /// What arrives there: by the plan as shipped, on the smallest cells on which it was looked at, or by the rollout.
     pub mass_kg: f64,
+    /// What arrives on the bench's own cells.
+    pub own_mass_kg: f64,
     /// How far that is off, relative: negative where powder is missing.
     pub miss: f64,
     /// Whether that is within the tolerance; none where nobody judges.
@@ -84,7 +86,18 @@ impl Found {
     pub fn of(amounts: &Amounts, theta: Theta, outcome: &finding::Outcome) -> Self {
         let finding::Outcome { mass_kg, miss, lost_kg, loss_m, .. } = *outcome;
         let wanted_kg = amounts.wanted_kg;
-        Self { wanted_kg, mass_kg, miss, met: None, lost_kg, loss_m, theta, epochs: None, plan: None }
+        Self {
+            wanted_kg,
+            mass_kg,
+            own_mass_kg: mass_kg,
+            miss,
+            met: None,
+            lost_kg,
+            loss_m,
+            theta,
+            epochs: None,
+            plan: None,
+        }
     }
 
     /// Whether it is what was wanted.

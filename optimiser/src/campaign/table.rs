@@ -75,6 +75,7 @@ fn columns(campaign: &Campaign, rows: &Rows<'_>) -> Result<Vec<Column>, Campaign
         words("error", &|_, outcome| outcome?.error().map(String::from)),
         numbers("wanted_kg", &|found| Some(found.wanted_kg)),
         numbers("mass_kg", &|found| Some(found.mass_kg)),
+        numbers("own_mass_kg", &|found| Some(found.own_mass_kg)),
         numbers("miss", &|found| Some(found.miss)),
         numbers("lost_kg", &|found| Some(found.lost_kg)),
         numbers("loss_m", &|found| Some(found.loss_m)),

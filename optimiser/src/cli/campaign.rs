@@ -7,11 +7,11 @@ mod experiment;
 pub use self::experiment::Experiment;
 
 use self::{
-    case::{Obstacles, workload},
+    case::{Obstacles, settings},
     crew::{Crew, Site, Told},
     experiment::CAMPAIGN,
 };
-use super::{CliError, Context, Interrupt, Progress, Resources, next, size::format_size};
+use super::{CliError, Context, Interrupt, Progress, Resources, next, run::check_memory, size::format_size};
 use crate::{
     campaign::{Campaign, CampaignError, table::counts},
     report::{
@@ -20,7 +20,7 @@ use crate::{
     },
 };
 use clap::Args;
-use powderline_simulator::scene::Scene;
+use powderline_simulator::{rollout::Workload, scene::Scene};
 use serde::Serialize;
 use std::{
     path::{Path, PathBuf},
@@ -188,7 +188,10 @@ pub fn perform_apart(
 /// Whether each case can be done in so much memory.
 fn enough(campaign: &Campaign, scenes: &[Scene], each: Resources) -> Result<(), CliError> {
     let setup = each.setup(0, campaign.file().precision.into());
-    scenes.iter().try_for_each(|scene| Ok(setup.check_memory(scene, workload(campaign), 0)?))
+    scenes.iter().try_for_each(|scene| match settings(campaign) {
+        None => Ok(setup.check_memory(scene, Workload::Single, 0)?),
+        Some(settings) => check_memory(&setup, scene, settings),
+    })
 }
 
 /// The scenes that differ in what they take; all settings have been looked at.

@@ -300,7 +300,7 @@ impl Experiment {
     /// A run like any other, in a folder of its own, that ends with its rollouts and makes no plan.
     fn track(&self, method: Method, seed: u64, context: &mut Context<'_>) -> Result<Track, CliError> {
         let (path, precision) = (self.folder_of(method, seed), self.plan.precision);
-        let settings = Settings { method, epochs: MAX_EPOCHS, patience_epochs: 0 };
+        let settings = Settings { method, epochs: MAX_EPOCHS, patience_epochs: 0, refine_by: 0 };
         let mut run = if path.join(STATE).exists() {
             let record = RunRecord::read(&path)?;
             let RunState { scene, settings: saved, .. } = &record.state;

@@ -1,29 +1,31 @@
 //! `optimise refine`: a plan corrected until what it brings on smaller cells is what is wanted.
 
 use super::{
-    CliError, Context, Progress, Resources, Setup,
+    CliError, Context, Progress, Resources,
     motion::{Motion, MotionArgs, Task},
     next,
+    run::Teller,
 };
 use crate::{
-    able::obstacle,
-    refine::{Corrected, Grid, Look, Wanted, corrected},
+    refine::{Corrected, Grid, Look},
     report::{
         amounts::Amounts,
         finding::Outcome,
         folder::{PLAN, RunFolder, SCENE},
+        looks::Seen,
         plan::PlanParts,
         record::RunRecord,
+        summary::{arrival, cells},
         words::parameter,
     },
+    run::Grids,
 };
 use clap::Args;
 use powderline_shared::plan::{Finer, Mounting, PlanHeader, SkillParameter};
 use powderline_simulator::{
     PHYSICS_VERSION,
     arm::arm_motion,
-    bench::cpu_seconds,
-    rollout::{Census, Displacement, Evaluation, RolloutError, Simulate, Workload},
+    rollout::{Displacement, RolloutError, Simulate, Workload},
     scene::{
         Scene,
         figures::{about, mass},
@@ -84,19 +86,6 @@ impl Subject {
     }
 }
 
-/// A look, or that there is nothing to be seen.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-struct Seen {
-    grid: Grid,
-    theta: Theta,
-    /// Why there is nothing to be seen.
-    obstacle: Option<String>,
-    loss_m: f64,
-    indicator: i64,
-    census: Census,
-    cpu_seconds: f64,
-}
-
 /// What is said.
 #[derive(Serialize)]
 struct Report {
@@ -152,33 +141,34 @@ pub(super) fn execute(arguments: &RefineArgs, context: &mut Context<'_>) -> Resu
         None => arguments.plan.with_file_name("refined"),
     };
     let folder = RunFolder::take(&out)?;
-    let mut bench = Bench {
-        looks: begun(of, &folder)?,
-        folder,
-        scenes: [task.scene.clone(), finer],
-        map: SkillMap::new(&task.scene),
-        splines,
-        setup: task.setup,
-        present: None,
-    };
-    let theta = Theta::new(header.theta)?;
-    let amounts = Amounts::from(&task.scene);
-    let wanted = Wanted { mass_kg: amounts.wanted_kg, tolerance: amounts.tolerance };
+    let mut looks = begun(of, &folder)?;
+    let scenes = [task.scene.clone(), finer];
     let progress = Progress::new(&context.err, context.live);
-    let found = {
-        let context = &*context;
-        corrected(&theta, wanted, &mut |grid, theta| bench.look(grid, theta, &progress, context))
+    let (setup, interrupt) = (task.setup, &context.interrupt);
+    let simulators = |scene: &Scene| -> Result<Box<dyn Simulate>, RolloutError> {
+        let mut simulator = (context.factory)(scene, &setup)?;
+        simulator.set_progress(progress.watch(interrupt));
+        Ok(simulator)
     };
+    let teller = Teller { progress: &progress, interrupt, on_epoch: &|_| {} };
+    let mut grids = Grids::new(scenes.clone(), splines.clone(), looks.looks.clone(), &simulators);
+    let theta = Theta::new(header.theta)?;
+    let found = grids.corrected(&theta, &teller, &mut |seen| {
+        looks.looks = seen.to_vec();
+        let text = serde_json::to_vec(&looks).map_err(std::io::Error::from)?;
+        Ok(folder.replace(LOOKS, &text)?)
+    });
     progress.clear();
     let found = found.map_err(|error| {
         error.with_remark("what was simulated is saved, and the same command goes on from there")
     })?;
-    bench.write_plan(&found, header)?;
-    let report = bench.report(&found, amounts);
+    let refined = Refined { folder: &folder, scenes: &scenes, map: SkillMap::new(&task.scene), splines };
+    refined.write_plan(&found, header)?;
+    let report = refined.report(&found, grids.seen());
     if arguments.json {
         context.json(&report)?;
     } else {
-        write!(context.out, "{}", report.text(&bench.map))?;
+        write!(context.out, "{}", report.text(&refined.map))?;
         write!(context.out, "{}", next::play(&report.plan))?;
     }
     report.shortfall().map_or(Ok(()), |shortfall| Err(CliError::Missed(shortfall)))
@@ -235,116 +225,20 @@ fn begun(of: Subject, folder: &RunFolder) -> Result<Looks, CliError> {
     Ok(looks)
 }
 
-/// Both grids, one at a time in memory.
-struct Bench {
-    looks: Looks,
-    folder: RunFolder,
+/// What came of it, in its folder.
+struct Refined<'a> {
+    folder: &'a RunFolder,
     /// The scene, and its finer copy.
-    scenes: [Scene; 2],
+    scenes: &'a [Scene; 2],
     map: SkillMap,
     splines: Option<Splines>,
-    setup: Setup,
-    present: Option<(Grid, Box<dyn Simulate>)>,
 }
 
-impl Bench {
-    fn scene(&self, grid: Grid) -> &Scene {
-        &self.scenes[usize::from(grid == Grid::Finer)]
-    }
-
-    /// As it was seen before, or else simulated and saved.
-    fn look(
-        &mut self,
-        grid: Grid,
-        theta: &Theta,
-        progress: &Progress,
-        context: &Context<'_>,
-    ) -> Result<Option<Look>, CliError> {
-        let bits = |theta: &Theta| theta.components().map(f64::to_bits);
-        let known = |seen: &&Seen| seen.grid == grid && bits(&seen.theta) == bits(theta);
-        let seen = match self.looks.looks.iter().find(known) {
-            Some(seen) => seen.clone(),
-            None => {
-                let seen = self.simulated(grid, theta, progress, context)?;
-                self.looks.looks.push(seen.clone());
-                let text = serde_json::to_vec(&self.looks).map_err(std::io::Error::from)?;
-                self.folder.replace(LOOKS, &text)?;
-                self.say(&seen, progress);
-                seen
-            }
-        };
-        let mass_kg = f64::from(seen.census.target) * self.scene(grid).particle_mass_kg();
-        let evaluation = Evaluation::new(seen.loss_m, seen.indicator, seen.census);
-        Ok(seen.obstacle.is_none().then_some(Look { theta: *theta, mass_kg, evaluation }))
-    }
-
-    fn simulated(
-        &mut self,
-        grid: Grid,
-        theta: &Theta,
-        progress: &Progress,
-        context: &Context<'_>,
-    ) -> Result<Seen, CliError> {
-        let none = Seen {
-            grid,
-            theta: *theta,
-            obstacle: None,
-            loss_m: 0.0,
-            indicator: 0,
-            census: Census::default(),
-            cpu_seconds: 0.0,
-        };
-        if let Some(why) = obstacle(&self.scenes[0], &self.map, theta, self.splines.as_ref()) {
-            return Ok(Seen { obstacle: Some(why), ..none });
-        }
-        let motion = QuantisedControls::new(&self.map.motion(theta, self.splines.as_ref())?)?;
-        if context.interrupt.is_requested() {
-            return Err(RolloutError::Stopped.into());
-        }
-        let begun_s = cpu_seconds();
-        progress.begin(&format!("look {}, {}", self.looks.looks.len() + 1, self.grid_words(grid)), 0, &[]);
-        if self.present.as_ref().is_none_or(|(present, _)| *present != grid) {
-            // What the other one holds is given back first.
-            self.present = None;
-            let mut simulator = (context.factory)(self.scene(grid), &self.setup)?;
-            simulator.set_progress(progress.watch(&context.interrupt));
-            self.present = Some((grid, simulator));
-        }
-        let (_, simulator) = self.present.as_mut().expect("made above");
-        match simulator.simulate(&motion.controls) {
-            Ok(Evaluation { loss, indicator, census, .. }) => {
-                let cpu_seconds = cpu_seconds() - begun_s;
-                Ok(Seen { loss_m: loss, indicator, census, cpu_seconds, ..none })
-            }
-            Err(error @ (RolloutError::Escaped { .. } | RolloutError::NonFinite { .. })) => {
-                Ok(Seen { obstacle: Some(error.to_string()), ..none })
-            }
-            Err(error) => Err(error.into()),
-        }
-    }
-
-    fn grid_words(&self, grid: Grid) -> String {
-        format!("cells of {} mm", about(1e3 * self.scene(grid).domain.cell_m, 3))
-    }
-
-    fn say(&self, seen: &Seen, progress: &Progress) {
-        let skill = self.map.parameters(&seen.theta);
-        let skill: Vec<String> =
-            SkillParameter::ALL.iter().map(|which| parameter(*which, skill[which.index()])).collect();
-        let found = match &seen.obstacle {
-            Some(why) => why.clone(),
-            None => {
-                let amounts = Amounts::from(self.scene(seen.grid));
-                format!("{} ({})", amounts.mass(seen.census.target), amounts.off(seen.census.target))
-            }
-        };
-        progress.line(&format!("{}, {}: {found}", self.grid_words(seen.grid), skill.join(", ")));
-    }
-
+impl Refined<'_> {
     /// The best of what was tried.
     fn write_plan(&self, found: &Corrected, header: &PlanHeader) -> Result<(), CliError> {
         let (own, finer) = (&found.own[1], found.best());
-        let [scene, fine] = &self.scenes;
+        let [scene, fine] = self.scenes;
         let unfit = |error: String| CliError::Failed(format!("no plan can be made: {error}"));
         let quantised = QuantisedControls::new(&self.map.motion(&own.theta, self.splines.as_ref())?)?;
         let arm = arm_motion(scene, &self.map, &quantised).map_err(|refusal| unfit(refusal.to_string()))?;
@@ -370,16 +264,16 @@ impl Bench {
         Ok(self.folder.replace(PLAN, &plan)?)
     }
 
-    fn report(&self, found: &Corrected, amounts: Amounts) -> Report {
-        let [scene, fine] = &self.scenes;
-        let of_fine = Amounts::from(fine);
+    fn report(&self, found: &Corrected, seen: &[Seen]) -> Report {
+        let [scene, fine] = self.scenes;
+        let [amounts, of_fine] = [scene, fine].map(Amounts::from);
         let line = |look: &Look| Line {
             theta: look.theta,
             outcome: Outcome::of_evaluation(&of_fine, &look.evaluation),
         };
         let simulated = |grid| {
             let is_it = |seen: &&Seen| seen.grid == grid && seen.obstacle.is_none();
-            self.looks.looks.iter().filter(is_it).count()
+            seen.iter().filter(is_it).count()
         };
         Report {
             folder: self.folder.path().into(),
@@ -393,7 +287,7 @@ impl Bench {
             best: found.best,
             own: found.own.map(|look| Outcome::of_evaluation(&amounts, &look.evaluation)),
             rollouts: [Grid::Own, Grid::Finer].map(simulated),
-            cpu_seconds: self.looks.looks.iter().map(|seen| seen.cpu_seconds).sum(),
+            cpu_seconds: seen.iter().map(|seen| seen.cpu_seconds).sum(),
         }
     }
 }
@@ -405,19 +299,13 @@ impl Report {
     }
 
     fn text(&self, map: &SkillMap) -> String {
-        let Self { tried, best, amounts, .. } = self;
-        let [cells, finer_cells] = [self.cell_m, self.finer_cell_m].map(|cell_m| about(1e3 * cell_m, 3));
+        let Self { tried, best, .. } = self;
         let (first, line) = (&tried[0], &tried[*best]);
-        let within = match self.met {
-            Some(true) => format!(", within the tolerance of {}", amounts.tolerance()),
-            Some(false) => format!(", more than the tolerance of {}", amounts.tolerance()),
-            None => String::new(),
-        };
         let mut text = format!(
-            "On cells of {finer_cells} mm the plan brings {} of the {} wanted: {}{within}; on the scene's own of {cells} mm it brings {}.\n",
-            mass(line.outcome.mass_kg),
-            mass(amounts.wanted_kg),
-            self.off(line),
+            "On {} the plan brings {}; on the scene's own of {} mm it brings {}.\n",
+            cells(self.finer_cell_m),
+            arrival(&self.finer_amounts, &line.outcome),
+            about(1e3 * self.cell_m, 3),
             mass(self.own[1].mass_kg),
         );
         text += &match best {
@@ -446,8 +334,8 @@ impl Report {
     fn shortfall(&self) -> Option<String> {
         (self.met == Some(false)).then(|| {
             format!(
-                "on cells of {} mm the plan brings {}, and the tolerance is {}",
-                about(1e3 * self.finer_cell_m, 3),
+                "on {} the plan brings {}, and the tolerance is {}",
+                cells(self.finer_cell_m),
                 self.off(&self.tried[self.best]),
                 self.amounts.tolerance()
             )

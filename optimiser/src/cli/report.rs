@@ -16,12 +16,13 @@ use crate::{
         folder::{COMPARISON, PLAN, STATE},
         judged::Judged,
         record::RunRecord,
+        summary::cells,
         words::{count, duration, hex, parameter},
     },
 };
 use clap::Args;
 use powderline_shared::plan::{
-    PlanReader, SkillParameter,
+    PlanHeader, PlanReader, SkillParameter,
     file::{parse_plan, read_plan_file},
 };
 use powderline_simulator::scene::{
@@ -111,6 +112,7 @@ pub fn execute(arguments: &ReportArgs, context: &mut Context<'_>) -> Result<(), 
         page.notes.extend(film.arm_remark().map(String::from));
         let amounts = Amounts::from(&task.scene);
         let outcome = Outcome::of_evaluation(&amounts, &found);
+        // Of a plan the page says what the plan says: the smaller cells come first, where it was looked at there.
         if !matches!(task.motion, Motion::Plan { .. }) || page.figures.is_empty() {
             show_outcome(&mut page, &task, &amounts, &outcome);
         }
@@ -149,8 +151,7 @@ impl ReportArgs {
         let plan = parse_plan(path, &bytes)?;
         let task = self.task(path)?;
         let finding = run_of(path, &plan);
-        let amounts = Amounts::from(&task.scene);
-        let outcome = Outcome::of_plan(&amounts, plan.header());
+        let (amounts, outcome) = Outcome::finest_of_plan(&Amounts::from(&task.scene), plan.header());
         let mut facts = scene_facts(&task.scene);
         facts.extend(plan_facts(&plan));
         facts.extend(date(path));
@@ -161,7 +162,7 @@ impl ReportArgs {
             replay_shows: shows(&task, finding.as_ref().and_then(|finding| finding.epoch)),
             tables: vec![parameters(&plan)],
             facts,
-            notes: finding.iter().flat_map(Finding::sentences).collect(),
+            notes: notes(finding.as_ref(), plan.header()),
             ..Page::default()
         };
         Ok(Draft { page, task: Some(task), finding })
@@ -187,7 +188,9 @@ impl ReportArgs {
         if let Some(finding) = &finding {
             draft.page.charts = run_charts(&record, finding);
             draft.page.tables.push(epochs(&record.epochs, finding));
-            draft.page.notes = finding.sentences();
+            if finding.plan.is_none() {
+                draft.page.notes = finding.sentences();
+            }
             draft
                 .page
                 .notes
@@ -222,6 +225,18 @@ impl ReportArgs {
         };
         Ok(Draft { page, task, finding: None })
     }
+}
+
+/// What a page says of a plan: of which cells its figures are, and what the run found where that is at hand.
+fn notes(finding: Option<&Finding>, header: &PlanHeader) -> Vec<String> {
+    let of_which = header.finer.map(|finer| {
+        format!(
+            "The figures are those on {}; on the scene's own, which the replay shows, the plan brings {}.",
+            cells(finer.cell_m),
+            mass(header.predicted.arrives_kg())
+        )
+    });
+    of_which.into_iter().chain(finding.iter().flat_map(|finding| finding.sentences())).collect()
 }
 
 /// What is replayed, above the replay.

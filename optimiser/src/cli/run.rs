@@ -12,9 +12,10 @@ use crate::{
         folder::{PLAN, RunFolder},
         record::RunRecord,
         state::{RunState, Settings},
+        summary::cells,
         words::hex,
     },
-    run::{Run, Watcher, Worlds, checked_epochs},
+    run::{Run, Watcher, Worlds, checked_epochs, refinable},
 };
 use clap::Args;
 use powderline_shared::plan::Precision;
@@ -47,6 +48,10 @@ pub struct RunArgs {
     /// End when the amount is met and so many epochs in a row have gained nothing; 0 goes on to the last [default: 2]
     #[arg(long, value_name = "N")]
     pub patience: Option<u32>,
+    /// Leave the plan as the search found it: by default it is simulated on cells of half the size too, and corrected until the wanted
+    /// amount arrives there
+    #[arg(long)]
+    pub no_refine: bool,
     /// Precision of the simulation [default: f32]
     #[arg(long)]
     pub precision: Option<PrecisionArg>,
@@ -122,10 +127,11 @@ fn begun(arguments: &RunArgs, scene: Option<&Scene>, context: &Context<'_>) -> R
     let settings = Settings {
         epochs: checked_epochs(arguments.epochs.unwrap_or(usual.epochs))?,
         patience_epochs: arguments.patience.unwrap_or(usual.patience_epochs),
+        refine_by: if arguments.no_refine { 0 } else { usual.refine_by },
         ..usual
     };
     let setup = arguments.resources.setup(seed, precision);
-    setup.check_memory(&scene, workload(settings.method), 0)?;
+    check_memory(&setup, &scene, settings)?;
     (context.factory)(&scene, &setup)?;
     let folder = match &arguments.out {
         Some(path) => RunFolder::create(path)?,
@@ -138,9 +144,13 @@ fn begun(arguments: &RunArgs, scene: Option<&Scene>, context: &Context<'_>) -> R
 
 fn resumed(arguments: &RunArgs, path: &Path) -> Result<Run, CliError> {
     let folder = RunFolder::open(path)?;
-    let record = RunRecord::read(path)?;
+    let mut record = RunRecord::read(path)?;
     refuse_differences(arguments, path, &record.state)?;
     let epochs = arguments.epochs.map(checked_epochs).transpose()?;
+    if arguments.no_refine && !record.state.finished {
+        record.state.settings.refine_by = 0;
+        record.state.looks.clear();
+    }
     Run::resume(folder, record, epochs)
 }
 
@@ -165,7 +175,7 @@ fn go_on(
     let resumable =
         format!("the epochs before are saved, go on with: {}", resume_command(run.folder().path()));
     let setup = resources.setup(state.seed, state.precision);
-    setup.check_memory(scene, workload(state.settings.method), 0)?;
+    check_memory(&setup, scene, state.settings)?;
     completed(run, &setup, Run::complete, on_epoch, context).map_err(|error| error.with_remark(&resumable))
 }
 
@@ -204,10 +214,10 @@ pub(super) fn completed(
 }
 
 /// Says how a run goes on standard error.
-struct Teller<'a> {
-    progress: &'a Progress,
-    interrupt: &'a Interrupt,
-    on_epoch: EpochFn<'a>,
+pub(super) struct Teller<'a> {
+    pub progress: &'a Progress,
+    pub interrupt: &'a Interrupt,
+    pub on_epoch: EpochFn<'a>,
 }
 
 impl Watcher for Teller<'_> {
@@ -262,6 +272,17 @@ fn conclude(run: &Run, json: bool, context: &mut Context<'_>) -> Result<(), CliE
         write!(context.out, "{}", next::play(&path))?;
     }
     finding.shortfall().map_or(Ok(()), |shortfall| Err(CliError::Missed(shortfall)))
+}
+
+/// Whether memory will do, for the search and for the look at smaller cells after it.
+pub(super) fn check_memory(setup: &Setup, scene: &Scene, settings: Settings) -> Result<(), CliError> {
+    setup.check_memory(scene, workload(settings.method), 0)?;
+    let Ok(Some(finer)) = refinable(scene, settings) else { return Ok(()) };
+    setup.check_memory(&finer, Workload::Single, 0).map_err(|error| {
+        let cell = cells(finer.domain.cell_m);
+        CliError::from(error)
+            .with_remark(&format!("that is for the plan on {cell}, which --no-refine leaves out"))
+    })
 }
 
 /// What a method asks of memory.

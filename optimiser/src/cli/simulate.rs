@@ -8,10 +8,11 @@ use super::{
 use crate::report::{
     amounts::{Amounts, percent},
     finding::Outcome,
+    summary::cells,
     words::hex,
 };
 use clap::Args;
-use powderline_shared::plan::{PlanHeader, Prediction};
+use powderline_shared::plan::{Finer as PlanFiner, PlanHeader, Prediction};
 use powderline_simulator::{
     rollout::{Evaluation, RolloutError, Workload},
     scene::{
@@ -104,6 +105,8 @@ impl From<Collision> for CollisionReport {
 struct PlanReport {
     content_hash: String,
     predicted: Prediction,
+    /// What it says of smaller cells; null if nobody looked.
+    finer: Option<PlanFiner>,
     /// Whether loss and indicator came out exactly so; nobody expects that of an executed motion.
     reproduced: Option<bool>,
 }
@@ -221,19 +224,28 @@ impl Report {
 
 impl PlanReport {
     fn new(header: &PlanHeader, content_hash: u64, reproduced: Option<bool>) -> Self {
-        Self { content_hash: format!("{content_hash:016x}"), predicted: header.predicted, reproduced }
+        let (predicted, finer) = (header.predicted, header.finer);
+        Self { content_hash: format!("{content_hash:016x}"), predicted, finer, reproduced }
     }
 
     fn text(&self, amounts: &Amounts) -> String {
         let Prediction { loss_m, census, .. } = self.predicted;
-        match self.reproduced {
+        let finer = self.finer.map(|finer| {
+            format!(
+                "Those are of the scene's own cells; on {}, by which the plan is judged, it says that {} arrive.\n",
+                cells(finer.cell_m),
+                mass(finer.arrives_kg())
+            )
+        });
+        let own = match self.reproduced {
             Some(true) => "Loss and amount are exactly those that the plan predicts.\n".into(),
             _ => format!(
                 "The plan predicts that {} arrive, with a loss of {loss_m} m. {}\n",
                 amounts.powder(census.target),
                 amounts.rest(&census)
             ),
-        }
+        };
+        own + &finer.unwrap_or_default()
     }
 }
 

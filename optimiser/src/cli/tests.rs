@@ -301,8 +301,8 @@ impl Place {
 }
 
 /// A run down the gradient, of which this bench has a wrong and a right one.
-fn mixed<'a>(epochs: &'a str, folder: &'a str) -> [&'a str; 9] {
-    ["bench-small", "--seed", "4", "--method", "mixed", "--epochs", epochs, "--out", folder]
+fn mixed<'a>(epochs: &'a str, folder: &'a str) -> [&'a str; 10] {
+    ["bench-small", "--no-refine", "--seed", "4", "--method", "mixed", "--epochs", epochs, "--out", folder]
 }
 
 /// What is in a place.
@@ -493,7 +493,8 @@ fn low_scene(place: &Place) -> String {
 fn every_place_says_the_same_of_a_run_also_when_epochs_were_passed_over() {
     let place = Place::new();
     let [file, folder] = [low_scene(&place), place.text("run")];
-    let done = optimise(&[&file, "--method", "mixed", "--epochs", "8", "--out", &folder, "--json"]);
+    let search = ["--method", "mixed", "--epochs", "8", "--no-refine", "--json"];
+    let done = optimise(&[&[file.as_str(), "--out", &folder][..], &search].concat());
     assert!(done.is_finished(), "{}", done.err);
     let found: Value = serde_json::from_str(&done.out).unwrap();
     let epoch = found["epoch"].as_u64().unwrap();
@@ -754,7 +755,8 @@ fn a_run_that_has_the_amount_ends_early_says_so_and_is_not_prolonged() {
     scene.objective.amount = Amount { tolerance: 1.0, ..Amount::new(Quantity::Particles(200)) };
     let (path, folder) = (place.text("met.toml"), place.text("run"));
     fs::write(&path, scene.to_toml()).unwrap();
-    let done = optimise(&[&path, "--seed", "4", "--method", "mixed", "--epochs", "60", "--out", &folder]);
+    let search = ["--seed", "4", "--method", "mixed", "--epochs", "60", "--no-refine"];
+    let done = optimise(&[&[path.as_str(), "--out", &folder][..], &search].concat());
     // Not before two epochs in a row had no loss that is worth going on for.
     let losses: Vec<f64> = metrics(&folder).iter().map(|epoch| epoch["loss"].as_f64().unwrap()).collect();
     let falls = |at: usize| losses[at] <= 0.95 * losses[..at].iter().copied().fold(f64::INFINITY, f64::min);
@@ -775,7 +777,7 @@ fn easy_run(place: &Place, folder: &str, spoilt: u32, [epochs, patience]: [&str;
     scene.objective.amount = Amount { tolerance: 0.99, ..Amount::new(Quantity::Particles(200)) };
     let path = place.text("easy.toml");
     fs::write(&path, scene.to_toml()).unwrap();
-    let search = ["--method", "mixed", "--epochs", epochs, "--patience", patience];
+    let search = ["--method", "mixed", "--no-refine", "--epochs", epochs, "--patience", patience];
     optimise_with(
         u64::MAX,
         spoilt,
@@ -891,7 +893,7 @@ fn damaged_state_is_refused() {
     for (broken, about) in [
         (&sound[..sound.len() / 2], "damaged"),
         (&sound[..0], "not a state file"),
-        (b"PLSTATE\0\x0b\0\0\0".as_slice(), "version 11"),
+        (b"PLSTATE\0\x0c\0\0\0".as_slice(), "version 12"),
     ] {
         fs::write(&path, broken).unwrap();
         assert_sentence(&optimise(&["--resume", &folder]), 2, about);

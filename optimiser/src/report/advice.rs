@@ -3,7 +3,10 @@
 use super::{amounts::Amounts, judged::Judged, words::parameter};
 use crate::optim::World;
 use powderline_shared::plan::SkillParameter;
-use powderline_simulator::scene::{Scene, figures::mass};
+use powderline_simulator::{
+    scene::{Scene, figures::mass},
+    skill::Theta,
+};
 
 /// Powder that counts as none, and as a good part, of the wanted.
 const NEXT_TO_NOTHING: f64 = 0.01;
@@ -29,10 +32,18 @@ pub(super) fn advice(scene: &Scene, epochs: &[Judged], shipped: Option<usize>) -
         ]
         .into_iter()
         .flatten()
-        .chain(measured.at_bounds())
+        .chain(at_bounds(scene, plan.record.theta))
         .collect(),
     };
     if found.is_empty() { vec!["another --seed begins from another skill and packing".into()] } else { found }
+}
+
+/// What could help where the search's plan brings what is wanted on the scene's own cells, and what it was corrected to does not on
+/// smaller ones.
+pub(super) fn advice_on_finer(scene: &Scene, theta: Theta) -> Vec<String> {
+    let other = "on smaller cells the skill answers otherwise, and no parameter alone led to the amount there: another --seed begins from \
+                 another skill, and smaller cells of the scene's own (domain.cell_m) let the search see what they see";
+    at_bounds(scene, theta).chain([other.into()]).collect()
 }
 
 struct Measured<'a> {
@@ -72,9 +83,7 @@ impl Measured<'_> {
 
     /// A parameter's value at a theta, as people say it.
     fn value(&self, which: SkillParameter, theta: f64) -> String {
-        let [low, high] = self.scene.skill.range(which);
-        let value = low + 0.5 * (theta + 1.0) * (high - low);
-        parameter(which, if which.is_angle() { value.to_radians() } else { value })
+        value(self.scene, which, theta)
     }
 
     /// The same in the plan.
@@ -84,8 +93,7 @@ impl Measured<'_> {
 
     /// Such as `skill.scooping_depth_m = [0.002, 0.02]`.
     fn key(&self, which: SkillParameter) -> String {
-        let [low, high] = self.scene.skill.range(which);
-        format!("skill.{} = [{low}, {high}]", which.key())
+        key(self.scene, which)
     }
 
     /// The smallest and largest value of a parameter in all epochs.
@@ -203,23 +211,34 @@ impl Measured<'_> {
             )
         })
     }
+}
 
-    /// Parameters that stand at an end of their range.
-    fn at_bounds(&self) -> impl Iterator<Item = String> {
-        SkillParameter::ALL.into_iter().filter_map(|which| {
-            let theta = self.plan.record.theta[which];
-            let [low, high] = self.scene.skill.range(which);
-            (theta.abs() >= AT_BOUND && low < high).then(|| {
-                format!(
-                    "the {} stands at the {} end of its range, {}; a wider {} would be right",
-                    which.name(),
-                    if theta > 0.0 { "upper" } else { "lower" },
-                    self.value(which, theta.signum()),
-                    self.key(which)
-                )
-            })
+fn value(scene: &Scene, which: SkillParameter, theta: f64) -> String {
+    let [low, high] = scene.skill.range(which);
+    let value = low + 0.5 * (theta + 1.0) * (high - low);
+    parameter(which, if which.is_angle() { value.to_radians() } else { value })
+}
+
+fn key(scene: &Scene, which: SkillParameter) -> String {
+    let [low, high] = scene.skill.range(which);
+    format!("skill.{} = [{low}, {high}]", which.key())
+}
+
+/// Parameters that stand at an end of their range.
+fn at_bounds(scene: &Scene, theta: Theta) -> impl Iterator<Item = String> {
+    SkillParameter::ALL.into_iter().filter_map(move |which| {
+        let theta = theta[which];
+        let [low, high] = scene.skill.range(which);
+        (theta.abs() >= AT_BOUND && low < high).then(|| {
+            format!(
+                "the {} stands at the {} end of its range, {}; a wider {} would be right",
+                which.name(),
+                if theta > 0.0 { "upper" } else { "lower" },
+                value(scene, which, theta.signum()),
+                key(scene, which)
+            )
         })
-    }
+    })
 }
 
 #[cfg(test)]

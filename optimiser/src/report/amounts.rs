@@ -32,6 +32,12 @@ impl From<&Scene> for Amounts {
 }
 
 impl Amounts {
+    /// The same where particles have another mass.
+    pub fn in_particles_of(self, particle_mass_kg: f64) -> Self {
+        let wanted_particles = ((self.wanted_kg / particle_mass_kg).round() as u32).max(1);
+        Self { wanted_particles, particle_mass_kg, ..self }
+    }
+
     /// Mass of so many particles, kilogram.
     pub fn kg(&self, particles: u32) -> f64 {
         f64::from(particles) * self.particle_mass_kg

@@ -3,13 +3,17 @@
 //! Decided here, once. The terminal, `metrics.jsonl`, `curves.svg`, the page, `inspect` and `--json` say it, and decide nothing.
 
 use super::{
-    advice::advice,
+    advice::{advice, advice_on_finer},
     amounts::Amounts,
     judged::{Judged, Rule},
+    looks::Seen,
     state::Settings,
     words::hex,
 };
-use crate::optim::{EpochRecord, Step, Work, World};
+use crate::{
+    optim::{EpochRecord, Step, Work, World},
+    refine::Grid,
+};
 use powderline_shared::plan::{Mounting, PlanError, PlanHeader, Precision};
 use powderline_simulator::{
     rollout::{Census, Evaluation, Places},
@@ -58,9 +62,20 @@ impl Outcome {
         Self::new(amounts, found.census, found.loss)
     }
 
-    /// Of a plan, as it says itself.
+    /// Of a plan on the scene's own cells, as it says itself.
     pub fn of_plan(amounts: &Amounts, header: &PlanHeader) -> Self {
         Self::new(amounts, header.predicted.census, header.predicted.loss_m)
+    }
+
+    /// Of a plan where the most is known of it: on smaller cells, if it was looked at there. And what is wanted, in the particles of those.
+    pub fn finest_of_plan(own: &Amounts, header: &PlanHeader) -> (Amounts, Self) {
+        match header.finer {
+            None => (*own, Self::of_plan(own, header)),
+            Some(finer) => {
+                let amounts = own.in_particles_of(finer.particle_mass_kg);
+                (amounts, Self::new(&amounts, finer.census, finer.loss_m))
+            }
+        }
     }
 }
 
@@ -69,33 +84,94 @@ impl Outcome {
 pub struct Shipped {
     /// The skill.
     pub theta: Theta,
-    /// What arrives.
+    /// What arrives, on the scene's own cells.
     pub outcome: Outcome,
     /// The arm that can make it.
     pub arm: Option<Mounting>,
+    /// What it brings on smaller cells, if it was looked at there.
+    pub finer: Option<OnFiner>,
 }
 
 impl Shipped {
-    /// What a plan says of itself.
+    /// What a plan says of itself, and what was seen while it was corrected.
     ///
     /// # Errors
     /// Its theta is none.
-    pub fn new(amounts: &Amounts, header: &PlanHeader) -> Result<Self, PlanError> {
+    pub fn new(amounts: &Amounts, header: &PlanHeader, looks: &[Seen]) -> Result<Self, PlanError> {
         let theta = Theta::new(header.theta)
             .map_err(|ThetaError { value, .. }| PlanError::ThetaOutOfRange { value })?;
-        Ok(Self { theta, outcome: Outcome::of_plan(amounts, header), arm: header.arm })
+        let outcome = Outcome::of_plan(amounts, header);
+        let finer = OnFiner::new(amounts, header, theta, looks);
+        Ok(Self { theta, outcome, arm: header.arm, finer })
+    }
+
+    /// The skill and what it brought when the search left it, before it was corrected.
+    fn as_found(&self) -> (Theta, Outcome) {
+        self.finer.map_or((self.theta, self.outcome), |finer| (finer.theta_before, finer.before[0]))
     }
 
     /// Whether it was made of this epoch. Where that was not rounded, what it brings may be another.
     fn is_of_epoch(&self, record: &EpochRecord) -> bool {
-        let brings =
-            (record.loss.to_bits(), record.census) == (self.outcome.loss_m.to_bits(), self.outcome.census);
-        self.is_of(record.theta.components()) && (brings || !record.rounded)
+        let (theta, found) = self.as_found();
+        let brings = (record.loss.to_bits(), record.census) == (found.loss_m.to_bits(), found.census);
+        is_same(theta, record.theta.components()) && (brings || !record.rounded)
     }
 
     /// Whether it was made of this skill, bit by bit.
     pub fn is_of(&self, theta: [f64; 5]) -> bool {
-        self.theta.components().map(f64::to_bits) == theta.map(f64::to_bits)
+        is_same(self.theta, theta)
+    }
+}
+
+fn is_same(theta: Theta, other: [f64; 5]) -> bool {
+    theta.components().map(f64::to_bits) == other.map(f64::to_bits)
+}
+
+/// A plan on smaller cells than the scene's own.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct OnFiner {
+    /// Edge of those cells, metres.
+    pub cell_m: f64,
+    /// What is wanted, in the particles there.
+    pub amounts: Amounts,
+    /// What the plan brings there.
+    pub plan: Outcome,
+    /// Whether it was changed for that.
+    pub corrected: bool,
+    /// Its skill before.
+    pub theta_before: Theta,
+    /// What that brought: on the scene's own cells, and there.
+    pub before: [Outcome; 2],
+    /// Motions that were simulated for it: on the scene's own cells, and there.
+    pub rollouts: [u32; 2],
+    /// Processor time of those, seconds.
+    pub cpu_seconds: f64,
+}
+
+impl OnFiner {
+    /// What a plan says of itself; before that, the first that was seen on each grid.
+    fn new(amounts: &Amounts, header: &PlanHeader, theta: Theta, looks: &[Seen]) -> Option<Self> {
+        let finer = header.finer?;
+        let (there, plan) = Outcome::finest_of_plan(amounts, header);
+        let of_grid = |grid| move |seen: &&Seen| seen.grid == grid && seen.obstacle.is_none();
+        let first = |grid, of: &Amounts, none: Outcome| {
+            let first = looks.iter().find(of_grid(grid));
+            first.map_or(none, |seen| Outcome::new(of, seen.census, seen.loss_m))
+        };
+        let theta_before = looks.first().map_or(theta, |seen| seen.theta);
+        Some(Self {
+            cell_m: finer.cell_m,
+            amounts: there,
+            plan,
+            corrected: !is_same(theta_before, header.theta),
+            theta_before,
+            before: [
+                first(Grid::Own, amounts, Outcome::of_plan(amounts, header)),
+                first(Grid::Finer, &there, plan),
+            ],
+            rollouts: [Grid::Own, Grid::Finer].map(|grid| looks.iter().filter(of_grid(grid)).count() as u32),
+            cpu_seconds: looks.iter().map(|seen| seen.cpu_seconds).sum(),
+        })
     }
 }
 
@@ -151,12 +227,18 @@ pub struct Finding {
     pub coefficients: usize,
     /// What the chosen epoch brought; before its motion was rounded to whole counts, if it was not evaluated so.
     pub best: Option<Outcome>,
-    /// What the plan brings; nothing before there is one.
+    /// What the plan brings on the scene's own cells; nothing before there is one.
     pub plan: Option<Outcome>,
+    /// Edge of those, metres.
+    pub cell_m: f64,
+    /// The plan on smaller cells, by which it is then judged; nothing where it was not looked at there.
+    pub finer: Option<OnFiner>,
+    /// Why it was not, if it was to be.
+    pub unrefined: Option<String>,
     /// The arm that can make the plan's motion, where the scene has one.
     pub arm: Option<Mounting>,
-    /// Whether the plan brings the wanted amount within the tolerance; nothing before there is one, and where as much as can be had is
-    /// wanted.
+    /// Whether the plan brings the wanted amount within the tolerance, on the smallest cells on which it was looked at; nothing before there
+    /// is one, and where as much as can be had is wanted.
     pub met: Option<bool>,
     /// What could help, from what was measured, where it does not.
     pub advice: Vec<String>,
@@ -179,12 +261,14 @@ pub struct RunSoFar<'a> {
     pub ended_of: Option<u32>,
     /// The plan, once there is one.
     pub shipped: Option<&'a Shipped>,
+    /// Why that was not looked at on smaller cells, if it was to be.
+    pub unrefined: Option<&'a str>,
 }
 
 impl Finding {
     /// What a run has found; nothing before its first epoch.
     pub fn new(run: &RunSoFar<'_>) -> Option<Self> {
-        let RunSoFar { scene, seed, precision, settings, epochs, ended_of, shipped } = *run;
+        let RunSoFar { scene, seed, precision, settings, epochs, ended_of, shipped, unrefined } = *run;
         let [first, ..] = epochs else { return None };
         let (amounts, rule) = (Amounts::from(scene), Rule::of(scene));
         let epoch = match shipped {
@@ -207,7 +291,16 @@ impl Finding {
         let mut work = Work::default();
         epochs.iter().for_each(|epoch| work.add(&epoch.record.work));
         let plan = shipped.map(|shipped| shipped.outcome);
-        let met = plan.and_then(|plan| amounts.is_met(plan.census.target));
+        let finer = shipped.and_then(|shipped| shipped.finer);
+        let is_met = |amounts: &Amounts, outcome: Outcome| amounts.is_met(outcome.census.target);
+        let found_met = shipped.and_then(|shipped| is_met(&amounts, shipped.as_found().1));
+        let met = finer.map_or(found_met, |finer| is_met(&finer.amounts, finer.plan));
+        let advice = match (met, found_met, shipped) {
+            // The search did what it should.
+            (Some(false), Some(true), Some(shipped)) => advice_on_finer(scene, shipped.theta),
+            (Some(false), ..) => advice(scene, epochs, epoch),
+            _ => Vec::new(),
+        };
         Some(Self {
             scene: scene.name.clone(),
             scene_digest: hex(&scene.digest()),
@@ -232,9 +325,12 @@ impl Finding {
                 .map_or(0, |added| added.coefficients.len()),
             best: epoch.map(|epoch| Outcome::of_epoch(&amounts, &epochs[epoch].record)),
             plan,
+            cell_m: scene.domain.cell_m,
+            finer,
+            unrefined: unrefined.map(String::from),
             arm: shipped.and_then(|shipped| shipped.arm),
             met,
-            advice: if met == Some(false) { advice(scene, epochs, epoch) } else { Vec::new() },
+            advice,
         })
     }
 
@@ -245,6 +341,17 @@ impl Finding {
         let gained_nothing = self.last_epoch - last_gain >= self.patience_epochs;
         let leads_nowhere = self.restarts.last() == Some(&self.last_epoch);
         self.patience_epochs > 0 && (gained_nothing || leads_nowhere)
+    }
+
+    /// What the plan brings where the most is known of it: on smaller cells, if it was looked at there.
+    pub fn finest(&self) -> Option<(&Amounts, &Outcome)> {
+        let own = self.plan.as_ref().map(|plan| (&self.amounts, plan));
+        self.finer.as_ref().map(|finer| (&finer.amounts, &finer.plan)).or(own)
+    }
+
+    /// What the plan brought on the scene's own cells when the search left it.
+    pub fn as_found(&self) -> Option<&Outcome> {
+        self.finer.as_ref().map(|finer| &finer.before[0]).or(self.plan.as_ref())
     }
 
     /// Whether an epoch is the plan's.
@@ -304,6 +411,7 @@ mod tests {
                 epochs,
                 ended_of: None,
                 shipped: None,
+                unrefined: None,
             };
             Finding::new(&run).unwrap().is_settled()
         };
@@ -362,7 +470,12 @@ mod tests {
         let finding = |epoch: u32, target: u32| {
             let census = Census { target, ..Census::default() };
             let outcome = Outcome::new(&amounts, census, 15.1);
-            let shipped = Shipped { theta: Theta::clamped([f64::from(epoch) / 10.0; 5]), outcome, arm: None };
+            let shipped = Shipped {
+                theta: Theta::clamped([f64::from(epoch) / 10.0; 5]),
+                outcome,
+                arm: None,
+                finer: None,
+            };
             let run = RunSoFar {
                 scene: &scene,
                 seed: 1,
@@ -371,6 +484,7 @@ mod tests {
                 epochs: &epochs,
                 ended_of: None,
                 shipped: Some(&shipped),
+                unrefined: None,
             };
             Finding::new(&run).unwrap()
         };
@@ -402,6 +516,7 @@ mod tests {
             theta: Theta::clamped([0.1; 5]),
             outcome: Outcome::new(&amounts, census, 15.1),
             arm: None,
+            finer: None,
         };
         let mut run = RunSoFar {
             scene: &scene,
@@ -411,6 +526,7 @@ mod tests {
             epochs: &epochs,
             ended_of: None,
             shipped: Some(&shipped),
+            unrefined: None,
         };
         let finding = Finding::new(&run).unwrap();
         assert_eq!((finding.epoch, finding.met), (Some(1), Some(false)));

@@ -116,7 +116,7 @@ impl RunRecord {
     /// They are no plan.
     pub fn ship(&mut self, plan: &[u8]) -> Result<(), PlanError> {
         let plan = PlanReader::new(plan)?;
-        self.shipped = Some(Shipped::new(&Amounts::from(&self.scene), plan.header())?);
+        self.shipped = Some(Shipped::new(&Amounts::from(&self.scene), plan.header(), &self.state.looks)?);
         Ok(())
     }
 
@@ -137,6 +137,7 @@ impl RunRecord {
             settings: self.state.settings,
             ended_of: self.state.is_settled().then_some(self.state.settings.epochs),
             shipped: self.shipped.as_ref(),
+            unrefined: self.state.unrefined.as_deref(),
         })
     }
 }

@@ -4,13 +4,13 @@
 
 use super::sealed::Seal;
 pub use super::sealed::StateError;
-use super::tries::Try;
+use super::{looks::Seen, tries::Try};
 use crate::optim::{EpochRecord, Method};
 use powderline_shared::plan::Precision;
 use powderline_simulator::{PHYSICS_VERSION, scene::Digest};
 use serde::{Deserialize, Serialize};
 
-const SEAL: Seal = Seal { magic: *b"PLSTATE\0", version: 10 };
+const SEAL: Seal = Seal { magic: *b"PLSTATE\0", version: 11 };
 
 /// How a run searches.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -21,13 +21,15 @@ pub struct Settings {
     pub epochs: u32,
     /// The search ends when the amount is met and so many epochs in a row have gained nothing; with 0 it goes on to its last epoch.
     pub patience_epochs: u32,
+    /// By how much smaller the cells are on which the plan is corrected at the end; with 0 it stays as the search left it.
+    pub refine_by: u32,
 }
 
 impl Settings {
     /// As usual for a way to search: one that has a second part gets time for it.
     pub fn of(method: Method) -> Self {
         let epochs = if matches!(method, Method::Path | Method::PathCmaEs) { 32 } else { 16 };
-        Self { method, epochs, patience_epochs: 2 }
+        Self { method, epochs, patience_epochs: 2, refine_by: 2 }
     }
 }
 
@@ -54,8 +56,12 @@ pub struct RunState {
     pub epochs: Vec<Evaluated>,
     /// Whether the search was ended before its last epoch: what was found is good enough.
     pub settled: bool,
-    /// Whether the plan is written.
+    /// Whether the plan is written, and corrected.
     pub finished: bool,
+    /// What the search's plan, and corrections of it, bring on the scene's own cells and on smaller ones, as far as was looked.
+    pub looks: Vec<Seen>,
+    /// Why nobody looked.
+    pub unrefined: Option<String>,
 }
 
 /// An epoch, and what the search was told until it ended.
@@ -71,7 +77,19 @@ impl RunState {
     /// A run of this version of the program that has not begun to search.
     pub fn new(scene: Digest, seed: u64, precision: Precision, settings: Settings) -> Self {
         let (physics, epochs) = (PHYSICS_VERSION, Vec::new());
-        Self { physics, scene, seed, precision, settings, epochs, settled: false, finished: false }
+        let (looks, unrefined) = (Vec::new(), None);
+        Self {
+            physics,
+            scene,
+            seed,
+            precision,
+            settings,
+            epochs,
+            settled: false,
+            finished: false,
+            looks,
+            unrefined,
+        }
     }
 
     /// Whether all epochs are evaluated.
@@ -101,6 +119,8 @@ impl RunState {
             self.epochs.pop();
             self.finished = false;
         }
+        // What comes of more epochs is another plan.
+        self.looks.clear();
         self.settings.epochs = self.settings.epochs.max(epochs);
     }
 
@@ -139,6 +159,8 @@ impl RunState {
         self.epochs.len() <= self.settings.epochs as usize + 1
             && !(self.settled && self.epochs.is_empty())
             && (!self.finished || self.is_done())
+            && (self.looks.is_empty() || self.is_done())
+            && self.looks.iter().all(Seen::is_sound)
             && (0..).zip(&self.epochs).all(|(epoch, one)| one.record.is_sound(epoch) && tries(one))
     }
 }
@@ -146,9 +168,10 @@ impl RunState {
 mod tests {
     use super::*;
     use crate::optim::{Epoch, Found, Step, Trial, World};
+    use crate::refine::Grid;
     use crate::report::sealed::{CHECKSUM, HEAD};
     use powderline_simulator::rollout::{Census, Evaluation};
-    use powderline_simulator::skill::{Freedom, Splines};
+    use powderline_simulator::skill::{Freedom, Splines, Theta};
     use sha2::{Digest as _, Sha256};
 
     fn state() -> RunState {
@@ -171,9 +194,18 @@ mod tests {
         state
     }
 
+    /// One whose plan was looked at on smaller cells.
+    fn looked_at() -> RunState {
+        let seen = Seen::new(Grid::Finer, &Theta::MIDDLE, &Evaluation::new(2.0, 1, Census::default()), 0.5);
+        let none = Seen::nothing(Grid::Finer, &Theta::MIDDLE, "too far".into());
+        RunState { settled: true, looks: vec![seen, none], ..state() }
+    }
+
     #[test]
     fn loads_back() {
-        assert_eq!(RunState::from_bytes(&state().to_bytes()), Ok(state()));
+        for state in [state(), looked_at()] {
+            assert_eq!(RunState::from_bytes(&state.to_bytes()), Ok(state));
+        }
     }
 
     #[test]
@@ -216,7 +248,7 @@ mod tests {
         for bytes in [physics_only, longer] {
             assert_eq!(RunState::from_bytes(&sealed(bytes)), Err(StateError::Nonsense));
         }
-        let defects: [fn(&mut RunState); 10] = [
+        let defects: [fn(&mut RunState); 12] = [
             |state| state.settings.epochs = 0,
             |state| state.finished = true,
             |state| (state.settled, state.epochs) = (true, Vec::new()),
@@ -227,6 +259,13 @@ mod tests {
             |state| state.epochs[0].rounds[0][0].splines = Some(added(5)),
             |state| state.epochs[0].record.splines = Some(added(1 << 20)),
             |state| state.epochs[0].rounds[0][0].cpu_seconds = f64::NAN,
+            |state| {
+                *state = RunState {
+                    looks: vec![Seen { loss_m: f64::NAN, ..looked_at().looks.remove(0) }],
+                    ..looked_at()
+                }
+            },
+            |state| state.looks = looked_at().looks,
         ];
         for (index, defect) in defects.into_iter().enumerate() {
             let mut state = state();
@@ -258,8 +297,8 @@ mod tests {
     #[test]
     fn version_from_the_future_is_refused_with_both_numbers() {
         let mut bytes = state().to_bytes();
-        bytes[8] = 11;
+        bytes[8] = 12;
         let error = RunState::from_bytes(&bytes).unwrap_err().to_string();
-        assert!(error.contains("version 11") && error.contains("version 10"), "{error}");
+        assert!(error.contains("version 12") && error.contains("version 11"), "{error}");
     }
 }

@@ -1,53 +1,71 @@
 //! What a run found, in words.
 
 use super::{
-    amounts::percent,
+    amounts::{Amounts, percent},
     finding::{Finding, Outcome},
     words::{count, parameter},
 };
 use powderline_shared::plan::SkillParameter;
+use powderline_simulator::scene::figures::{about, mass};
 use std::fmt::Write;
 
 impl Finding {
     /// What arrives of what was wanted: the sentence that comes first wherever a result is shown.
     pub fn headline(&self) -> String {
-        let Some(plan) = &self.plan else { return "There is no plan yet.".into() };
-        format!("The plan brings {}.", self.arrival(plan))
-    }
-
-    /// Such as `9.584 g (1,198 particles) of the 9.6 g wanted: 0.17 % too little, within the tolerance of 2 %`.
-    pub fn arrival(&self, outcome: &Outcome) -> String {
-        let amounts = &self.amounts;
-        let arrives = amounts.powder(outcome.census.target);
-        let wanted = powderline_simulator::scene::figures::mass(amounts.wanted_kg);
-        let off = amounts.off(outcome.census.target);
-        match amounts.is_met(outcome.census.target) {
-            Some(true) => {
-                format!(
-                    "{arrives} of the {wanted} wanted: {off}, within the tolerance of {}",
-                    amounts.tolerance()
-                )
-            }
-            Some(false) => {
-                format!(
-                    "{arrives} of the {wanted} wanted: {off}, more than the tolerance of {}",
-                    amounts.tolerance()
-                )
-            }
-            None => format!("{arrives}; as much as can be had was wanted"),
+        match (&self.plan, &self.finer) {
+            (None, _) => "There is no plan yet.".into(),
+            (Some(plan), None) => format!("The plan brings {}.", arrival(&self.amounts, plan)),
+            (Some(own), Some(finer)) => format!(
+                "On {} the plan brings {}; on the scene's own of {} it brings {}.",
+                cells(finer.cell_m),
+                arrival(&finer.amounts, &finer.plan),
+                millimetres(self.cell_m),
+                mass(own.mass_kg)
+            ),
         }
     }
 
     /// The sentences after the headline: where the rest is, which epoch it is and why, how the arm reaches, and which could not be.
     pub fn sentences(&self) -> Vec<String> {
-        let rest = self.plan.map(|plan| self.amounts.rest(&plan.census));
+        let rest = self.finest().map(|(amounts, outcome)| amounts.rest(&outcome.census));
         let arm = self.arm.map(|arm| format!("The {} {}.", arm.kind.label(), arm.posture));
-        let ends = rest.into_iter().chain([self.choice()]).chain(self.end()).chain(arm);
+        let ends =
+            rest.into_iter().chain(self.finer_words()).chain([self.choice()]).chain(self.end()).chain(arm);
         ends.chain(self.path_words())
             .chain(self.rounding_words())
             .chain(self.restart_words())
             .chain(self.passed_over_words())
             .collect()
+    }
+
+    /// What looking at it on smaller cells came to, or why nobody did.
+    fn finer_words(&self) -> Option<String> {
+        let Some(finer) = &self.finer else {
+            return self
+                .unrefined
+                .as_ref()
+                .map(|why| format!("It was not looked at on smaller cells: {why}."));
+        };
+        let [own, there] = finer.before;
+        let off = finer.amounts.off(there.census.target);
+        let before = match finer.corrected {
+            true => format!(
+                "As the search left it, it brought {} there ({off}) and {}",
+                mass(there.mass_kg),
+                mass(own.mass_kg)
+            ),
+            false => "It is as the search left it".to_owned(),
+        };
+        let [own, there] = finer.rollouts.map(|motions| count(motions.into(), "motion"));
+        Some(format!(
+            "{before}. Simulated for that: {own} on the scene's own cells, {there} on the smaller ones, {:.0} s of processor time.",
+            finer.cpu_seconds
+        ))
+    }
+
+    /// Whether what the search left brings the wanted amount, on the scene's own cells.
+    fn found_met(&self) -> Option<bool> {
+        self.as_found().and_then(|found| self.amounts.is_met(found.census.target))
     }
 
     /// Which epoch it is, by which rule.
@@ -57,7 +75,7 @@ impl Finding {
         };
         let able = if self.passed_over.is_empty() { "" } else { " that the arm may perform" };
         let was_met = self.amounts.is_met(best.census.target) == Some(true);
-        let [which, why] = match was_met && self.met == Some(false) {
+        let [which, why] = match was_met && self.found_met() == Some(false) {
             true => [
                 " within the tolerance",
                 "misses the wanted amount least once its motion is rounded to whole counts, and none stays within it",
@@ -67,14 +85,16 @@ impl Finding {
         let said = |found: &Outcome| {
             format!("{}, with a loss of {:.3} m", self.amounts.powder(found.census.target), found.loss_m)
         };
-        let before = match self.plan.is_some_and(|plan| said(&plan) != said(&best)) {
+        let found = self.as_found().copied().unwrap_or(best);
+        let before = match said(&found) != said(&best) {
             true => format!(" before its motion was rounded to whole counts it brought {};", said(&best)),
             false => String::new(),
         };
         format!(
-            "Epoch {epoch} of {} is the plan: of the epochs{which}{able} it {why}. Its loss is {:.3} m;{before} epoch 0{} had {:.3} m and brought {}.",
+            "Epoch {epoch} of {} is {}: of the epochs{which}{able} it {why}. Its loss is {:.3} m;{before} epoch 0{} had {:.3} m and brought {}.",
             self.last_epoch,
-            self.plan.unwrap_or(best).loss_m,
+            if self.finer.is_some_and(|finer| finer.corrected) { "what was corrected" } else { "the plan" },
+            found.loss_m,
             if self.coarse_epochs.first() == Some(&0) { ", in the coarse world," } else { "" },
             self.first.loss_m,
             self.amounts.powder(self.first.census.target),
@@ -102,7 +122,7 @@ impl Finding {
 
     /// Which epochs would have been the plan but for the rounding of their motions.
     fn rounding_words(&self) -> Option<String> {
-        if self.met != Some(true) {
+        if self.found_met() != Some(true) {
             return None;
         }
         let epochs = listed(&self.rounded_out.iter().map(u32::to_string).collect::<Vec<_>>());
@@ -170,16 +190,42 @@ impl Finding {
 
     /// Why the plan is not what was asked for; nothing where it is.
     pub fn shortfall(&self) -> Option<String> {
-        let plan = self.plan.filter(|_| self.met == Some(false))?;
+        let (amounts, plan) = self.finest().filter(|_| self.met == Some(false))?;
+        let there = self.finer.map_or(String::new(), |finer| format!("on {} ", cells(finer.cell_m)));
         Some(format!(
-            "the plan brings {} than wanted, and the tolerance is {}",
+            "{there}the plan brings {} than wanted, and the tolerance is {}",
             match plan.miss {
                 miss if miss < 0.0 => format!("{} less", percent(-miss)),
                 miss => format!("{} more", percent(miss)),
             },
-            self.amounts.tolerance()
+            amounts.tolerance()
         ))
     }
+}
+
+/// Such as `9.584 g (1,198 particles) of the 9.6 g wanted: 0.17 % too little, within the tolerance of 2 %`.
+pub(crate) fn arrival(amounts: &Amounts, outcome: &Outcome) -> String {
+    let arrives = amounts.powder(outcome.census.target);
+    let than = match amounts.is_met(outcome.census.target) {
+        None => return format!("{arrives}; as much as can be had was wanted"),
+        Some(true) => "within",
+        Some(false) => "more than",
+    };
+    format!(
+        "{arrives} of the {} wanted: {}, {than} the tolerance of {}",
+        mass(amounts.wanted_kg),
+        amounts.off(outcome.census.target),
+        amounts.tolerance()
+    )
+}
+
+/// Such as `cells of 4 mm`.
+pub(crate) fn cells(cell_m: f64) -> String {
+    format!("cells of {}", millimetres(cell_m))
+}
+
+fn millimetres(cell_m: f64) -> String {
+    format!("{} mm", about(1e3 * cell_m, 3))
 }
 
 /// Such as `1, 2 and 3`.
@@ -195,7 +241,8 @@ mod tests {
     use crate::{
         optim::EpochRecord,
         report::{
-            finding::{Finding, Outcome, Shipped},
+            amounts::Amounts,
+            finding::{Finding, OnFiner, Outcome, Shipped},
             judged::Judged,
             record::RunRecord,
             state::{RunState, Settings},
@@ -228,6 +275,7 @@ mod tests {
             theta: Theta::clamped([1.0; 5]),
             outcome: Outcome::new(&amounts, census, 99.1),
             arm: None,
+            finer: None,
         });
         (run.finding().unwrap(), run)
     }
@@ -268,5 +316,58 @@ mod tests {
             finding.shortfall().unwrap(),
             "the plan brings 8.3 % less than wanted, and the tolerance is 2 %"
         );
+    }
+
+    /// The search's plan met on the scene's own cells, and 14 % were missing on smaller ones.
+    #[test]
+    fn what_smaller_cells_say_comes_before_what_the_scenes_own_do() {
+        let (_, mut run) = found([100, 1190, 1000], None, 1198);
+        let amounts = Amounts::from(&run.scene);
+        let there = amounts.in_particles_of(1e-6);
+        let brings = |of: &Amounts, target: u32| {
+            Outcome::new(of, Census { target, source: 10, ..Census::default() }, 99.1)
+        };
+        let said = |run: &RunRecord| {
+            let finding = run.finding().unwrap();
+            (finding.text(run.skills()), finding.shortfall(), finding.epoch)
+        };
+        let mut shipped = run.shipped.unwrap();
+        let theta_before = shipped.theta;
+        shipped.theta = Theta::clamped([0.4; 5]);
+        shipped.outcome = brings(&amounts, 1400);
+        for (target, met) in [(9500, true), (9000, false)] {
+            shipped.finer = Some(OnFiner {
+                cell_m: 0.002,
+                amounts: there,
+                plan: brings(&there, target),
+                corrected: true,
+                theta_before,
+                before: [brings(&amounts, 1198), brings(&there, 8256)],
+                rollouts: [12, 3],
+                cpu_seconds: 379.2,
+            });
+            run.shipped = Some(shipped);
+            let (text, shortfall, epoch) = said(&run);
+            assert_eq!((epoch, shortfall.is_none()), (Some(1), met), "{shortfall:?}");
+            let first = text.lines().next().unwrap();
+            assert!(first.starts_with("On cells of 2 mm the plan brings 9"), "{text}");
+            assert!(first.ends_with("; on the scene's own of 4 mm it brings 11.2 g."), "{text}");
+            assert!(
+                text.contains(
+                    "\nAs the search left it, it brought 8.256 g there (14 % too little) and 9.584 g. Simulated for that: 12 motions on the \
+                     scene's own cells, 3 motions on the smaller ones, 379 s of processor time.\nEpoch 1 of 2 is what was corrected: of"
+                ),
+                "{text}"
+            );
+            assert_eq!(text.contains("another --seed"), !met, "{text}");
+            if let Some(shortfall) = shortfall {
+                let words =
+                    "on cells of 2 mm the plan brings 6.2 % less than wanted, and the tolerance is 2 %";
+                assert_eq!(shortfall, words);
+            }
+        }
+        shipped.finer = None;
+        (run.shipped, run.state.unrefined) = (Some(shipped), Some("it would be too large".into()));
+        assert!(said(&run).0.contains("\nIt was not looked at on smaller cells: it would be too large.\n"));
     }
 }

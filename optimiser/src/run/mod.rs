@@ -2,41 +2,51 @@
 //!
 //! ```text
 //! Search (optim) -- trials --> Worlds -- what came of them --> Search, state, epochs --> Finding --> plan
+//! plan -- skills --> Grids -- what they bring on smaller cells --> refine --> plan, corrected
 //! ```
 //!
 //! The program `optimise` and the Python package drive a [`Run`] and say how it goes; a program of one's own does likewise.
 
+mod grids;
 mod worlds;
 
+pub use grids::{Grids, KeepFn};
 pub use worlds::{Simulators, Worlds};
 
 use crate::{
     failure::Failure,
     optim::{Epoch, EpochRecord, Found, Problem, Search, Trial, Work, World},
+    refine::Grid,
     report::{
         amounts::Amounts,
         curves::Curves,
         finding::{Finding, Outcome},
         folder::{CURVES, METRICS, PLAN, RunFolder, SCENE, STATE, TRIES},
         judged::Rule,
+        looks::Seen,
         plan::PlanParts,
         record::RunRecord,
         state::{Evaluated, RunState, Settings},
+        summary::cells,
         tries::Try,
     },
 };
-use powderline_shared::plan::{Mounting, Precision};
+use powderline_shared::plan::{Finer, Mounting, Precision};
 use powderline_simulator::{
     arm::arm_motion,
     rollout::{Evaluation, Places, RolloutError},
     scene::Scene,
-    skill::{QuantisedControls, SkillMap, Theta},
+    skill::{QuantisedControls, SkillMap, Splines, Theta},
 };
 use serde::Serialize;
 use std::{collections::BTreeMap, time::Instant};
 
 /// Most epochs of a run.
 pub const MAX_EPOCHS: u32 = 10_000;
+
+/// A run looks at its plan on smaller cells if a rollout there has no more substeps of particles than this: some ten minutes of one
+/// processor.
+const MOST_PARTICLE_SUBSTEPS: u64 = 5_000_000_000;
 
 /// Who is told how a run goes, and may end it.
 pub trait Watcher {
@@ -62,12 +72,13 @@ pub struct Run {
     rounded: BTreeMap<usize, Evaluation>,
 }
 
-/// A skill, its motion in whole counts, and what that brings.
+/// A skill, what is added to its motion, that motion in whole counts, and what it brings.
 struct Performed {
     theta: Theta,
-    path_coefficients: usize,
+    splines: Option<Splines>,
     quantised: QuantisedControls,
     evaluation: Evaluation,
+    finer: Option<Finer>,
 }
 
 /// A line of `metrics.jsonl`.
@@ -176,7 +187,8 @@ impl Run {
     }
 
     /// Evaluates the epochs that are left, then writes the plan: of a motion that brings the wanted amount also in whole counts, if one is
-    /// found before the last epoch.
+    /// found before the last epoch. At the end it is corrected by what it brings on smaller cells, if the settings want that and it can be
+    /// had; who ends the run there has the plan that the search left.
     ///
     /// # Errors
     /// One sentence; everything evaluated before is saved.
@@ -188,7 +200,11 @@ impl Run {
             let performed = self.performed(worlds, watcher)?;
             let is_met = Amounts::from(&self.record.scene).is_met(performed.evaluation.census.target);
             if !self.record.state.is_settled() || is_met == Some(true) {
-                return self.write_plan(&performed);
+                self.write_plan(&performed)?;
+                if let Some(corrected) = self.refined(&performed, worlds, watcher)? {
+                    self.write_plan(&corrected)?;
+                }
+                return self.finish();
             }
             watcher
                 .say("  rounded to whole counts, no motion stays within the tolerance: the search goes on");
@@ -224,7 +240,11 @@ impl Run {
             if let Some(words) = turn(&history, &trials).filter(|_| rounds.is_empty()) {
                 watcher.say(words);
             }
-            watcher.begin(&format!("epoch {number}/{epochs}"), epochs - number as u32, &history);
+            // A search that others end does not know how many epochs it has.
+            match epochs {
+                MAX_EPOCHS => watcher.begin(&format!("epoch {number}"), 0, &history),
+                _ => watcher.begin(&format!("epoch {number}/{epochs}"), epochs - number as u32, &history),
+            }
             if watcher.is_stopped() {
                 return Err(RolloutError::Stopped.into());
             }
@@ -294,7 +314,7 @@ impl Run {
             history: &state.history(),
             epochs: state.settings.epochs,
             shipped: finding.epoch,
-            plan: finding.plan.as_ref(),
+            plan: finding.as_found(),
             passed_over: &finding.passed_over.iter().map(|passed| passed.epoch).collect::<Vec<_>>(),
             map,
             amounts: &finding.amounts,
@@ -303,9 +323,9 @@ impl Run {
         Ok(self.folder.replace(CURVES, svg.as_bytes())?)
     }
 
-    /// Writes the chosen skill's motion, and what it brings as it will be performed.
-    fn write_plan(&mut self, performed: &Performed) -> Result<(), Failure> {
-        let Performed { theta, path_coefficients, quantised, evaluation } = performed;
+    /// Writes a skill's motion, and what it brings as it will be performed.
+    fn write_plan(&self, performed: &Performed) -> Result<(), Failure> {
+        let Performed { theta, splines, quantised, evaluation, finer } = performed;
         let RunRecord { scene, map, state, .. } = &self.record;
         let arm = arm_motion(scene, map, quantised).map_err(|refusal| {
             Failure::Failed(format!("the arm cannot make the plan's motion: {refusal}"))
@@ -316,20 +336,84 @@ impl Run {
             seed: state.seed,
             precision: state.precision,
             theta,
-            path_coefficients: *path_coefficients,
+            path_coefficients: splines.as_ref().map_or(0, |added| added.coefficients.len()),
             quantised,
             evaluation,
-            finer: None,
+            finer: *finer,
             arm: arm.as_ref().map(|arm| Mounting::from(&arm.model)),
         };
-        let unfit = |error| Failure::Failed(format!("no plan can be made: {error}"));
         let plan = parts.to_bytes().map_err(unfit)?;
-        self.folder.replace(PLAN, &plan)?;
+        Ok(self.folder.replace(PLAN, &plan)?)
+    }
+
+    /// The plan in the folder is what the run came to.
+    fn finish(&mut self) -> Result<(), Failure> {
+        let plan = self.folder.read(PLAN)?;
         self.record.ship(&plan).map_err(unfit)?;
         self.record.state.finished = true;
         self.save()?;
         self.write_metrics()?;
         self.write_curves(&self.finding()?)
+    }
+
+    /// What the search's plan is corrected to by what it brings on smaller cells; nothing where it is not looked at there.
+    fn refined(
+        &mut self,
+        found: &Performed,
+        worlds: &mut Worlds<'_>,
+        watcher: &dyn Watcher,
+    ) -> Result<Option<Performed>, Failure> {
+        let state = &mut self.record.state;
+        state.unrefined = None;
+        let finer = match refinable(&self.record.scene, state.settings) {
+            Ok(None) => return Ok(None),
+            Ok(Some(finer)) => finer,
+            Err(why) => return Ok(self.unrefined(why, watcher)),
+        };
+        // Simulated already, or taken from what was kept.
+        let own = Seen::new(Grid::Own, &found.theta, &found.evaluation, 0.0);
+        if state.looks.first().is_none_or(|first| !first.is_of(Grid::Own, &found.theta)) {
+            state.looks = vec![own];
+        }
+        watcher.say(&format!(
+            "  the plan on {}, and corrected by what it brings there; who stops now has it as the search left it:",
+            cells(finer.domain.cell_m)
+        ));
+        let scenes = [self.record.scene.clone(), finer.clone()];
+        let mut grids = Grids::new(scenes, found.splines.clone(), state.looks.clone(), worlds.leave());
+        let corrected = grids.corrected(&found.theta, watcher, &mut |seen| {
+            self.record.state.looks = seen.to_vec();
+            self.save()
+        });
+        let corrected = match corrected {
+            // The search's plan is there, whatever this comes to.
+            Err(error @ (Failure::Input(_) | Failure::Failed(_))) => {
+                return Ok(self.unrefined(error.to_string(), watcher));
+            }
+            other => other.map_err(|error| error.with_remark("the plan that the search left is written"))?,
+        };
+        let (own, there) = (&corrected.own[1], corrected.best());
+        let controls = self.record.map.motion(&own.theta, found.splines.as_ref())?;
+        Ok(Some(Performed {
+            theta: own.theta,
+            splines: found.splines.clone(),
+            quantised: QuantisedControls::new(&controls)?,
+            evaluation: own.evaluation,
+            finer: Some(Finer {
+                cell_m: finer.domain.cell_m,
+                loss_m: there.evaluation.loss,
+                particle_mass_kg: finer.particle_mass_kg(),
+                census: there.evaluation.census,
+            }),
+        }))
+    }
+
+    /// Nobody looks at the plan on smaller cells.
+    fn unrefined(&mut self, why: String, watcher: &dyn Watcher) -> Option<Performed> {
+        watcher.say(&format!("  the plan is not looked at on smaller cells: {why}"));
+        self.record.state.unrefined = Some(why);
+        self.record.state.looks.clear();
+        None
     }
 
     /// The best skill whose motion still brings the wanted amount when it is rounded to whole counts; if none does, the one that then
@@ -351,8 +435,8 @@ impl Run {
             let is_nearer = nearest.as_ref().is_none_or(|other| miss(&evaluation) < miss(&other.evaluation));
             let is_met = amounts.is_met(evaluation.census.target) == Some(true);
             if is_met || is_nearer {
-                let path_coefficients = record.splines.as_ref().map_or(0, |added| added.coefficients.len());
-                nearest = Some(Performed { theta, path_coefficients, quantised, evaluation });
+                let splines = record.splines.clone();
+                nearest = Some(Performed { theta, splines, quantised, evaluation, finer: None });
             }
             if is_met {
                 break;
@@ -364,6 +448,30 @@ impl Run {
                 passed_over.first().map_or("there is none", |passed| &passed.reason)
             ))
         })
+    }
+}
+
+fn unfit(error: impl std::fmt::Display) -> Failure {
+    Failure::Failed(format!("no plan can be made: {error}"))
+}
+
+/// The scene on the smaller cells on which a run looks at its plan; none where that is not wanted.
+///
+/// # Errors
+/// Why it does not, although it is.
+pub fn refinable(scene: &Scene, settings: Settings) -> Result<Option<Scene>, String> {
+    if settings.refine_by == 0 {
+        return Ok(None);
+    }
+    let finer = scene.refined(settings.refine_by).map_err(|error| error.to_string())?;
+    let steps = u64::from(finer.time.horizon_steps) * u64::from(finer.time.substeps);
+    let substeps = finer.particle_count() as u64 * steps;
+    match substeps <= MOST_PARTICLE_SUBSTEPS {
+        true => Ok(Some(finer)),
+        false => Err(format!(
+            "a rollout there would take {substeps:.1e} substeps of particles, and a run spends at most {MOST_PARTICLE_SUBSTEPS:.0e} of \
+             them; `optimise refine` takes the time that it takes"
+        )),
     }
 }
 

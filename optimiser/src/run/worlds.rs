@@ -38,6 +38,12 @@ impl<'a> Worlds<'a> {
         Self { simulators, scene: scene.clone(), coarse: scene.coarse(), map, seed, present: None }
     }
 
+    /// What makes its simulators, once the one at hand is given back.
+    pub(super) fn leave(&mut self) -> Simulators<'a> {
+        self.present = None;
+        self.simulators
+    }
+
     /// The simulator of a world.
     fn enter(&mut self, world: World) -> Result<&mut dyn Simulate, RolloutError> {
         if self.present.as_ref().is_none_or(|(present, _)| *present != world) {

@@ -162,7 +162,9 @@ class Plan:
     @property
     def path_coefficients(self) -> int: ...
     @property
-    def finer_mass_kg(self) -> float | None: ...
+    def finer_cell_m(self) -> float | None: ...
+    @property
+    def own_mass_kg(self) -> float: ...
     @property
     def seed(self) -> int: ...
     @property
@@ -199,6 +201,7 @@ def optimise(
     method: str | None,
     epochs: int | None,
     patience: int | None,
+    refine: bool,
     precision: str | None,
     threads: int | None,
     memory: str | int,

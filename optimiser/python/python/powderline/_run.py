@@ -27,7 +27,7 @@ class Run:
         plan: the motion, a `Plan`; None before there is one.
         epochs: a dictionary for each epoch, as in `metrics.jsonl`: `epoch`, `world` ("coarse" or "fine"), `theta`, `loss` (m), `mass_kg`,
             `miss` (relative), `lost_kg`, `work` (rollouts and processor time), `seconds`, `slopes` (of methods that descend),
-            `shipped` (whether it became the plan) and more.
+            `shipped` (whether it became the plan, or was corrected to it) and more.
     """
 
     def __init__(self, folder: str | PathLike[str]) -> None:
@@ -87,6 +87,7 @@ def optimise(
     method: str | None = None,
     epochs: int | None = None,
     patience: int | None = None,
+    refine: bool = True,
     precision: str | None = None,
     threads: int | None = None,
     memory: str | int = "1GiB",
@@ -110,6 +111,8 @@ def optimise(
             motion, down the restarted adjoint; "path-cma-es": the same by losses alone.
         epochs: epochs after the first, at most; 16 if None, 32 for a path. With fewer than some 10, "surrogate" hardly looks at the scene itself.
         patience: ends when the amount is met and so many epochs in a row have gained nothing; 2 if None, 0 goes on to the last.
+        refine: whether the plan is simulated on cells of half the size at the end too, and corrected until the wanted amount arrives
+            there; a rollout there takes 16 times as long.
         precision: "f32" or "f64"; "f32", or that of the run, if None.
         threads: as many as the machine has processors, if None; changes no bit.
         memory: the most that the process may take, such as "2GiB" or a number of bytes.
@@ -138,6 +141,7 @@ def optimise(
         method=method,
         epochs=epochs,
         patience=patience,
+        refine=refine,
         precision=precision,
         threads=threads,
         memory=memory,

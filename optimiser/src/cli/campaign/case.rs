@@ -8,13 +8,14 @@ use crate::{
     },
     report::{
         amounts::Amounts,
+        finding,
         folder::{PLAN, RunFolder, STATE},
         record::RunRecord,
+        state::Settings,
     },
 };
 use powderline_shared::plan::{PlanReader, Precision, file::read_plan_file};
 use powderline_simulator::{
-    rollout::Workload,
     scene::Scene,
     skill::{SkillMap, Theta},
 };
@@ -95,9 +96,11 @@ fn immovable(scene: &Scene) -> Option<String> {
     check::immovable(scene).or_else(corners)
 }
 
-/// What its cases simulate.
-pub(super) fn workload(campaign: &Campaign) -> Workload {
-    if campaign.is_of_rollouts() { Workload::Single } else { Workload::Gradient }
+/// How its cases search; they do not where they are rollouts.
+pub(super) fn settings(campaign: &Campaign) -> Option<Settings> {
+    let usual = Settings::default();
+    let refine_by = if campaign.file().refine { usual.refine_by } else { 0 };
+    (!campaign.is_of_rollouts()).then_some(Settings { refine_by, ..usual })
 }
 
 /// Does a case, or goes on with it, and writes down what became of it. One that is done is not done again.
@@ -196,6 +199,7 @@ impl Work<'_> {
             method: None,
             epochs: self.campaign.file().epochs,
             patience: None,
+            no_refine: !self.campaign.file().refine,
             precision: Some(self.precision().into()),
             resources: self.resources,
             out,
@@ -228,16 +232,18 @@ impl Work<'_> {
     /// What the run in the folder has found.
     fn found(&self) -> Result<Found, CliError> {
         let record = RunRecord::read(self.folder)?;
-        let (Some(finding), Some(shipped)) = (record.finding(), &record.shipped) else {
+        let (Some(found), Some(shipped)) = (record.finding(), &record.shipped) else {
             return Err(CliError::Failed("the run came to no plan".into()));
         };
         let bytes = read_plan_file(&self.folder.join(PLAN))?;
         let plan = PlanReader::new(&bytes).map_err(|error| CliError::Failed(error.to_string()))?;
+        let (amounts, outcome) = finding::Outcome::finest_of_plan(&found.amounts, plan.header());
         Ok(Found {
-            met: finding.met,
-            epochs: finding.epoch.map(|epoch| [finding.last_epoch, epoch]),
+            met: found.met,
+            epochs: found.epoch.map(|epoch| [found.last_epoch, epoch]),
             plan: Some(format!("{:016x}", plan.content_hash())),
-            ..Found::of(&finding.amounts, shipped.theta, &shipped.outcome)
+            own_mass_kg: shipped.outcome.mass_kg,
+            ..Found::of(&amounts, shipped.theta, &outcome)
         })
     }
 }

@@ -1,7 +1,8 @@
 //! `optimise refine`.
 
-use super::{Done, MISSED, ON_FINER_CELLS, Place, assert_sentence, optimise, optimise_for};
-use powderline_shared::plan::PlanReader;
+use super::{Done, MISSED, ON_FINER_CELLS, Place, assert_sentence, bytes, optimise, optimise_for};
+use powderline_shared::plan::{PlanHeader, PlanReader};
+use powderline_simulator::scene::{Amount, Quantity, Scene, SceneSpec};
 use serde_json::Value;
 use std::fs;
 
@@ -30,7 +31,12 @@ fn a_plan_is_corrected_until_the_finer_grid_brings_what_is_wanted() {
     let plan_there = place.text("at-once") + "/skill.plan";
     let said = optimise(&["inspect", &plan_there]).out;
     assert!(said.starts_with("On a finer grid, with cells of 2 mm, the plan brings "), "{said}");
-    assert_eq!(optimise(&["simulate", "--plan", &plan_there]).code, 0);
+    let again = optimise(&["simulate", "--plan", &plan_there]);
+    assert!(
+        again.code == 0 && again.out.contains("by which the plan is judged, it says that "),
+        "{}",
+        again.out
+    );
     // Once more: nothing is simulated.
     let again = refined(&place, &plan, "at-once", 1);
     assert_eq!((again.out, again.code), (done.out.clone(), done.code));
@@ -56,4 +62,99 @@ fn what_is_of_something_else_is_not_gone_on_with() {
     let run = place.text("run");
     assert_sentence(&optimise(&["refine", &plan, "--out", &run]), 2, "holds a plan of something else");
     assert_sentence(&optimise(&["refine", &place.text("none.plan")]), 2, "no such file");
+}
+
+/// A run of a bench that wants what the smaller cells can bring, too.
+fn run(place: &Place, folder: &str, patience: u64, more: &[&str]) -> Done {
+    let little = |spec: &mut SceneSpec| {
+        spec.objective.amount = Amount::new(Quantity::MassKg(0.0011));
+        // Whether an arm can make each motion is not asked here, and would take its time.
+        spec.arm = None;
+    };
+    let scene = Scene::load("bench-small").unwrap().with(little).unwrap();
+    fs::write(place.path("little.toml"), scene.to_toml()).unwrap();
+    let file = place.text("little.toml");
+    let search = [&file, "--seed", "4", "--method", "mixed", "--epochs", "12", "--out", folder];
+    optimise_for(patience, &[&search[..], more].concat())
+}
+
+fn header_in(folder: &str) -> PlanHeader {
+    *PlanReader::new(&bytes(folder, "skill.plan")).unwrap().header()
+}
+
+#[test]
+fn a_run_corrects_its_plan_by_smaller_cells_and_says_them_first() {
+    let place = Place::new();
+    let [folder, plain, stopped] = ["run", "plain", "stopped"].map(|name| place.text(name));
+    let done = run(&place, &folder, u64::MAX, &["--json"]);
+    let found: Value = serde_json::from_str(&done.out).unwrap();
+    let finer = &found["finer"];
+    let miss = |of: &Value| of["miss"].as_f64().unwrap().abs();
+    assert!(miss(&finer["plan"]) < miss(&finer["before"][1]) && finer["corrected"] == true, "{found}");
+    // It is judged there, not by what the scene's own cells bring.
+    assert_eq!((&found["met"], done.code), (&true.into(), 0), "{found}");
+    assert!(miss(&finer["plan"]) <= 0.02 && miss(&found["plan"]) > 0.02, "{found}");
+    // One fact, one source: the plan, the words, the page and the run's own outcome.
+    let header = header_in(&folder);
+    assert_eq!(Some(header.finer.unwrap().arrives_kg()), finer["plan"]["mass_kg"].as_f64());
+    assert_eq!(Some(header.predicted.arrives_kg()), found["plan"]["mass_kg"].as_f64());
+    let plan = format!("{folder}/skill.plan");
+    let inspected = optimise(&["inspect", &plan]).out;
+    let first = inspected.lines().next().unwrap();
+    assert!(
+        first.starts_with("On cells of 2 mm the plan brings ")
+            && first.contains("; on the scene's own of 4 mm")
+    );
+    assert!(inspected.contains("is what was corrected: of the epochs"), "{inspected}");
+    let page = optimise(&["report", &folder, "--no-replay"]);
+    assert!(page.out.starts_with(first), "{}", page.out);
+    let html = fs::read_to_string(format!("{folder}/report.html")).unwrap();
+    assert!(html.contains("The figures are those on cells of 2 mm"));
+    // The search's own is what it is without.
+    assert!(run(&place, &plain, u64::MAX, &["--no-refine"]).is_finished());
+    let own = header_in(&plain);
+    assert_eq!((own.finer, own.predicted.census.target > 0), (None, true));
+    assert_eq!(Some(own.predicted.arrives_kg()), finer["before"][0]["mass_kg"].as_f64());
+    assert_eq!(super::metrics(&folder), super::metrics(&plain));
+    // Stopped again and again, it comes to the same plan.
+    let mut done = run(&place, &stopped, 40, &[]);
+    let mut stops = 0;
+    while done.code == 130 {
+        stops += 1;
+        done = optimise_for(40, &["--resume", &stopped]);
+    }
+    assert!(stops > 3 && bytes(&stopped, "skill.plan") == bytes(&folder, "skill.plan"), "{stops}");
+    // It is done, and more epochs are another plan, looked at anew.
+    assert!(optimise(&["--resume", &folder]).err.contains("is finished"));
+}
+
+#[test]
+fn a_run_that_is_stopped_in_its_correction_may_leave_it_out() {
+    let place = Place::new();
+    let [stopped, plain] = ["stopped", "plain"].map(|name| place.text(name));
+    run(&place, &plain, u64::MAX, &["--no-refine"]);
+    let mut done = run(&place, &stopped, 40, &[]);
+    while !done.err.contains("the plan that the search left is written") {
+        assert_eq!(done.code, 130, "{}", done.err);
+        done = optimise_for(40, &["--resume", &stopped]);
+    }
+    assert!(done.err.contains("go on with: "), "{}", done.err);
+    assert_eq!(bytes(&stopped, "skill.plan"), bytes(&plain, "skill.plan"));
+    assert!(optimise(&["--resume", &stopped, "--no-refine"]).is_finished());
+    assert_eq!(bytes(&stopped, "skill.plan"), bytes(&plain, "skill.plan"));
+}
+
+#[test]
+fn a_bench_too_large_for_smaller_cells_is_not_looked_at_there_and_it_is_said_why() {
+    let place = Place::new();
+    let folder = place.text("run");
+    let done = optimise(&["bench-fine", "--method", "mixed", "--epochs", "1", "--out", &folder]);
+    assert!(done.is_finished(), "{}", done.err);
+    let why =
+        "It was not looked at on smaller cells: a rollout there would take 2.9e10 substeps of particles";
+    assert!(done.out.contains(why), "{}", done.out);
+    assert!(
+        header_in(&folder).finer.is_none()
+            && optimise(&["inspect", &format!("{folder}/skill.plan")]).out.contains(why)
+    );
 }

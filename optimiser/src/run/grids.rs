@@ -1,0 +1,136 @@
+//! A plan's skill on the scene's own cells and on smaller ones.
+
+use super::{Simulators, Watcher};
+use crate::{
+    able::obstacle,
+    failure::Failure,
+    refine::{Corrected, Grid, Look, Wanted, corrected},
+    report::{amounts::Amounts, looks::Seen, words::parameter},
+};
+use powderline_shared::plan::SkillParameter;
+use powderline_simulator::{
+    bench::cpu_seconds,
+    rollout::{RolloutError, Simulate},
+    scene::{Scene, figures::about},
+    skill::{QuantisedControls, SkillMap, Splines, Theta},
+};
+
+/// Keeps what was seen so far, all of it, where it can be gone on from.
+pub type KeepFn<'a> = &'a mut dyn FnMut(&[Seen]) -> Result<(), Failure>;
+
+/// Both grids, one at a time in memory, and what was seen on them.
+pub struct Grids<'a> {
+    /// The scene, and its finer copy.
+    scenes: [Scene; 2],
+    map: SkillMap,
+    /// What is added to each skill's motion.
+    splines: Option<Splines>,
+    seen: Vec<Seen>,
+    simulators: Simulators<'a>,
+    present: Option<(Grid, Box<dyn Simulate>)>,
+}
+
+impl<'a> Grids<'a> {
+    /// Of a scene and its finer copy; with what was seen before, which is not simulated again.
+    pub fn new(
+        scenes: [Scene; 2],
+        splines: Option<Splines>,
+        seen: Vec<Seen>,
+        simulators: Simulators<'a>,
+    ) -> Self {
+        let map = SkillMap::new(&scenes[0]);
+        Self { scenes, map, splines, seen, simulators, present: None }
+    }
+
+    /// All that was seen.
+    pub fn seen(&self) -> &[Seen] {
+        &self.seen
+    }
+
+    /// Corrects a skill until the finer grid brings what the scene wants.
+    ///
+    /// # Errors
+    /// One sentence; what was seen before is kept.
+    pub fn corrected(
+        &mut self,
+        theta: &Theta,
+        watcher: &dyn Watcher,
+        keep: KeepFn<'_>,
+    ) -> Result<Corrected, Failure> {
+        let amounts = Amounts::from(&self.scenes[0]);
+        let wanted = Wanted { mass_kg: amounts.wanted_kg, tolerance: amounts.tolerance };
+        corrected(theta, wanted, &mut |grid, theta| self.look(grid, theta, watcher, keep))
+    }
+
+    /// As it was seen before, or else simulated and kept.
+    fn look(
+        &mut self,
+        grid: Grid,
+        theta: &Theta,
+        watcher: &dyn Watcher,
+        keep: KeepFn<'_>,
+    ) -> Result<Option<Look>, Failure> {
+        let particle_mass_kg = self.scene(grid).particle_mass_kg();
+        if let Some(seen) = self.seen.iter().find(|seen| seen.is_of(grid, theta)) {
+            return Ok(seen.look(particle_mass_kg));
+        }
+        let seen = self.simulated(grid, theta, watcher)?;
+        let look = seen.look(particle_mass_kg);
+        watcher.say(&self.words(&seen));
+        self.seen.push(seen);
+        keep(&self.seen)?;
+        Ok(look)
+    }
+
+    fn simulated(&mut self, grid: Grid, theta: &Theta, watcher: &dyn Watcher) -> Result<Seen, Failure> {
+        if let Some(why) = obstacle(&self.scenes[0], &self.map, theta, self.splines.as_ref()) {
+            return Ok(Seen::nothing(grid, theta, why));
+        }
+        let motion = QuantisedControls::new(&self.map.motion(theta, self.splines.as_ref())?)?;
+        if watcher.is_stopped() {
+            return Err(RolloutError::Stopped.into());
+        }
+        let begun_s = cpu_seconds();
+        watcher.begin(&format!("look {}, {}", self.seen.len() + 1, self.cells(grid)), 0, &[]);
+        match self.enter(grid)?.simulate(&motion.controls) {
+            Ok(found) => Ok(Seen::new(grid, theta, &found, cpu_seconds() - begun_s)),
+            Err(error @ (RolloutError::Escaped { .. } | RolloutError::NonFinite { .. })) => {
+                Ok(Seen::nothing(grid, theta, error.to_string()))
+            }
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    /// The simulator of a grid.
+    fn enter(&mut self, grid: Grid) -> Result<&mut dyn Simulate, RolloutError> {
+        if self.present.as_ref().is_none_or(|(present, _)| *present != grid) {
+            // What the other one holds is given back first.
+            self.present = None;
+            self.present = Some((grid, (self.simulators)(self.scene(grid))?));
+        }
+        let (_, simulator) = self.present.as_mut().expect("made above");
+        Ok(simulator.as_mut())
+    }
+
+    fn scene(&self, grid: Grid) -> &Scene {
+        &self.scenes[usize::from(grid == Grid::Finer)]
+    }
+
+    fn cells(&self, grid: Grid) -> String {
+        format!("cells of {} mm", about(1e3 * self.scene(grid).domain.cell_m, 3))
+    }
+
+    fn words(&self, seen: &Seen) -> String {
+        let skill = self.map.parameters(&seen.theta);
+        let skill: Vec<String> =
+            SkillParameter::ALL.iter().map(|which| parameter(*which, skill[which.index()])).collect();
+        let found = match &seen.obstacle {
+            Some(why) => why.clone(),
+            None => {
+                let amounts = Amounts::from(self.scene(seen.grid));
+                format!("{} ({})", amounts.mass(seen.census.target), amounts.off(seen.census.target))
+            }
+        };
+        format!("  {}, {}: {found}", self.cells(seen.grid), skill.join(", "))
+    }
+}
