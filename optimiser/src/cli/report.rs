@@ -157,8 +157,8 @@ impl ReportArgs {
         facts.extend(date(path));
         let page = Page {
             title: format!("{}: a plan", task.scene.name),
-            verdict: Some(verdict(&amounts, &outcome)),
-            figures: figures(&amounts, &outcome),
+            verdict: Some(verdict(&amounts, &outcome, &on(plan.header()))),
+            figures: figures_of_plan(&amounts, &outcome, &task.scene, plan.header()),
             replay_shows: shows(&task, finding.as_ref().and_then(|finding| finding.epoch)),
             tables: vec![parameters(&plan)],
             facts,
@@ -251,15 +251,20 @@ fn shows(task: &Task, epoch: Option<u32>) -> String {
     }
 }
 
-/// Whether an outcome is what was asked for.
-fn verdict(amounts: &Amounts, outcome: &Outcome) -> (Tone, String) {
+/// On which cells a plan is judged, if not on the scene's own.
+fn on(header: &PlanHeader) -> String {
+    header.finer.map_or(String::new(), |finer| format!(" on {}", cells(finer.cell_m)))
+}
+
+/// Whether an outcome is what was asked for, and on which cells.
+fn verdict(amounts: &Amounts, outcome: &Outcome, on: &str) -> (Tone, String) {
     let off = amounts.off(outcome.census.target);
     match amounts.is_met(outcome.census.target) {
         Some(true) => {
-            (Tone::Good, format!("Brings the wanted amount: {off}, within {}.", amounts.tolerance()))
+            (Tone::Good, format!("Brings the wanted amount{on}: {off}, within {}.", amounts.tolerance()))
         }
         Some(false) => {
-            (Tone::Bad, format!("Misses the wanted amount: {off}, more than {}.", amounts.tolerance()))
+            (Tone::Bad, format!("Misses the wanted amount{on}: {off}, more than {}.", amounts.tolerance()))
         }
         None => (Tone::Plain, "As much as can be had was wanted.".into()),
     }
@@ -281,16 +286,33 @@ fn figures(amounts: &Amounts, outcome: &Outcome) -> Vec<Figure> {
     ]
 }
 
+/// Those of a plan. What it brings on the scene's own cells stands for the loss where it is judged by smaller ones, of whose many particles
+/// the loss is a sum.
+fn figures_of_plan(amounts: &Amounts, outcome: &Outcome, scene: &Scene, header: &PlanHeader) -> Vec<Figure> {
+    let mut shown = figures(amounts, outcome);
+    if let Some(finer) = header.finer {
+        let of = |cell_m: f64| format!("on {}", cells(cell_m));
+        let own = mass(header.predicted.arrives_kg());
+        shown[1].note = format!("{}, {}", shown[1].note, of(finer.cell_m));
+        shown.pop();
+        shown.push(Figure::new("On the scene's own cells", &own).with_note(&of(scene.domain.cell_m)));
+    }
+    shown
+}
+
 /// Puts what a replay showed at the top of the page; what a plan predicted stays beside it.
 fn show_outcome(page: &mut Page, task: &Task, amounts: &Amounts, outcome: &Outcome) {
     let mut shown = figures(amounts, outcome);
-    let (tone, mut words) = verdict(amounts, outcome);
-    if matches!(task.motion, Motion::Executed { .. }) {
-        words = format!("As executed. {words}");
-        if let Some(planned) = page.figures.get(1) {
-            shown[1].note = format!("{}; the plan predicts {}", shown[1].note, planned.value);
+    let (tone, words) = match &task.motion {
+        Motion::Executed { header, .. } => {
+            let planned = mass(header.predicted.arrives_kg());
+            shown[1].note = format!("{}; the plan predicts {planned}", shown[1].note);
+            let on = if header.finer.is_some() { " on the scene's own cells" } else { "" };
+            let (tone, words) = verdict(amounts, outcome, on);
+            (tone, format!("As executed. {words}"))
         }
-    }
+        _ => verdict(amounts, outcome, ""),
+    };
     page.verdict = Some((tone, words));
     page.figures = shown;
 }

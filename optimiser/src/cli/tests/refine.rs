@@ -110,6 +110,7 @@ fn a_run_corrects_its_plan_by_smaller_cells_and_says_them_first() {
     assert!(page.out.starts_with(first), "{}", page.out);
     let html = fs::read_to_string(format!("{folder}/report.html")).unwrap();
     assert!(html.contains("The figures are those on cells of 2 mm"));
+    assert!(html.contains("Brings the wanted amount on cells of 2 mm: "));
     // The search's own is what it is without.
     assert!(run(&place, &plain, u64::MAX, &["--no-refine"]).is_finished());
     let own = header_in(&plain);
