@@ -77,7 +77,7 @@ fn the_wanted_amount_arrives_and_no_more() {
         scene.objective.aim = aim;
         let file = place.write("wanted.toml", scene.to_toml().as_bytes());
         let folder = place.path(if aim == Aim::All { "all" } else { "amount" });
-        run(OPTIMISE, &[&file, "--epochs", "12", "--out", &folder]).finished();
+        run(OPTIMISE, &[&file, "--no-refine", "--epochs", "12", "--out", &folder]).finished();
         let plan = run(OPTIMISE, &["inspect", &format!("{folder}/skill.plan"), "--json"]).json();
         plan["predicted"]["indicator"].as_i64().unwrap()
     });
