@@ -192,7 +192,7 @@ impl Plan {
         self.outcome().lost_kg
     }
 
-    /// Loss of the motion as shipped, metres: in whole counts (of 100 nm and 100 nrad), which move it a little.
+    /// Loss of the motion as shipped, on the scene's own cells, metres: in whole counts (of 100 nm and 100 nrad), which move it a little.
     #[getter]
     fn loss(&self) -> f64 {
         self.header.predicted.loss_m

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -322,6 +323,15 @@ def test_plans_are_made_saved_loaded_and_turned_into_joints(scene, simulator, tm
         pl.Plan.load(tmp_path / "nowhere.plan")
     with pytest.raises(FileNotFoundError, match="cannot be written"):
         plan.save(tmp_path / "no" / "folder.plan")
+
+
+def test_a_plan_that_was_looked_at_on_smaller_cells_is_judged_by_them():
+    golden = Path(__file__).parents[3] / "shared" / "tests" / "golden" / "plan-v4.plan"
+    plan = pl.Plan.load(golden)
+    assert (plan.finer_cell_m, plan.mass_kg, plan.own_mass_kg) == pytest.approx((0.002, 0.006701, 0.006824))
+    assert plan.miss == pytest.approx(0.006701 / plan.wanted_kg - 1.0) and plan.lost_kg == pytest.approx(52e-6)
+    assert repr(plan).startswith("Plan(6.701 g of 6.8 g (-1.5 %)")
+    assert "6.701 g of 6.8 g wanted" in plan._repr_html_() and "<td>6.824 g</td>" in plan._repr_html_()
 
 
 def test_a_search_is_the_programs(scene, simulator, tmp_path, capsys):

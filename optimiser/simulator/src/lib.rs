@@ -13,14 +13,15 @@
 //! the five skill parameters, the loss and the search come from there.
 //!
 //! ```
-//! use powderline_simulator::rollout::{Simulate, Simulator, SimulatorSettings};
+//! use powderline_shared::plan::Precision;
+//! use powderline_simulator::rollout::{SimulatorSettings, boxed_simulator};
 //! use powderline_simulator::scene::Scene;
 //! use powderline_simulator::skill::{SkillMap, Theta};
 //!
 //! # fn main() -> Result<(), Box<dyn std::error::Error>> {
 //! // An embedded scene. `Scene::from_toml` reads your own; its error says what is wrong.
 //! let scene = Scene::load("bench-small")?;
-//! let mut simulator = Simulator::<f32>::new(&scene, &SimulatorSettings::default())?;
+//! let mut simulator = boxed_simulator(&scene, Precision::F32, &SimulatorSettings::default())?;
 //!
 //! // Five parameters, each from -1 to 1, become one displacement of the tool per control step.
 //! let theta = Theta::new([0.3, 0.0, 0.0, 0.0, 0.3])?;

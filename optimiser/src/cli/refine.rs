@@ -13,7 +13,7 @@ use crate::{
         finding::Outcome,
         folder::{PLAN, RunFolder, SCENE},
         looks::Seen,
-        plan::PlanParts,
+        plan::{PlanParts, on_finer},
         record::RunRecord,
         summary::{arrival, cells},
         words::parameter,
@@ -21,7 +21,7 @@ use crate::{
     run::Grids,
 };
 use clap::Args;
-use powderline_shared::plan::{Finer, Mounting, PlanHeader, SkillParameter};
+use powderline_shared::plan::{Mounting, PlanHeader, SkillParameter};
 use powderline_simulator::{
     PHYSICS_VERSION,
     arm::arm_motion,
@@ -251,12 +251,7 @@ impl Refined<'_> {
             path_coefficients: self.splines.as_ref().map_or(0, |added| added.coefficients.len()),
             quantised: &quantised,
             evaluation: &own.evaluation,
-            finer: Some(Finer {
-                cell_m: fine.domain.cell_m,
-                loss_m: finer.evaluation.loss,
-                particle_mass_kg: fine.particle_mass_kg(),
-                census: finer.evaluation.census,
-            }),
+            finer: Some(on_finer(fine, &finer.evaluation)),
             arm: arm.as_ref().map(|arm| Mounting::from(&arm.model)),
         };
         let plan = parts.to_bytes().map_err(|error| unfit(error.to_string()))?;

@@ -89,6 +89,16 @@ impl PlanParts<'_> {
     }
 }
 
+/// What a motion brings in a scene's finer copy, as a plan says it.
+pub fn on_finer(finer: &Scene, found: &Evaluation) -> Finer {
+    Finer {
+        cell_m: finer.domain.cell_m,
+        loss_m: found.loss,
+        particle_mass_kg: finer.particle_mass_kg(),
+        census: found.census,
+    }
+}
+
 /// Version of this program.
 fn version() -> Version {
     let number = |text: &str| text.parse().unwrap_or_default();

@@ -24,7 +24,7 @@ use crate::{
         folder::{CURVES, METRICS, PLAN, RunFolder, SCENE, STATE, TRIES},
         judged::Rule,
         looks::Seen,
-        plan::PlanParts,
+        plan::{PlanParts, on_finer},
         record::RunRecord,
         state::{Evaluated, RunState, Settings},
         summary::cells,
@@ -399,12 +399,7 @@ impl Run {
             splines: found.splines.clone(),
             quantised: QuantisedControls::new(&controls)?,
             evaluation: own.evaluation,
-            finer: Some(Finer {
-                cell_m: finer.domain.cell_m,
-                loss_m: there.evaluation.loss,
-                particle_mass_kg: finer.particle_mass_kg(),
-                census: there.evaluation.census,
-            }),
+            finer: Some(on_finer(&finer, &there.evaluation)),
         }))
     }
 

@@ -86,7 +86,9 @@
 //! is right in 17 of 18 (depth), 11 of 15 (scooping angle), 15 of 16 (lift), 19 of 19 (transport) and 17 of 17 (pouring angle).
 //! The worst are four whose differences look across the edge where the wanted amount arrives; all others have 0.83 and more.
 //! It costs 4.6 rollouts: one for the motion, some 1.4 for the branches, in which only what is carried, falls and lands is awake, the
-//! rest for the digging.
+//! rest for the digging. Of twenty of `bench` the cosine is 0.95 and 0.53, for 5.5 rollouts. Of twenty of `vial` it is 0.88 and -0.46,
+//! for 6.7: of skills that bring about what is wanted, or more, the slope is shallow, and what is left of it is how much the scoop
+//! takes up, of which the adjoint knows least.
 //!
 //! What did worse: the moment of what is carried as a sum of single grains' cotangents, and the force by the slopes of what leaves (twenty
 //! other skills: 0.86 and 0.01, with signs right in 11, 7, 12 and 9 of 19, 17, 18 and 16 for all but depth); four branches that
