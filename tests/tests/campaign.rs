@@ -7,6 +7,8 @@ use std::process::Child;
 use std::thread::sleep;
 use std::time::{Duration, Instant, SystemTime};
 
+use powderline_shared::plan::PlanReader;
+
 use crate::programs::{Done, OPTIMISE, Place, assert_same_bits, bytes, command, run, wait};
 
 /// A few rollouts of the tiny scene, of two powders, two amounts and two draws.
@@ -144,6 +146,20 @@ fn each_search_is_a_run_like_any_other() {
     run(OPTIMISE, &["campaign", &more, "--resume", &folder]).finished();
     let after = outcomes(&folder);
     assert_eq!((after.len(), before.iter().all(|(case, when)| after[case] == *when)), (3, true));
+}
+
+/// And it is other work: what was done with the one is no result of the other.
+#[test]
+fn plans_stay_as_the_search_left_them_where_the_file_says_so() {
+    let place = Place::new();
+    let one = SEARCHES.replace("count = 2", "count = 1") + "replays = false\n";
+    let plain = campaign(&place, &format!("{one}refine = false\n"));
+    let (ended, folder) = done(&place, &plain, "plain", &["--threads", "2"]);
+    ended.finished();
+    let plan = bytes(format!("{folder}/cases/tiny_seed1"), "skill.plan");
+    assert_eq!(PlanReader::new(&plan).unwrap().header().finer, None);
+    let refined = campaign(&place, &one);
+    run(OPTIMISE, &["campaign", &refined, "--resume", &folder]).refused(2, "is of another case");
 }
 
 #[cfg(target_os = "linux")]

@@ -276,8 +276,10 @@ impl<'a> Setting<'a> {
 impl Case<'_> {
     /// What a result is of: 64 hexadecimal digits that change with everything that the result depends on.
     pub fn key(&self, scene: &Scene) -> String {
-        let CampaignFile { epochs, theta, precision, .. } = &self.setting.campaign.file;
-        let work = format!("{PHYSICS_VERSION} {} {epochs:?} {theta:?} {precision:?}", self.seed);
+        let CampaignFile { epochs, theta, refine, precision, .. } = &self.setting.campaign.file;
+        // A rollout makes no plan that could be corrected.
+        let refine = *refine && theta.is_none();
+        let work = format!("{PHYSICS_VERSION} {} {epochs:?} {theta:?} {refine} {precision:?}", self.seed);
         let digest = Sha256::new().chain_update(scene.digest()).chain_update(work).finalize();
         crate::report::words::hex(&digest)
     }

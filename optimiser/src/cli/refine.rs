@@ -4,7 +4,7 @@ use super::{
     CliError, Context, Progress, Resources,
     motion::{Motion, MotionArgs, Task},
     next,
-    run::Teller,
+    run::{Teller, watched},
 };
 use crate::{
     refine::{Corrected, Grid, Look},
@@ -25,7 +25,7 @@ use powderline_shared::plan::{Mounting, PlanHeader, SkillParameter};
 use powderline_simulator::{
     PHYSICS_VERSION,
     arm::arm_motion,
-    rollout::{Displacement, RolloutError, Simulate, Workload},
+    rollout::{Displacement, Workload},
     scene::{
         Scene,
         figures::{about, mass},
@@ -144,27 +144,23 @@ pub(super) fn execute(arguments: &RefineArgs, context: &mut Context<'_>) -> Resu
     let mut looks = begun(of, &folder)?;
     let scenes = [task.scene.clone(), finer];
     let progress = Progress::new(&context.err, context.live);
-    let (setup, interrupt) = (task.setup, &context.interrupt);
-    let simulators = |scene: &Scene| -> Result<Box<dyn Simulate>, RolloutError> {
-        let mut simulator = (context.factory)(scene, &setup)?;
-        simulator.set_progress(progress.watch(interrupt));
-        Ok(simulator)
+    let found = {
+        let simulators = watched(context, &task.setup, &progress);
+        let teller = Teller { progress: &progress, interrupt: &context.interrupt, on_epoch: &|_| {} };
+        let mut grids = Grids::new(scenes.clone(), splines.clone(), looks.looks.clone(), &simulators);
+        grids.corrected(&Theta::new(header.theta)?, &teller, &mut |seen| {
+            looks.looks = seen.to_vec();
+            let text = serde_json::to_vec(&looks).map_err(std::io::Error::from)?;
+            Ok(folder.replace(LOOKS, &text)?)
+        })
     };
-    let teller = Teller { progress: &progress, interrupt, on_epoch: &|_| {} };
-    let mut grids = Grids::new(scenes.clone(), splines.clone(), looks.looks.clone(), &simulators);
-    let theta = Theta::new(header.theta)?;
-    let found = grids.corrected(&theta, &teller, &mut |seen| {
-        looks.looks = seen.to_vec();
-        let text = serde_json::to_vec(&looks).map_err(std::io::Error::from)?;
-        Ok(folder.replace(LOOKS, &text)?)
-    });
     progress.clear();
     let found = found.map_err(|error| {
         error.with_remark("what was simulated is saved, and the same command goes on from there")
     })?;
     let refined = Refined { folder: &folder, scenes: &scenes, map: SkillMap::new(&task.scene), splines };
     refined.write_plan(&found, header)?;
-    let report = refined.report(&found, grids.seen());
+    let report = refined.report(&found, &looks.looks);
     if arguments.json {
         context.json(&report)?;
     } else {

@@ -200,17 +200,25 @@ pub(super) fn completed(
     if let Some((theta, collision)) = colliding_skill(scene) {
         progress.line(&format!("skills such as theta = {theta} are passed over: {collision}"));
     }
-    let interrupt = &context.interrupt;
-    let simulators = |scene: &Scene| -> Result<Box<dyn Simulate>, RolloutError> {
-        let mut simulator = (context.factory)(scene, setup)?;
-        simulator.set_progress(progress.watch(interrupt));
-        Ok(simulator)
-    };
+    let (interrupt, simulators) = (&context.interrupt, watched(context, setup, &progress));
     let mut worlds = Worlds::new(scene, state.seed, &simulators);
     let teller = Teller { progress: &progress, interrupt, on_epoch };
     let result = job(run, &mut worlds, &teller);
     progress.clear();
     result
+}
+
+/// Makes simulators that say how far they are, and that Ctrl-C ends.
+pub(super) fn watched<'a>(
+    context: &'a Context<'_>,
+    setup: &'a Setup,
+    progress: &'a Progress,
+) -> impl Fn(&Scene) -> Result<Box<dyn Simulate>, RolloutError> + 'a {
+    |scene| {
+        let mut simulator = (context.factory)(scene, setup)?;
+        simulator.set_progress(progress.watch(&context.interrupt));
+        Ok(simulator)
+    }
 }
 
 /// Says how a run goes on standard error.

@@ -123,7 +123,8 @@ impl Shipped {
     }
 }
 
-fn is_same(theta: Theta, other: [f64; 5]) -> bool {
+/// Bit by bit.
+pub(super) fn is_same(theta: Theta, other: [f64; 5]) -> bool {
     theta.components().map(f64::to_bits) == other.map(f64::to_bits)
 }
 

@@ -1,5 +1,6 @@
 //! What a plan's skill, and corrections of it, bring on the scene's own cells and on smaller ones.
 
+use super::finding::is_same;
 use crate::{
     optim::is_loss,
     refine::{Grid, Look},
@@ -44,8 +45,7 @@ impl Seen {
 
     /// Whether it is of this skill, bit by bit, on this grid.
     pub fn is_of(&self, grid: Grid, theta: &Theta) -> bool {
-        let bits = |theta: &Theta| theta.components().map(f64::to_bits);
-        self.grid == grid && bits(&self.theta) == bits(theta)
+        self.grid == grid && is_same(self.theta, theta.components())
     }
 
     /// What was seen, where a particle has this mass; nothing where there was nothing to be seen.

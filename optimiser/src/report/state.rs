@@ -121,6 +121,7 @@ impl RunState {
         }
         // What comes of more epochs is another plan.
         self.looks.clear();
+        self.unrefined = None;
         self.settings.epochs = self.settings.epochs.max(epochs);
     }
 

@@ -42,11 +42,6 @@ impl<'a> Grids<'a> {
         Self { scenes, map, splines, seen, simulators, present: None }
     }
 
-    /// All that was seen.
-    pub fn seen(&self) -> &[Seen] {
-        &self.seen
-    }
-
     /// Corrects a skill until the finer grid brings what the scene wants.
     ///
     /// # Errors

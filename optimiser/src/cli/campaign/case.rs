@@ -50,7 +50,7 @@ pub(super) fn known(folder: &Path, key: &str) -> Result<Option<Outcome>, CliErro
     match outcome.key == key {
         true => Ok(Some(outcome)),
         false => Err(CliError::Input(format!(
-            "{} is of another case: of another scene, seed or version; choose another folder with --out",
+            "{} is of another case: of another scene, seed, version or way to search; choose another folder with --out",
             path.display()
         ))),
     }

@@ -159,3 +159,21 @@ fn a_bench_too_large_for_smaller_cells_is_not_looked_at_there_and_it_is_said_why
             && optimise(&["inspect", &format!("{folder}/skill.plan")]).out.contains(why)
     );
 }
+
+/// Before anything runs: a plan that depended on the memory would break that the bits do not.
+#[test]
+fn memory_that_holds_the_search_alone_is_refused_and_it_is_said_what_leaves_the_rest_out() {
+    let place = Place::new();
+    let folder = place.text("run");
+    let search =
+        ["bench-small", "--method", "random", "--epochs", "0", "--threads", "2", "--memory", "45MiB"];
+    let asked = [&search[..], &["--out", &folder]].concat();
+    assert_sentence(
+        &optimise(&asked),
+        2,
+        "that is for the plan on cells of 2 mm, which --no-refine leaves out",
+    );
+    assert!(!place.path("run").exists());
+    let without = optimise(&[&asked[..], &["--no-refine"]].concat());
+    assert!(without.is_finished(), "{}", without.err);
+}
