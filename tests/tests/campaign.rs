@@ -159,7 +159,7 @@ fn plans_stay_as_the_search_left_them_where_the_file_says_so() {
     let plan = bytes(format!("{folder}/cases/tiny_seed1"), "skill.plan");
     assert_eq!(PlanReader::new(&plan).unwrap().header().finer, None);
     let refined = campaign(&place, &one);
-    run(OPTIMISE, &["campaign", &refined, "--resume", &folder]).refused(2, "is of another case");
+    run(OPTIMISE, &["campaign", &refined, "--resume", &folder]).ended(2, "is of another case");
 }
 
 #[cfg(target_os = "linux")]
