@@ -166,7 +166,7 @@ fn memory_that_holds_the_search_alone_is_refused_and_it_is_said_what_leaves_the_
     let place = Place::new();
     let folder = place.text("run");
     let search =
-        ["bench-small", "--method", "random", "--epochs", "0", "--threads", "2", "--memory", "45MiB"];
+        ["bench-small", "--method", "random", "--epochs", "0", "--threads", "2", "--memory", "48MiB"];
     let asked = [&search[..], &["--out", &folder]].concat();
     assert_sentence(
         &optimise(&asked),
