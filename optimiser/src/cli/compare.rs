@@ -29,6 +29,7 @@ use powderline_simulator::{
 use serde::{Deserialize, Serialize};
 use std::{
     fmt::Write as _,
+    io::Write as _,
     path::{Path, PathBuf},
 };
 
@@ -83,6 +84,13 @@ pub(super) struct CompareArgs {
     /// Go on with the comparison in this folder
     #[arg(long, value_name = "DIR")]
     pub resume: Option<PathBuf>,
+    /// Run no search: begin the comparison, and name the searches that are left, a line each, for --only
+    #[arg(long)]
+    pub prepare: bool,
+    /// Run these searches and no other, so that processes and machines share the work; each writes into its own folder in DIR alone. Once
+    /// all are there, --resume without this draws the figure
+    #[arg(long, value_name = "SEARCH,..", value_delimiter = ',', requires = "resume", conflicts_with_all = ["prepare", "rollouts"])]
+    pub only: Vec<String>,
     /// Print one JSON object
     #[arg(long)]
     pub json: bool,
@@ -98,6 +106,14 @@ struct Report<'a> {
     rollouts: &'a [u32],
     /// As the table has them, one for each method.
     rows: Vec<Row>,
+}
+
+/// What `--json` prints of a part of a comparison.
+#[derive(Serialize)]
+struct Part<'a> {
+    folder: &'a Path,
+    /// Searches that have not had their rollouts yet, by the names of their folders.
+    left: Vec<String>,
 }
 
 /// What a comparison was begun with.
@@ -124,14 +140,22 @@ pub(super) struct Experiment {
 /// # Errors
 /// One sentence; everything evaluated before is saved.
 pub(super) fn execute(arguments: &CompareArgs, context: &mut Context<'_>) -> Result<(), CliError> {
+    if let Some(folder) = arguments.resume.as_ref().filter(|_| !arguments.only.is_empty()) {
+        return Experiment::share(folder, arguments.resources)?.part(
+            &arguments.only,
+            arguments.json,
+            context,
+        );
+    }
     let experiment = match &arguments.resume {
         Some(folder) => Experiment::open(folder, arguments.resources)?.prolonged(arguments)?,
         None => Experiment::start(arguments)?,
     };
-    let folder = experiment.folder.path().to_string_lossy();
-    let again = next::optimise(&["compare", "--resume", &folder]);
-    let remark = format!("what was evaluated is saved, go on with: {again}");
-    let comparison = experiment.complete(context).map_err(|error| error.with_remark(&remark))?;
+    if arguments.prepare {
+        return experiment.say_left(arguments.json, context);
+    }
+    let comparison =
+        experiment.complete(context).map_err(|error| error.with_remark(&experiment.how_to_go_on(&[])))?;
     if arguments.json {
         return context.json(&experiment.report(&comparison));
     }
@@ -178,7 +202,15 @@ impl Experiment {
     /// # Errors
     /// One sentence.
     pub(super) fn open(path: &Path, resources: Resources) -> Result<Self, CliError> {
-        let folder = RunFolder::open_with(path, COMPARISON)?;
+        Self::of_folder(RunFolder::open_with(path, COMPARISON)?, resources)
+    }
+
+    /// The same beside others who do so: for whoever writes into folders of searches alone.
+    fn share(path: &Path, resources: Resources) -> Result<Self, CliError> {
+        Self::of_folder(RunFolder::share(path, COMPARISON)?, resources)
+    }
+
+    fn of_folder(folder: RunFolder, resources: Resources) -> Result<Self, CliError> {
         let file = folder.file(COMPARISON).display().to_string();
         let plan: Plan = serde_json::from_slice(&folder.read(COMPARISON)?).map_err(|error| {
             CliError::Input(format!("{file} is not what a comparison leaves behind: {error}"))
@@ -228,8 +260,64 @@ impl Experiment {
         }
     }
 
-    fn folder_of(&self, method: Method, seed: u64) -> PathBuf {
-        self.folder.file(&format!("{}-seed{seed}", method.name()))
+    fn folder_of(&self, search: Search) -> PathBuf {
+        self.folder.file(&search.name())
+    }
+
+    /// What was saved of a search, if it has begun.
+    fn record_of(&self, search: Search) -> Result<Option<RunRecord>, CliError> {
+        let folder = self.folder_of(search);
+        if folder.join(STATE).exists() { Ok(Some(RunRecord::read(&folder)?)) } else { Ok(None) }
+    }
+
+    /// Whether a search has had its rollouts.
+    fn is_enough(&self, state: &RunState) -> bool {
+        cost_of(state.tries()) >= f64::from(self.plan.rollouts.last().copied().unwrap_or_default())
+    }
+
+    /// Names of the searches that have not.
+    fn left(&self) -> Result<Vec<String>, CliError> {
+        let mut left = Vec::new();
+        for search in self.plan.searches() {
+            if !self.record_of(search)?.is_some_and(|record| self.is_enough(&record.state)) {
+                left.push(search.name());
+            }
+        }
+        Ok(left)
+    }
+
+    fn say_left(&self, json: bool, context: &mut Context<'_>) -> Result<(), CliError> {
+        let (folder, left) = (self.folder.path(), self.left()?);
+        if json {
+            return context.json(&Part { folder, left });
+        }
+        for name in &left {
+            writeln!(context.out, "{name}")?;
+        }
+        let words = match left.len() {
+            0 => format!("All searches are whole. Draw them with: {}", self.command(&[])),
+            _ => format!("Run each of these, anywhere, with: {} SEARCH", self.command(&["--only"])),
+        };
+        Ok(writeln!(context.err, "{words}")?)
+    }
+
+    fn command(&self, more: &[&str]) -> String {
+        let folder = self.folder.path().to_string_lossy();
+        next::optimise(&[&["compare", "--resume", &folder], more].concat())
+    }
+
+    fn how_to_go_on(&self, more: &[&str]) -> String {
+        format!("what was evaluated is saved, go on with: {}", self.command(more))
+    }
+
+    /// Runs the searches of these names, and leaves what is of all to whoever draws them.
+    fn part(&self, names: &[String], json: bool, context: &mut Context<'_>) -> Result<(), CliError> {
+        let searches = names.iter().map(|name| self.plan.search(name)).collect::<Result<Vec<_>, _>>()?;
+        let remark = self.how_to_go_on(&["--only", &names.join(",")]);
+        for search in searches {
+            self.track(search, context).map_err(|error| error.with_remark(&remark))?;
+        }
+        self.say_left(json, context)
     }
 
     /// What was simulated until now.
@@ -238,11 +326,8 @@ impl Experiment {
     /// One sentence, about a file that cannot be read or understood.
     pub(super) fn so_far(&self) -> Result<Comparison, CliError> {
         let mut tracks = Vec::new();
-        for (method, seed) in self.plan.tracks() {
-            let folder = self.folder_of(method, seed);
-            if folder.join(STATE).exists() {
-                tracks.push(self.track_of(&RunRecord::read(&folder)?.state));
-            }
+        for search in self.plan.searches() {
+            tracks.extend(self.record_of(search)?.map(|record| self.track_of(&record.state)));
         }
         Ok(self.of(tracks))
     }
@@ -287,9 +372,9 @@ impl Experiment {
     fn complete(&self, context: &mut Context<'_>) -> Result<Comparison, CliError> {
         let mut comparison = self.of(Vec::new());
         // Seed after seed, so that there is something to compare early.
-        for of_seed in self.plan.tracks().collect::<Vec<_>>().chunks(self.plan.methods.len()) {
-            for (method, seed) in of_seed {
-                let track = self.track(*method, *seed, context)?;
+        for of_seed in self.plan.searches().collect::<Vec<_>>().chunks(self.plan.methods.len()) {
+            for search in of_seed {
+                let track = self.track(*search, context)?;
                 comparison.tracks.push(track);
             }
             self.write(&comparison)?;
@@ -298,25 +383,24 @@ impl Experiment {
     }
 
     /// A run like any other, in a folder of its own, that ends with its rollouts and makes no plan.
-    fn track(&self, method: Method, seed: u64, context: &mut Context<'_>) -> Result<Track, CliError> {
-        let (path, precision) = (self.folder_of(method, seed), self.plan.precision);
+    fn track(&self, search: Search, context: &mut Context<'_>) -> Result<Track, CliError> {
+        let Search { method, seed } = search;
+        let (path, precision) = (self.folder_of(search), self.plan.precision);
         let settings = Settings { method, epochs: MAX_EPOCHS, patience_epochs: 0, refine_by: 0 };
-        let mut run = if path.join(STATE).exists() {
-            let record = RunRecord::read(&path)?;
-            let RunState { scene, settings: saved, .. } = &record.state;
-            if (*scene, *saved, record.state.seed) != (self.plan.scene, settings, seed) {
-                return Err(CliError::Input(format!("{} is a run of something else", path.display())));
+        let mut run = match self.record_of(search)? {
+            Some(record) => {
+                let RunState { scene, settings: saved, seed: of, .. } = &record.state;
+                if (*scene, *saved, *of) != (self.plan.scene, settings, seed) {
+                    return Err(CliError::Input(format!("{} is a run of something else", path.display())));
+                }
+                Run::resume(RunFolder::open(&path)?, record, None)?
             }
-            Run::resume(RunFolder::open(&path)?, record, None)?
-        } else {
-            Run::begin(RunFolder::create(&path)?, self.scene.clone(), (seed, precision), settings)?
+            None => Run::begin(RunFolder::create(&path)?, self.scene.clone(), (seed, precision), settings)?,
         };
-        let most = f64::from(self.plan.rollouts.last().copied().unwrap_or_default());
-        let is_enough = |state: &RunState| cost_of(state.tries()) >= most;
-        if !is_enough(&run.record().state) {
+        if !self.is_enough(&run.record().state) {
             let setup = self.resources.setup(seed, precision);
             let search = |run: &mut Run, worlds: &mut Worlds<'_>, watcher: &dyn Watcher| {
-                run.search_until(is_enough, worlds, watcher)
+                run.search_until(|state| self.is_enough(state), worlds, watcher)
             };
             completed(&mut run, &setup, search, &|_| {}, context)?;
         }
@@ -364,10 +448,35 @@ impl Experiment {
     }
 }
 
+/// One of the searches of a comparison.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Search {
+    method: Method,
+    seed: u64,
+}
+
+impl Search {
+    /// Its name, and its folder's.
+    fn name(self) -> String {
+        format!("{}-seed{}", self.method.name(), self.seed)
+    }
+}
+
 impl Plan {
     /// All that is to be run: seed after seed, method after method.
-    fn tracks(&self) -> impl Iterator<Item = (Method, u64)> {
-        self.seeds.iter().flat_map(|seed| self.methods.iter().map(|method| (*method, *seed)))
+    fn searches(&self) -> impl Iterator<Item = Search> {
+        let of = |seed: &u64| {
+            self.methods.iter().map(|method| Search { method: *method, seed: *seed }).collect::<Vec<_>>()
+        };
+        self.seeds.iter().flat_map(of)
+    }
+
+    /// The search of a name.
+    fn search(&self, name: &str) -> Result<Search, CliError> {
+        let names = || self.searches().map(Search::name).collect::<Vec<_>>().join(", ");
+        self.searches().find(|search| search.name() == name).ok_or_else(|| {
+            CliError::Input(format!("--only names {name}, but the comparison has {}", names()))
+        })
     }
 
     /// Whether memory will do for every method.

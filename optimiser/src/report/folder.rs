@@ -145,6 +145,17 @@ impl RunFolder {
         Self::lock(path)
     }
 
+    /// The same beside others who do so too, and nobody who takes it: for whoever replaces none of its files.
+    ///
+    /// # Errors
+    /// As [`Self::open_with`].
+    pub fn share(path: &Path, file: &'static str) -> Result<Self, FolderError> {
+        if !path.join(file).exists() {
+            return Err(FolderError::NoRun { path: path.into(), file });
+        }
+        Self::lock_by(path, File::try_lock_shared)
+    }
+
     /// Takes a folder, whatever it holds, creating it if need be.
     ///
     /// # Errors
@@ -155,11 +166,15 @@ impl RunFolder {
     }
 
     fn lock(path: &Path) -> Result<Self, FolderError> {
+        Self::lock_by(path, File::try_lock)
+    }
+
+    fn lock_by(path: &Path, lock: fn(&File) -> Result<(), TryLockError>) -> Result<Self, FolderError> {
         let file = path.join(LOCK);
         let failed = |source| FolderError::Write { path: file.clone(), source };
-        let lock = OpenOptions::new().write(true).create(true).truncate(false).open(&file).map_err(failed)?;
-        match lock.try_lock() {
-            Ok(()) => Ok(Self { path: path.into(), _lock: lock }),
+        let held = OpenOptions::new().write(true).create(true).truncate(false).open(&file).map_err(failed)?;
+        match lock(&held) {
+            Ok(()) => Ok(Self { path: path.into(), _lock: held }),
             Err(TryLockError::WouldBlock) => Err(FolderError::Locked { path: path.into() }),
             Err(TryLockError::Error(source)) => Err(failed(source)),
         }

@@ -2,7 +2,10 @@
 
 use super::*;
 use crate::compare::{EXACT_ADJOINT, cost_of};
-use crate::report::{folder::COMPARISON, tries::Try};
+use crate::report::{
+    folder::{COMPARISON, RunFolder},
+    tries::Try,
+};
 
 const METHODS: &str = "surrogate,mixed,sac,cma-es,random";
 
@@ -108,6 +111,36 @@ fn a_prolonged_comparison_has_the_bits_of_a_longer_one() {
     assert_same(&short, &long);
     let done = optimise(&["compare", "--resume", &short, "--rollouts", "20"]);
     assert_sentence(&done, 2, "it can only be prolonged");
+}
+
+#[test]
+fn searches_done_one_by_one_make_the_comparison_that_one_process_makes() {
+    let place = Place::new();
+    let [whole, folder] = ["whole", "parts"].map(|name| place.text(name));
+    assert_eq!(optimise(&arguments(&whole, "15")).code, 0);
+    let prepared = optimise(&[&arguments(&folder, "15")[..], &["--prepare"]].concat());
+    assert_eq!(prepared.code, 0, "{}", prepared.err);
+    let names: Vec<&str> = prepared.out.lines().collect();
+    assert!(prepared.err.contains(&format!("compare --resume {folder} --only SEARCH")), "{}", prepared.err);
+    assert_eq!(names.len(), 2 * METHODS.split(',').count());
+    // Others may be at it in the meantime, but nobody who draws.
+    let beside = RunFolder::share(Path::new(&folder), COMPARISON).unwrap();
+    assert_sentence(&optimise(&["compare", "--resume", &folder]), 1, "another run is writing");
+    let stopped = optimise_for(5, &["compare", "--resume", &folder, "--only", names[0]]);
+    assert_sentence(&stopped, 130, &format!("compare --resume {folder} --only {}", names[0]));
+    for two in names.rchunks(2) {
+        let done = optimise(&["compare", "--resume", &folder, "--only", &two.join(",")]);
+        assert_eq!(done.code, 0, "{}", done.err);
+        assert!(!Path::new(&folder).join(CURVES).exists());
+    }
+    drop(beside);
+    let left = optimise(&["compare", "--resume", &folder, "--prepare", "--json"]);
+    assert_eq!(serde_json::from_str::<Value>(&left.out).unwrap()["left"], serde_json::json!([]));
+    let done = optimise(&["compare", "--resume", &folder]);
+    assert!(done.code == 0 && !done.err.contains("epoch"), "{}", done.err);
+    assert_same(&folder, &whole);
+    let no_such = optimise(&["compare", "--resume", &folder, "--only", "sac-seed3"]);
+    assert_sentence(&no_such, 2, "sac-seed3, but the comparison has surrogate-seed1, ");
 }
 
 #[test]
