@@ -1,4 +1,4 @@
-//! Campaigns, as far as somebody else has their cases done: `python/powderline/campaign.py` and `_cluster.py`.
+//! Campaigns, as far as somebody else has their cases done: `python/powderline/campaign.py` and `_tasks.py`.
 
 use std::path::PathBuf;
 use std::process::Command;

@@ -53,7 +53,7 @@ mod _native {
     #[pymodule_export]
     use crate::search::{main, optimise};
     #[pymodule_export]
-    use crate::simulator::Simulator;
+    use crate::simulator::{Simulator, checked_resources};
 
     #[pymodule_init]
     fn init(module: &Bound<'_, PyModule>) -> PyResult<()> {

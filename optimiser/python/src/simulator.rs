@@ -92,6 +92,15 @@ pub(crate) fn memory_bytes(memory: &Bound<'_, PyAny>) -> PyResult<u64> {
     }
 }
 
+/// Threads and memory that a program of its own is to have: the threads, and bytes.
+#[pyfunction]
+pub(crate) fn checked_resources(
+    threads: &Bound<'_, PyAny>,
+    memory: &Bound<'_, PyAny>,
+) -> PyResult<(u16, u64)> {
+    Ok((checked_threads(threads)?, memory_bytes(memory)?))
+}
+
 #[pymethods]
 impl Simulator {
     #[new]

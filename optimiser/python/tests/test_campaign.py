@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from powderline import cluster
 from powderline.campaign import Campaign, ClusterError
 
 if importlib.util.find_spec("ray") is None:
@@ -130,8 +131,8 @@ def alone(path, out):
     return (out / "table.parquet").read_bytes()
 
 
-def program(*arguments, **environment):
-    command = [sys.executable, "-m", "powderline.campaign", *map(str, arguments)]
+def program(*arguments, module="campaign", **environment):
+    command = [sys.executable, "-m", f"powderline.{module}", *map(str, arguments)]
     return subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env={**os.environ, **environment}
     )
@@ -279,6 +280,72 @@ def test_what_a_case_fails_of_is_said_and_stops_no_other(bench, nodes, tmp_path)
     assert result.exit_code == 0 and len(result.cases) == 40
 
 
+def tries(folder):
+    """What each search of a comparison tried, but for what a clock says."""
+    found = {}
+    for file in sorted(Path(folder).glob("*-seed*/tries.jsonl")):
+        found[file.parent.name] = [{**json.loads(line), "cpu_seconds": 0.0} for line in file.read_text().splitlines()]
+    return found
+
+
+def test_the_searches_of_a_comparison_are_what_they_are_on_one_machine(bench, nodes, tmp_path, monkeypatch, capsys):
+    which = {"methods": ["cma-es", "random"], "seeds": [1, 2], "rollouts": [10, 40]}
+    words = [word for name, listed in which.items() for word in (f"--{name}", ",".join(map(str, listed)))]
+    alone = [sys.executable, "-m", "powderline", "compare", bench / "tiny.toml", *words, "--out", tmp_path / "alone"]
+    subprocess.run(alone, check=True, capture_output=True)
+    whole = tries(tmp_path / "alone")
+    assert len(whole) == 4
+    # From task to task, whenever an epoch is saved.
+    kept = []
+    keep = cluster._Searches.kept
+    monkeypatch.setattr(cluster, "SLICE_S", 0.1)
+    monkeypatch.setattr(cluster._Searches, "kept", lambda self, what: (kept.append(what["index"]), keep(self, what)))
+    found = cluster.compare(bench / "tiny.toml", tmp_path / "ray", **which, address=nodes.address)
+    assert tries(tmp_path / "ray") == whole
+    assert len(kept) >= 8 and set(kept) == {0, 1, 2, 3}
+    said = capsys.readouterr().err
+    assert "2 searches at a time" in said and "[4/4] " in said
+    assert [row["method"] for row in found["rows"]] == which["methods"] and found["seeds"] == which["seeds"]
+    assert (tmp_path / "ray" / "curves.svg").exists() and not list((tmp_path / "ray").glob("*.new"))
+    # There is nothing left to do, and with more rollouts only that.
+    again = cluster.compare(out=tmp_path / "ray", resume=True, address=nodes.address, verbose=False)
+    assert again == found
+    longer = cluster.compare(out=tmp_path / "ray", resume=True, rollouts=[10, 60], address=nodes.address, verbose=False)
+    assert longer["rollouts"] == [10, 60]
+    assert all(tried[: len(whole[name])] == whole[name] for name, tried in tries(tmp_path / "ray").items())
+
+
+def test_a_comparison_whose_driver_is_killed_goes_on(bench, nodes, tmp_path):
+    which = ["--methods", "random", "--seeds", "1,2,3", "--rollouts", "200"]
+    out = tmp_path / "ray"
+    driver = program("--address", nodes.address, "compare", bench / "tiny.toml", *which, "--out", out, module="cluster")
+    began = time.monotonic()
+    while not (out / "comparison.json").exists():
+        assert time.monotonic() - began < 120.0
+        time.sleep(0.05)
+    time.sleep(5.0)
+    driver.send_signal(signal.SIGINT)
+    said = driver.communicate(timeout=120)[1]
+    assert driver.returncode == 130, said
+    assert f"go on with: python -m powderline.cluster --address {nodes.address} compare --resume {out}" in said.splitlines()[-1]
+    driver = program("--address", nodes.address, "--json", "compare", "--resume", out, module="cluster")
+    found, said = driver.communicate(timeout=240)
+    assert driver.returncode == 0, said
+    assert json.loads(found)["rows"][0]["method"] == "random"
+    assert {len(tried) for tried in tries(out).values()} == {200}
+
+
+def test_tables_of_scenes_come_from_a_cluster(bench, nodes, tmp_path):
+    with pytest.raises(ValueError, match="nothing.toml"):
+        cluster.validate([bench / "tiny.toml", bench / "nothing.toml"], address=nodes.address)
+    with pytest.raises(ValueError, match="give each once"):
+        cluster.validate(["bench", "bench"], address=nodes.address)
+    name = str(bench / "tiny.toml")
+    tables = cluster.validate([name], write=tmp_path / "tables", address=nodes.address, verbose=False)
+    assert tables[name]["scene"] == "tiny" and tables[name]["summary"].startswith("Of 63 lines ")
+    assert json.loads((tmp_path / "tables" / "tiny.json").read_text()) == tables[name]
+
+
 def test_what_makes_no_sense_is_refused_before_anything_is_begun(bench, nodes, tmp_path):
     wrong = campaign(bench, ROLLOUTS.format(seeds=2).replace("1500.0", "-1.0"), "wrong")
     with pytest.raises(ValueError, match=r"(?s)2 of 4 cases cannot be run, each with 2 seeds, .*tiny_heavy_0.8g: powder.density"):
@@ -296,6 +363,12 @@ def test_what_makes_no_sense_is_refused_before_anything_is_begun(bench, nodes, t
         with pytest.raises(ValueError, match=sentence):
             right.run(**{"out": out, "address": nodes.address, "verbose": False, **wrong})
     assert not out.exists()
+    with pytest.raises(ValueError, match="that rise would be right"):
+        cluster.compare(bench / "tiny.toml", out, rollouts=[3, 2], address=nodes.address)
+    with pytest.raises(ValueError, match="holds nothing to resume"):
+        cluster.compare(out=out, resume=True, address=nodes.address)
+    with pytest.raises(ClusterError, match="for a search; the largest has 1 CPU"):
+        cluster.compare(bench / "tiny.toml", tmp_path / "large", methods=["random"], threads=64, address=nodes.address, verbose=False)
     with pytest.raises(ClusterError, match="no node of the cluster has 64 CPUs and .* the largest has 1 CPU and 4096 MiB"):
         right.run(out, address=nodes.address, threads=64, verbose=False)
     with pytest.raises(ClusterError, match="at 127.0.0.1:1 there is no Ray cluster"):
@@ -309,4 +382,6 @@ def test_without_ray_it_says_how_to_get_it(bench, tmp_path, monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(ImportError, match=r"powderline\[campaign\].*optimise campaign FILE"):
         Campaign.load(path).run(tmp_path / "never", verbose=False)
+    with pytest.raises(ImportError, match=r"powderline\[campaign\].*optimise compare"):
+        cluster.compare(bench / "tiny.toml", tmp_path / "never")
     assert not (tmp_path / "never").exists()

@@ -48,6 +48,10 @@ struct Report<'a> {
     no_longer_holds: &'a [String],
     /// Controls that do not fail.
     does_not_fail: &'a [String],
+    /// What makes the command fail, if anything does.
+    failure: Option<&'a str>,
+    /// How many lines hold.
+    summary: String,
     #[serde(flatten)]
     table: &'a Table,
 }
@@ -69,8 +73,11 @@ pub(super) fn execute(arguments: &ValidateArgs, context: &mut Context<'_>) -> Re
     let before = is_default.then(|| Record::committed(scope).table);
     let no_longer = before.map_or_else(Vec::new, |before| table.no_longer_good(&before));
     let loose: Vec<String> = table.with(Verdict::DoesNotFail).map(|line| line.name.clone()).collect();
+    let judged = judged(&no_longer, &loose);
     if arguments.json {
-        context.json(&Report { no_longer_holds: &no_longer, does_not_fail: &loose, table: &table })?;
+        let (failure, summary) = (judged.as_deref(), table.summary());
+        let (no_longer_holds, does_not_fail) = (&no_longer, &loose);
+        context.json(&Report { no_longer_holds, does_not_fail, failure, summary, table: &table })?;
     } else {
         write!(context.out, "{}", text(&table, &no_longer))?;
     }
@@ -82,7 +89,7 @@ pub(super) fn execute(arguments: &ValidateArgs, context: &mut Context<'_>) -> Re
         let command = format!("optimise validate {scene}--{}", scope.name());
         write_files(folder, &Record::new(&command, &arguments.commit, table))?;
     }
-    match judged(&no_longer, &loose) {
+    match judged {
         Some(sentence) => Err(CliError::Failed(sentence)),
         None => Ok(()),
     }

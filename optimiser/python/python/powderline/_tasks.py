@@ -1,22 +1,29 @@
-"""What speaks to Ray: a process of its own beside the campaign's, and the tasks on the nodes.
+"""What speaks to Ray: a process of its own beside the driver's, and the tasks on the nodes.
 
 Ray ends the process that is connected to a cluster when the cluster's head is gone. So that a campaign, or a notebook, outlives
-that, `powderline.campaign` starts this module as a program, tells it on its standard input what there is to do, and reads on its
-standard output what came of it: pickles, one after another. When its input ends, so does this.
+that, `_driver` starts this module as a program, tells it on its standard input what there is to do, and reads on its standard output
+what came of it: pickles, one after another. When its input ends, so does this.
 
-    campaign                  python -m powderline._cluster            a node
+    campaign, cluster         python -m powderline._tasks              a node
     -------------------       -----------------------------------      ---------------------------------------------------
-    what is to be done   ->   a task for some cases at a time     ->   `perform_cases`: the program `optimise`, in a process
-    files of each case   <-   as they come, in any order          <-   of its own, as on one machine
+    what is to be done   ->   a task for some cases at a time     ->   the program `optimise`, in a process of its own, as on
+    files of each case   <-   as they come, in any order          <-   one machine: `perform_cases`, or a command for each case
+
+A command may be a search that saves each epoch: it is stopped now and then when it has just done so, and goes on in another task, so
+that a node that is lost costs minutes.
 """
 
 from __future__ import annotations
 
+import ctypes
+import json
 import os
 import pickle
 import re
 import shutil
+import signal
 import socket
+import subprocess
 import sys
 import tempfile
 import threading
@@ -29,7 +36,7 @@ from typing import Any, BinaryIO
 import ray
 
 from . import _native
-from .campaign import file_system, where
+from ._driver import PROGRAM, Files, count, file_system, files_of, where
 
 #: How long a task is to take, seconds: longer than its process takes to begin by so many times, and no longer than a lost node may cost.
 TASK_S, BEGINS, LONGEST_S = 5.0, 20.0, 30.0
@@ -44,8 +51,9 @@ LOOK_S = 5.0
 SILENT_S = 10.0
 #: How long the address of a cluster may take to answer, seconds.
 CONNECT_S = 10.0
-#: A file of a case that only says that somebody is writing.
-LOCK = "lock"
+
+#: From one look at a command to the next, seconds.
+POLL_S = 0.1
 
 Case = tuple[int, str]
 
@@ -54,22 +62,21 @@ class Unfit(Exception):
     """A node on which nothing can be done."""
 
 
+class Failed(Exception):
+    """What the program says of a command that came to nothing."""
+
+
 # On a node.
 
 
-def files_of(folder: Path) -> list[tuple[str, bytes]]:
-    """What a case has left behind, what became of it last: it says that the rest is there."""
-    files = [file for file in folder.iterdir() if file.is_file() and file.name != LOCK]
-    files.sort(key=lambda file: (file.name == "outcome.json", file.name))
-    return [(file.name, file.read_bytes()) for file in files]
-
-
-def perform(job: dict[str, Any], cases: list[Case]) -> dict[str, Any]:
-    """Does some cases on this node, each a run like any other; what they come to is the same wherever that is."""
+def perform(job: dict[str, Any], cases: list[Case], begun: dict[int, Files]) -> dict[str, Any]:
+    """Does some cases on this node, each a run like any other; what they come to is the same wherever that is. Of those that were begun
+    before there are files to go on from."""
     node = ray.util.get_node_ip_address()
     if _native.__version__ != job["version"]:
-        raise Unfit(f"{node} has powderline {_native.__version__}, but the campaign is of {job['version']}")
+        raise Unfit(f"{node} has powderline {_native.__version__}, but what it is to do is of {job['version']}")
     names, results, ends, why = dict(cases), [], [], None
+    kept: list[tuple[int, Files]] = []
     scratch = Path(tempfile.mkdtemp(prefix="powderline-campaign-"))
     began = time.monotonic()
 
@@ -88,18 +95,77 @@ def perform(job: dict[str, Any], cases: list[Case]) -> dict[str, Any]:
         ends.append(time.monotonic())
 
     try:
-        (scratch / "benches").mkdir()
-        for name, text in job["files"]:
-            (scratch / name).write_text(text, encoding="utf-8")
-        program = [sys.executable, "-m", "powderline"]
-        _native.perform_cases(str(scratch), list(names), job["threads"], job["memory_bytes"], program, ended)
+        write_files(scratch, [(name, text.encode()) for name, text in job["files"]])
+        if job["command"] is None:
+            _native.perform_cases(str(scratch), list(names), job["threads"], job["memory_bytes"], PROGRAM, ended)
+        for index, name in cases if job["command"] is not None else []:
+            write_files(scratch / name, begun.get(index, []))
+            files, is_whole = run_command(job, scratch, name)
+            (results if is_whole else kept).append((index, files))
+            ends.append(time.monotonic())
+    except Failed as error:
+        why = str(error)
     except Exception as error:  # Whatever it is, it is said of the case, and the others go on.
         why = f"{type(error).__name__}: {error}"
     finally:
         shutil.rmtree(scratch, ignore_errors=True)
     # The first one's time has that in it which the process takes to begin.
     case_s = (ends[-1] - ends[0]) / (len(ends) - 1) if len(ends) > 1 else None
-    return {"node": node, "results": results, "why": why, "case_s": case_s, "seconds": time.monotonic() - began}
+    seconds = time.monotonic() - began
+    return {"node": node, "results": results, "kept": kept, "why": why, "case_s": case_s, "seconds": seconds}
+
+
+def write_files(folder: Path, files: Files) -> None:
+    for name, contents in files:
+        path = folder / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(contents)
+
+
+def run_command(job: dict[str, Any], scratch: Path, name: str) -> tuple[Files, bool]:
+    """Runs the program with the job's words and this one, in the scratch folder: what it printed, as `stdout`, and the files of the folder
+    of that name, if it made one; and whether it came to its end."""
+    epochs = scratch / name / "metrics.jsonl"
+
+    def saved() -> int:
+        return epochs.stat().st_size if epochs.exists() else 0
+
+    with tempfile.TemporaryFile() as out, tempfile.TemporaryFile() as said:
+        process = subprocess.Popen([*PROGRAM, *job["command"], name], cwd=scratch, stdout=out, stderr=said, preexec_fn=heeds_signals)
+        began, before, is_stopped = time.monotonic(), saved(), False
+        try:
+            while process.poll() is None:
+                time.sleep(POLL_S)
+                now = saved()
+                if now > before and not is_stopped and time.monotonic() - began > job["slice_s"]:
+                    process.send_signal(signal.SIGINT)
+                    is_stopped = True
+                before = now
+        finally:
+            # Where the task is cancelled.
+            process.terminate()
+            process.wait()
+        out.seek(0)
+        said.seek(0)
+        printed, words = out.read(), said.read().decode("utf-8", "replace")
+    folder = files_of(scratch / name) if (scratch / name).is_dir() else []
+    if is_stopped and process.returncode == 130:
+        return folder, False
+    try:
+        found = json.loads(printed)
+    except ValueError:
+        raise Failed(f"it ended with {process.returncode}: {last_line(words)}") from None
+    if "error" in found:
+        raise Failed(found["error"])
+    return [("stdout", printed), *folder], True
+
+
+def heeds_signals() -> None:
+    """A command stops when it is asked to, which Ray keeps from its workers, and when its task is killed (Linux)."""
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})
+    if sys.platform == "linux":
+        PR_SET_PDEATHSIG = 1
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGTERM)
 
 
 # Beside the campaign.
@@ -152,16 +218,20 @@ class Cluster:
         threads, memory = self.job["threads"], self.job["memory_bytes"]
         cpus, bytes_ = self.largest
         return (
-            f"no node of the cluster has {threads} CPU{'s' * (threads > 1)} and {memory / 2**20:.0f} MiB of memory for a case; the "
-            f"largest has {cpus} CPU{'s' * (cpus != 1)} and {bytes_ / 2**20:.0f} MiB"
+            f"no node of the cluster has {count(threads, 'CPU')} and {memory / 2**20:.0f} MiB of memory for a {self.job['noun']}; the "
+            f"largest has {count(cpus, 'CPU')} and {bytes_ / 2**20:.0f} MiB"
         )
 
 
 class Work:
     """Cases that are left, in tasks of a few seconds each."""
 
-    def __init__(self, job: dict[str, Any], cases: Iterable[Case], tell: Any, stopped: threading.Event) -> None:
+    def __init__(
+        self, job: dict[str, Any], cases: Iterable[Case], begun: dict[int, Files], tell: Any, stopped: threading.Event
+    ) -> None:
         self.tell, self.stopped, self.job = tell, stopped, job
+        # From what to go on.
+        self.begun = begun
         self.left = deque(cases)
         self.tries: dict[int, int] = {}
         # What a case takes, how long tasks are to be, and how many cases of one have been tried.
@@ -189,7 +259,8 @@ class Work:
             most = min(max(2 * self.cluster.slots, 2), MAX_TASKS)
             while self.left and len(self.flying) < most:
                 cases = self.batch()
-                self.flying[self.remote.remote(self.shared, cases)] = cases
+                begun = {index: self.begun[index] for index, _ in cases if index in self.begun}
+                self.flying[self.remote.remote(self.shared, cases, begun)] = cases
             refs = list(self.flying)
             ready, rest = ray.wait(refs, timeout=0.5)
             if ready and rest:
@@ -213,11 +284,17 @@ class Work:
         self.learn(len(done), found["case_s"], found["seconds"])
         for index, files in found["results"]:
             self.tell("done", index=index, files=files, node=found["node"])
-        undone = [case for case in cases if case[0] not in done]
+        for index, files in found["kept"]:
+            self.begun[index] = files
+            self.tell("kept", index=index, files=files, node=found["node"])
+        parted = [case for case in cases if case[0] in dict(found["kept"])]
+        undone = [case for case in cases if case[0] not in done and case not in parted]
         if undone and found["why"] is not None:
             self.tell("failed", index=undone[0][0], why=f"on {found['node']}: {found['why']}")
             undone = undone[1:]
         self.left.extendleft(reversed(undone))
+        # The others have their turn meanwhile.
+        self.left.extend(parted)
 
     def learn(self, count: int, case_s: float | None, seconds: float) -> None:
         """How long tasks take, from one that did so many cases."""
@@ -244,9 +321,14 @@ class Work:
         if isinstance(error.cause, Unfit):
             return error.cause
         return Unfit(
-            f"a node of the cluster cannot do a case: {first_line(error.cause)}; each must have this version of powderline "
+            f"a node of the cluster can do no {self.job['noun']}: {first_line(error.cause)}; each must have this version of powderline "
             "(pip install), or get it by runtime_env"
         )
+
+
+def last_line(text: str) -> str:
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    return lines[-1] if lines else "it said nothing"
 
 
 def first_line(error: BaseException | str) -> str:
@@ -279,7 +361,7 @@ def main() -> None:
     threading.Thread(target=listen, daemon=True).start()
     try:
         connect(job)
-        work = Work(job["of_task"], job["cases"], tell, stopped)
+        work = Work(job["of_task"], job["cases"], job["begun"], tell, stopped)
         if work.cluster.slots == 0 and not job["wait"]:
             tell("refused", why=work.cluster.refusal())
             return
@@ -314,6 +396,6 @@ def connect(job: dict[str, Any]) -> None:
 
 if __name__ == "__main__":
     # Under its own name, so that nodes find what they are to do in the package.
-    from powderline import _cluster
+    from powderline import _tasks
 
-    _cluster.main()
+    _tasks.main()
