@@ -44,6 +44,9 @@ fn drawn(scene: &Scene, container: &Container) -> powderline_view::Container {
         ContainerShape::Cylinder { inner_radius_m, inner_height_m } => {
             Mesh::open_cylinder(inner_radius_m, inner_height_m, *wall_thickness_m)
         }
+        ContainerShape::Silo { inner_radius_m, inner_height_m, outlet_radius_m } => {
+            Mesh::silo(inner_radius_m, inner_height_m, outlet_radius_m, *wall_thickness_m)
+        }
     };
     let place = Isometry3::new((*position_m).into(), Vector3::z() * yaw_deg.to_radians());
     let role = match name {

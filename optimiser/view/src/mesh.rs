@@ -79,6 +79,21 @@ impl Mesh {
         ])
     }
 
+    /// The same with a round hole in the middle of the floor.
+    #[must_use]
+    pub fn silo(inner_radius_m: f64, inner_height_m: f64, outlet_radius_m: f64, wall_m: f64) -> Self {
+        let outer = inner_radius_m + wall_m;
+        Self::turned(&[
+            [outlet_radius_m, -wall_m],
+            [outer, -wall_m],
+            [outer, inner_height_m],
+            [inner_radius_m, inner_height_m],
+            [inner_radius_m, 0.0],
+            [outlet_radius_m, 0.0],
+            [outlet_radius_m, -wall_m],
+        ])
+    }
+
     /// Upright round pipe that stands on the origin, open at both ends.
     #[must_use]
     pub fn pipe(inner_radius_m: f64, height_m: f64, wall_m: f64) -> Self {
@@ -203,6 +218,7 @@ mod tests {
             (Mesh::open_box([1.0, 2.0, 3.0], 0.1), 1.2 * 2.2 * 3.1 - 6.0, 1.0),
             (Mesh::box_scoop([1.0, 2.0, 3.0], 0.1), 1.1 * 2.2 * 3.1 - 6.0, 1.0),
             (Mesh::open_cylinder(1.0, 2.0, 0.1), PI * (1.21 * 2.1 - 2.0), round),
+            (Mesh::silo(1.0, 2.0, 0.5, 0.1), PI * (1.21 * 2.1 - 2.0 - 0.25 * 0.1), round),
             (Mesh::pipe(1.0, 2.0, 0.1), PI * 0.21 * 2.0, round),
             (Mesh::bowl(1.0, 0.1), 2.0 / 3.0 * PI * (1.331 - 1.0), round),
             (Mesh::capsule([1.0, 2.0, 3.0], [1.0, 2.0, 1.0], 0.5), PI * (0.5 + 4.0 / 3.0 * 0.125), 0.98),

@@ -443,6 +443,10 @@ pub(crate) fn container_shapes(c: &Container) -> Vec<Shape<f64>> {
             ring(0.0, r + t, -0.5 * t, 0.5 * t),
             ring(r + 0.5 * t, 0.5 * t, 0.5 * (h - t), 0.5 * (h + t)),
         ],
+        ContainerShape::Silo { inner_radius_m: r, inner_height_m: h, outlet_radius_m: hole } => vec![
+            ring(0.5 * (hole + r + t), 0.5 * (r + t - hole), -0.5 * t, 0.5 * t),
+            ring(r + 0.5 * t, 0.5 * t, 0.5 * (h - t), 0.5 * (h + t)),
+        ],
     }
 }
 

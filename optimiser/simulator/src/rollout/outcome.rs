@@ -109,7 +109,9 @@ fn place(c: &Container, p: &[f64; 3]) -> Place {
     // From the inner face outwards.
     let gap = match c.shape {
         ContainerShape::Box { inner_size_m: [lx, ly, _] } => (x.abs() - 0.5 * lx).max(y.abs() - 0.5 * ly),
-        ContainerShape::Cylinder { inner_radius_m, .. } => libm::hypot(x, y) - inner_radius_m,
+        ContainerShape::Cylinder { inner_radius_m, .. } | ContainerShape::Silo { inner_radius_m, .. } => {
+            libm::hypot(x, y) - inner_radius_m
+        }
     };
     let is_below_rim = z <= c.inner_height_m();
     match () {

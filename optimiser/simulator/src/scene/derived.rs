@@ -143,7 +143,7 @@ impl Container {
             ContainerShape::Box { inner_size_m: [lx, ly, _] } => {
                 [x.clamp(-0.5 * lx, 0.5 * lx), y.clamp(-0.5 * ly, 0.5 * ly)]
             }
-            ContainerShape::Cylinder { inner_radius_m, .. } => {
+            ContainerShape::Cylinder { inner_radius_m, .. } | ContainerShape::Silo { inner_radius_m, .. } => {
                 let inwards = (inner_radius_m / libm::hypot(x, y)).min(1.0);
                 [x * inwards, y * inwards]
             }

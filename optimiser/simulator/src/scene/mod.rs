@@ -344,6 +344,16 @@ pub enum ContainerShape {
         /// Inner height, metres; one cell to 10.
         inner_height_m: f64,
     },
+    /// Upright round cylinder with a round hole in the middle of its floor, through which powder flows out. A gate may shut it; what
+    /// has come through is no longer in the container.
+    Silo {
+        /// Inner radius, metres; one cell to 10.
+        inner_radius_m: f64,
+        /// Inner height, metres; one cell to 10.
+        inner_height_m: f64,
+        /// Radius of the hole, metres; one cell to `inner_radius_m`. Powder flows evenly through holes at least 12 cells across.
+        outlet_radius_m: f64,
+    },
 }
 
 /// Theta in [-1, 1]^5 maps affinely to these bounds (low at -1, high at +1); low equal to high fixes a

@@ -228,7 +228,7 @@ impl Container {
                     let (side, outwards) = sides[index];
                     (format!("{side} wall of container {:?}{turned}", self.name), outwards)
                 }
-                ContainerShape::Cylinder { .. } => {
+                ContainerShape::Cylinder { .. } | ContainerShape::Silo { .. } => {
                     let outwards = frame.outwards(index as f64 + 0.5);
                     let towards_deg = libm::atan2(outwards[1], outwards[0]).to_degrees().rem_euclid(360.0);
                     (
@@ -250,7 +250,9 @@ impl Container {
     pub fn inner_height_m(&self) -> f64 {
         match self.shape {
             ContainerShape::Box { inner_size_m } => inner_size_m[2],
-            ContainerShape::Cylinder { inner_height_m, .. } => inner_height_m,
+            ContainerShape::Cylinder { inner_height_m, .. } | ContainerShape::Silo { inner_height_m, .. } => {
+                inner_height_m
+            }
         }
     }
 
@@ -261,13 +263,15 @@ impl Container {
             ContainerShape::Box { inner_size_m: [x, y, z] } => {
                 frame.block([-0.5 * x - wall, -0.5 * y - wall, -wall], [0.5 * x + wall, 0.5 * y + wall, z])
             }
-            ContainerShape::Cylinder { inner_radius_m, inner_height_m } => {
+            ContainerShape::Cylinder { inner_radius_m, inner_height_m }
+            | ContainerShape::Silo { inner_radius_m, inner_height_m, .. } => {
                 frame.prism(inner_radius_m + wall, -wall, inner_height_m)
             }
         }
     }
 
-    /// The container's material in convex pieces: the floor plate first, then the walls.
+    /// The container's material in convex pieces: the floor plate first, then the walls. A hole in the floor counts as floor: nothing but
+    /// powder goes through it.
     pub(super) fn pieces(&self) -> Vec<Hull> {
         let (wall, frame) = (self.wall_thickness_m, self.frame());
         match self.shape {
@@ -281,7 +285,8 @@ impl Container {
                     frame.block([-x, y, 0.0], [x, y + wall, z]),
                 ]
             }
-            ContainerShape::Cylinder { inner_radius_m, inner_height_m } => {
+            ContainerShape::Cylinder { inner_radius_m, inner_height_m }
+            | ContainerShape::Silo { inner_radius_m, inner_height_m, .. } => {
                 let floor = frame.prism(inner_radius_m + wall, -wall, 0.0);
                 std::iter::once(floor).chain(frame.pipe(inner_radius_m, wall, inner_height_m)).collect()
             }
@@ -340,7 +345,7 @@ impl Container {
                 along.abs() + radius_m <= 0.5 * inner_size_m[0] + TOUCH_M
                     && across.abs() + radius_m <= 0.5 * inner_size_m[1] + TOUCH_M
             }
-            ContainerShape::Cylinder { inner_radius_m, .. } => {
+            ContainerShape::Cylinder { inner_radius_m, .. } | ContainerShape::Silo { inner_radius_m, .. } => {
                 libm::hypot(along, across) + radius_m <= inner_radius_m + TOUCH_M
             }
         }

@@ -154,6 +154,28 @@ mod tests {
             }
         }
 
+        /// Who is in a silo sees nothing below its floor, but from above the hole what is below it.
+        #[test]
+        fn a_silo_is_open_where_its_hole_is(
+            radius in 0.02..0.1f64, hole in 0.2..0.8f64, t in 0.001..0.02f64, away in 0.0..1.0f64, turn in 0.0..6.0f64,
+            above in 0.01..1.0f64, below in 1.01..2.0f64,
+        ) {
+            let outlet_radius_m = hole * radius;
+            let shape = ContainerShape::Silo { inner_radius_m: radius, inner_height_m: 2.0 * radius, outlet_radius_m };
+            let container = Container {
+                name: String::new(), position_m: [0.0; 3], yaw_deg: 0.0, wall_thickness_m: t, friction: 0.4, shape,
+            };
+            let pieces = container_shapes(&container);
+            let at = |rho: f64, z: f64| [rho * turn.cos(), rho * turn.sin(), z];
+            let is_open = |rho: f64| {
+                let (from, to) = (at(rho, above * t), at(rho, -below * t));
+                pieces.iter().all(|piece| !crosses(piece, from, to) && !piece.hides(piece.face_at(from), to))
+            };
+            prop_assert!(is_open(outlet_radius_m * 0.99 * away), "through the hole");
+            let beside = outlet_radius_m * 1.01 + away * (radius - outlet_radius_m * 1.01);
+            prop_assert!(!is_open(beside), "through the floor");
+        }
+
         /// Along a face its continuation is smooth: a distance with a gradient of length 1, curved no more than the solid.
         #[test]
         fn a_continued_face_is_smooth(shape in solid(), number in 0..7, y in point(1.3), d in point(1.0)) {

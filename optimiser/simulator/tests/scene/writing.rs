@@ -39,6 +39,14 @@ fn arbitrary_scene() -> impl Strategy<Value = Scene> {
                 scene.containers[1].shape =
                     ContainerShape::Cylinder { inner_radius_m: 0.03 + 1e-3 * small, inner_height_m: 0.04 };
             }
+            if round && scoop {
+                let (inner_radius_m, inner_height_m) = (0.03, 0.04);
+                scene.containers[1].shape = ContainerShape::Silo {
+                    inner_radius_m,
+                    inner_height_m,
+                    outlet_radius_m: 0.01 + 1e-3 * small,
+                };
+            }
             if scoop {
                 scene.tool.shape = ToolShape::BoxScoop { inner_size_m: [0.02, 0.02, 0.01 + 1e-3 * small] };
             }

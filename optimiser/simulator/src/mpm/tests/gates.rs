@@ -9,7 +9,7 @@ use crate::mpm::particles::Particles;
 use crate::mpm::substep::{State, Workspace};
 use crate::mpm::tests::{empty_bench, even_lattice, far_away};
 use crate::real::Real;
-use crate::scene::{Gate, GateOpening, GateShape, Scene};
+use crate::scene::{Container, ContainerShape, Gate, GateOpening, GateShape, Scene};
 
 /// A gate that vanishes.
 fn gate(position_m: [f64; 3], yaw_deg: f64, shape: GateShape, opens_at_s: f64) -> Gate {
@@ -43,6 +43,40 @@ fn settled<T: Real>(model: &Model<T>, points: &[[f64; 3]], substeps: usize) -> S
         workspace.substep(model, &bodies(model, Moment::Settling), &mut state).unwrap();
     }
     state
+}
+
+#[test]
+fn a_silo_keeps_its_powder_until_its_gate_opens_and_then_loses_it_through_the_hole_alone() {
+    let (dx, middle) = (0.004, 0.048);
+    let mut scene = empty_bench([0.096, 0.096, 0.128]);
+    scene.containers.push(Container {
+        name: "silo".into(),
+        position_m: [middle, middle, 0.048],
+        yaw_deg: 0.0,
+        wall_thickness_m: dx,
+        friction: 0.4,
+        shape: ContainerShape::Silo { inner_radius_m: 0.024, inner_height_m: 0.06, outlet_radius_m: 0.012 },
+    });
+    // A plate under the hole.
+    let plate = GateShape::Box { size_m: [0.032, 0.032, dx] };
+    let scene = with_gates(scene, vec![gate([middle, middle, 0.048 - 2.0 * dx], 0.0, plate, 0.0)]);
+    let points: Vec<_> = even_lattice([0.030, 0.030, 0.048], [0.066, 0.066, 0.084])
+        .into_iter()
+        .filter(|p| (p[0] - middle).hypot(p[1] - middle) < 0.022)
+        .collect();
+    let model = Model::<f64>::new(&scene);
+    let below = |state: &State<f64>| {
+        let low = |p: &[f64; 3]| p[2] < 0.048 - 1.5 * dx;
+        state.particles.positions_by_id().into_iter().filter(low).collect::<Vec<_>>()
+    };
+    let mut state = settled(&model, &points, 400);
+    assert!(below(&state).is_empty());
+    go_on(&model, &mut state, 0..300);
+    let through = below(&state);
+    assert!(through.len() > points.len() / 20 && through.len() < points.len() / 2, "{}", through.len());
+    // It falls straight down: the jet narrows.
+    let widest = through.iter().map(|p| (p[0] - middle).hypot(p[1] - middle)).fold(0.0, f64::max);
+    assert!(widest < 0.014, "{widest}");
 }
 
 #[test]

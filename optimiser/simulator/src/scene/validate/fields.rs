@@ -103,6 +103,12 @@ fn container(found: &mut Found<'_>, path: &str, container: &Container, cell_m: f
             found.number(&field("shape.inner_radius_m"), *inner_radius_m, inner);
             found.number(&field("shape.inner_height_m"), *inner_height_m, inner);
         }
+        ContainerShape::Silo { inner_radius_m, inner_height_m, outlet_radius_m } => {
+            found.number(&field("shape.inner_radius_m"), *inner_radius_m, inner);
+            found.number(&field("shape.inner_height_m"), *inner_height_m, inner);
+            let outlet = Range::closed(cell_m, *inner_radius_m);
+            found.number(&field("shape.outlet_radius_m"), *outlet_radius_m, outlet);
+        }
     }
 }
 

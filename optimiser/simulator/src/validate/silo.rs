@@ -1,0 +1,201 @@
+//! Powder that flows out of a flat-bottomed silo through a round hole, by how many cells that is across.
+
+use std::f64::consts::PI;
+
+use crate::scene::{Container, ContainerShape, SceneSpec};
+use crate::validate::Scope;
+use crate::validate::case::{Case, Claim, Halt, Meter};
+use crate::validate::rig::{GRAVITY, PERIOD_S, Rig, apparatus, packed_cylinder, set_time_step};
+
+/// Cell, m.
+const CELL_M: f64 = 0.004;
+
+/// Diameter of the silo, height of the powder in it, and height of the hole above the floor, over the hole's diameter: so wide and so full
+/// that neither matters (Beverloo's law needs 2.5, or 30 grains beside the hole, and as much powder above it as the silo is wide), and so high
+/// that what has come out is not in the way.
+const WIDE: f64 = 2.5;
+const HIGH: f64 = 2.5;
+const ABOVE: f64 = 1.6;
+/// Width of the place below, over the hole's diameter.
+const BELOW: f64 = 4.8;
+
+/// From when and until when the flow is measured, in times that a grain takes to fall half the hole's diameter: it is steady by then, and a
+/// third of the powder is still to come.
+const BEGINS: f64 = 3.0;
+const ENDS: f64 = 7.0;
+
+/// Beverloo's constant.
+const BEVERLOO: f64 = 0.58;
+
+/// A silo.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Silo {
+    /// Diameter of its hole, cells.
+    pub(super) opening_cells: f64,
+    /// How far its middle is off a node, cells, along x and y.
+    pub(super) off_cells: f64,
+    /// Substeps over those of a stable step.
+    pub(super) substeps: f64,
+    pub(super) youngs_modulus_pa: f64,
+}
+
+impl Silo {
+    pub(super) const fn new(opening_cells: f64, off_cells: f64) -> Self {
+        Self { opening_cells, off_cells, substeps: 1.0, youngs_modulus_pa: super::rig::YOUNGS_MODULUS }
+    }
+
+    fn opening_m(&self) -> f64 {
+        self.opening_cells * CELL_M
+    }
+
+    fn unit_s(&self) -> f64 {
+        (self.opening_m() / GRAVITY).sqrt()
+    }
+
+    /// What flows through by Beverloo's law, kg/s.
+    fn law(&self, density_kg_m3: f64) -> f64 {
+        BEVERLOO * density_kg_m3 * GRAVITY.sqrt() * libm::pow(self.opening_m(), 2.5)
+    }
+
+    /// Middle of the hole, m.
+    fn middle_m(&self) -> [f64; 3] {
+        let cells = (0.5 * BELOW * self.opening_cells).ceil() + self.off_cells;
+        let above = (ABOVE * self.opening_cells).ceil();
+        [cells * CELL_M, cells * CELL_M, above * CELL_M]
+    }
+
+    fn scene(&self, law: &SceneSpec) -> SceneSpec {
+        let (opening, middle) = (self.opening_m(), self.middle_m());
+        let width = 2.0 * middle[0].max(middle[1]) + CELL_M;
+        let mut scene = apparatus(law, [width, width, middle[2] + HIGH * opening + 4.0 * CELL_M], CELL_M);
+        scene.powder.youngs_modulus_pa = self.youngs_modulus_pa;
+        scene.containers.push(Container {
+            name: "silo".into(),
+            position_m: middle,
+            yaw_deg: 0.0,
+            wall_thickness_m: CELL_M,
+            friction: scene.domain.friction,
+            shape: ContainerShape::Silo {
+                inner_radius_m: 0.5 * WIDE * opening,
+                inner_height_m: HIGH * opening + 2.0 * CELL_M,
+                outlet_radius_m: 0.5 * opening,
+            },
+        });
+        set_time_step(&mut scene, super::rig::fall_speed(middle[2]));
+        scene.time.substeps = (f64::from(scene.time.substeps) * self.substeps).ceil() as u32;
+        scene
+    }
+
+    /// Particles times substeps.
+    fn work(&self, law: &SceneSpec) -> f64 {
+        let scene = self.scene(law);
+        let volume = 0.25 * PI * WIDE * WIDE * HIGH * libm::pow(self.opening_m(), 3.0);
+        volume / scene.particle_volume_m3() * ENDS * self.unit_s() / scene.time.substep_s()
+    }
+
+    /// What flows through over what does by Beverloo's law.
+    pub(super) fn flow(&self, law: &SceneSpec, seed: u64, meter: &Meter<'_>) -> Result<f64, Halt> {
+        let scene = self.scene(law);
+        let (mass, reference) = (scene.particle_mass_kg(), self.law(scene.powder.density_kg_m3));
+        let middle = self.middle_m();
+        let radius = 0.5 * WIDE * self.opening_m();
+        let powder = packed_cylinder(&scene, middle, radius, HIGH * self.opening_m(), seed);
+        let mut rig = Rig::<f32>::new(scene, &powder)?;
+        let floor_m = middle[2] - CELL_M;
+        let through = |rig: &Rig<f32>| rig.positions().iter().filter(|p| p[2] < floor_m).count() as f64;
+        // In whole control periods.
+        let [begins, ends] = [BEGINS, ENDS].map(|units| (units * self.unit_s() / PERIOD_S).ceil() * PERIOD_S);
+        rig.run(begins, meter)?;
+        let before = through(&rig);
+        rig.run(ends - begins, meter)?;
+        Ok((through(&rig) - before) * mass / (ends - begins) / reference)
+    }
+}
+
+/// What is claimed of the flow.
+fn claim(silo: &Silo) -> Claim {
+    let Silo { opening_cells, off_cells, .. } = silo;
+    let place = if *off_cells == 0.0 { String::new() } else { format!(", {off_cells} cells off a node") };
+    let claim = Claim {
+        group: "flow out of a flat-bottomed silo, over Beverloo's law",
+        name: format!("hole {opening_cells} cells across{place}"),
+        unit: "",
+        reference: 1.0,
+        tolerance: [0.0; 2],
+        source: "Beverloo, Leniger and van de Velde 1961, Chem. Eng. Sci. 15: 0.58 rho sqrt(g) D^2.5, for grains much smaller than the hole",
+        why: "20 %: what the constant differs by between grains",
+        wrong: ["{} less flows out than of sand", "{} more flows out than of sand"],
+        control: false,
+    };
+    claim.within_share(0.2)
+}
+
+/// Holes spread over how they lie between nodes.
+pub(super) fn cases(law: &SceneSpec, scope: Scope) -> Vec<Case<'_>> {
+    let full: &[[f64; 2]] = &[
+        [4.0, 0.0],
+        [6.0, 0.0],
+        [8.0, 0.25],
+        [10.0, 0.0],
+        [12.0, 0.0],
+        [12.0, 0.5],
+        [12.5, 0.25],
+        [13.0, 0.0],
+        [14.0, 0.5],
+        [16.0, 0.0],
+    ];
+    let silos: &[[f64; 2]] = if scope == Scope::Full { full } else { &[[6.0, 0.0], [12.0, 0.0]] };
+    let case = |[opening_cells, off_cells]: &[f64; 2]| {
+        let silo = Silo::new(*opening_cells, *off_cells);
+        let measure = move |seed, meter: &Meter<'_>| Ok(vec![silo.flow(law, seed, meter)?]);
+        Case { claims: vec![claim(&silo)], seeds: 1, work: silo.work(law), measure: Box::new(measure) }
+    };
+    let of_numerics = (scope == Scope::Full).then(|| numerics(law));
+    silos.iter().map(case).chain(of_numerics).collect()
+}
+
+/// Whether the flow hangs on numbers that are none of the powder's: half the step of time, and four times the stiffness.
+fn numerics(law: &SceneSpec) -> Case<'_> {
+    let usual = Silo::new(8.0, 0.0);
+    let others =
+        [Silo { substeps: 2.0, ..usual }, Silo { youngs_modulus_pa: 4.0 * usual.youngs_modulus_pa, ..usual }];
+    let claims = ["half the step of time", "four times as stiff"].map(|name| {
+        let claim = Claim {
+            group: "flow out of a flat-bottomed silo, over that with the usual numbers",
+            name: format!("hole 8 cells across, {name}"),
+            unit: "",
+            reference: 1.0,
+            tolerance: [0.0; 2],
+            source: "neither is a property of the powder: both only have to be small, or stiff, enough",
+            why: "5 %: the flow fluctuates by some per cent over the time that it is measured in",
+            wrong: ["{} less flows out then", "{} more flows out then"],
+            control: false,
+        };
+        claim.within_share(0.05)
+    });
+    let measure = move |seed, meter: &Meter<'_>| {
+        let reference = usual.flow(law, seed, meter)?;
+        others.iter().map(|other| Ok(other.flow(law, seed, meter)? / reference)).collect()
+    };
+    let work = usual.work(law) + others.iter().map(|other| other.work(law)).sum::<f64>();
+    Case { claims: claims.into(), seeds: 1, work, measure: Box::new(measure) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::Scene;
+
+    #[test]
+    fn a_silo_is_a_scene_whose_powder_flows() {
+        let law = Scene::load("bench").unwrap();
+        let silo = Silo::new(4.0, 0.0);
+        let scene = silo.scene(&law);
+        assert!(scene.cfl_number() <= 0.5, "{}", scene.cfl_number());
+        let flow = silo.flow(&law, 1, &Meter::unwatched()).unwrap();
+        assert!((0.1..1.0).contains(&flow), "{flow}");
+        // 4 mm is a twelfth of 48: by Beverloo's law 0.917 kg/s of 1000 kg/m^3 flow through that.
+        let reference = Silo::new(12.0, 0.0).law(1000.0);
+        assert!((reference - 0.917).abs() < 1e-3, "{reference}");
+    }
+}
