@@ -3,12 +3,33 @@
 use powderline_simulator::scene::{FillShape, Scene, embedded_scene};
 use powderline_simulator::skill::{SkillMap, Theta, collision};
 
+const GUIDE: &str = include_str!("../../optimiser/guide/scenes.md");
+
+/// Its pieces of TOML.
+fn blocks() -> Vec<&'static str> {
+    GUIDE.split("```toml\n").skip(1).map(|rest| rest.split("```").next().unwrap()).collect()
+}
+
+#[test]
+fn the_silo_of_the_guide_is_a_scene() {
+    let silo = blocks()[2];
+    let (low, high) = ("fill_min_m = [0.160, 0.032, 0.124]", "fill_max_m = [0.192, 0.064, 0.164]");
+    assert!(GUIDE.contains(&format!("`{low}`")) && GUIDE.contains(&format!("`{high}`")));
+    let changed = |line: &'static str| match line.split(" =").next() {
+        Some("fill_min_m") => low,
+        Some("fill_max_m") => high,
+        Some("fill_shape") => "fill_shape = \"cylinder\"",
+        _ => line,
+    };
+    let text: Vec<&str> = embedded_scene("bench").unwrap().lines().map(changed).collect();
+    let scene = Scene::from_toml("silo.toml", &format!("{}\n{silo}", text.join("\n"))).unwrap();
+    assert_eq!((scene.containers.len(), scene.gates.len()), (3, 1));
+}
+
 #[test]
 fn the_column_of_the_guide_is_a_scene() {
-    let guide = include_str!("../../optimiser/guide/scenes.md");
-    let blocks: Vec<&str> =
-        guide.split("```toml\n").skip(1).map(|rest| rest.split("```").next().unwrap()).collect();
-    let [lines, gate] = blocks[..] else { panic!("{blocks:?}") };
+    let blocks = blocks();
+    let [lines, gate, _] = blocks[..] else { panic!("{blocks:?}") };
     let key = |line: &str| line.split(" =").next().unwrap_or_default().to_owned();
     let changed = |line: &str| lines.lines().find(|new| key(new) == key(line)).unwrap_or(line).to_owned();
     let bench = embedded_scene("bench").unwrap();

@@ -124,7 +124,8 @@ class _Cluster:
     def __init__(
         self, noun: str, address: str | None, threads: int, memory: str | int, wait: bool, runtime_env: dict[str, Any] | None
     ) -> None:
-        need_ray("this", "optimise compare, optimise validate")
+        what = {"search": "compare", "table": "validate"}[noun]
+        need_ray(f"to {what}", f"optimise {what}")
         self.noun, self.address = noun, address or connected()
         self.threads, self.memory_bytes = _native.checked_resources(threads, memory)
         self.wait, self.runtime_env = wait, runtime_env
