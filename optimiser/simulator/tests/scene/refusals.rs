@@ -104,7 +104,7 @@ const STRUCTURE: &[Case] = &[
     (
         r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
         r#"shape = { kind = "sphere" }"#,
-        r#": container "source".shape.kind at line 39: unknown variant `sphere`, expected `box` or `cylinder`"#,
+        r#": container "source".shape.kind at line 39: unknown variant `sphere`, expected one of `box`, `cylinder`, `silo`"#,
     ),
     (
         r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
@@ -912,7 +912,7 @@ const GATES_AND_COLUMNS: &[Case] = &[
     (
         "fill_max_m = [0.088, 0.080, 0.026]",
         "fill_max_m = [0.088, 0.080, 0.026]\nfill_shape = \"sphere\"",
-        ": powder.fill_shape at line 16: unknown variant `sphere`, expected `box` or `cylinder`",
+        ": powder.fill_shape at line 16: unknown variant `sphere`, expected one of `box`, `cylinder`, `silo`",
     ),
 ];
 
