@@ -912,7 +912,7 @@ const GATES_AND_COLUMNS: &[Case] = &[
     (
         "fill_max_m = [0.088, 0.080, 0.026]",
         "fill_max_m = [0.088, 0.080, 0.026]\nfill_shape = \"sphere\"",
-        ": powder.fill_shape at line 16: unknown variant `sphere`, expected one of `box`, `cylinder`, `silo`",
+        ": powder.fill_shape at line 16: unknown variant `sphere`, expected `box` or `cylinder`",
     ),
 ];
 
