@@ -335,6 +335,15 @@ def test_a_comparison_that_was_stopped_goes_on(bench, nodes, tmp_path):
     assert min(len(tried) for tried in tries(out).values()) >= 200
 
 
+def test_a_driver_that_was_killed_while_it_replaced_a_search_has_lost_nothing(tmp_path):
+    searches = cluster._Searches(tmp_path, ["random-seed1"], None)
+    searches.kept({"index": 0, "files": [("state", b"first"), ("stdout", b"{}")]})
+    searches.kept({"index": 0, "files": [("state", b"second")]})
+    assert [path.name for path in tmp_path.iterdir()] == ["random-seed1"]
+    (tmp_path / "random-seed1").rename(tmp_path / "random-seed1.old")
+    assert searches.begun() == {0: [("state", b"second")]}
+
+
 def test_tables_of_scenes_come_from_a_cluster(bench, nodes, tmp_path):
     with pytest.raises(ValueError, match="nothing.toml"):
         cluster.validate([bench / "tiny.toml", bench / "nothing.toml"], address=nodes.address)

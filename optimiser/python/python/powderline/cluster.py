@@ -40,8 +40,8 @@ __all__ = ["ClusterError", "compare", "validate"]
 #: After so long a search stops where it has just saved its state, and goes on in another task, seconds: what a lost node costs at most,
 #: with an epoch more.
 SLICE_S = 120.0
-#: What a search's folder is called until it is whole.
-FRESH = ".new"
+#: What a search's folder is called until it is whole, and while another one takes its place.
+FRESH, FORMER = ".new", ".old"
 
 Row = dict[str, Any]
 
@@ -189,13 +189,21 @@ class _Searches(_Each):
         for name, contents in what["files"]:
             if name != "stdout":
                 (fresh / name).write_bytes(contents)
+        former = folder.with_name(folder.name + FORMER)
+        shutil.rmtree(former, ignore_errors=True)
         if folder.exists():
-            shutil.rmtree(folder)
+            folder.rename(former)
         fresh.rename(folder)
+        shutil.rmtree(former, ignore_errors=True)
 
     def begun(self) -> dict[int, Files]:
         """What there is to go on from."""
         folders = {index: self.folder / name for index, name in enumerate(self.names)}
+        for folder in folders.values():
+            former = folder.with_name(folder.name + FORMER)
+            if former.exists() and not folder.exists():
+                # Somebody was killed right between the two.
+                former.rename(folder)
         return {index: files_of(folder) for index, folder in folders.items() if (folder / "state").exists()}
 
 
