@@ -82,6 +82,9 @@ pub enum FolderError {
     },
 }
 
+/// How a file is locked: alone, or beside others.
+type Lock = fn(&File) -> Result<(), TryLockError>;
+
 /// An open, locked folder. The lock goes with the value.
 #[derive(Debug)]
 pub struct RunFolder {
@@ -139,10 +142,7 @@ impl RunFolder {
     /// # Errors
     /// It does not, it is locked, or cannot be written.
     pub fn open_with(path: &Path, file: &'static str) -> Result<Self, FolderError> {
-        if !path.join(file).exists() {
-            return Err(FolderError::NoRun { path: path.into(), file });
-        }
-        Self::lock(path)
+        Self::holding(path, file, File::try_lock)
     }
 
     /// The same beside others who do so too, and nobody who takes it: for whoever replaces none of its files.
@@ -150,10 +150,14 @@ impl RunFolder {
     /// # Errors
     /// As [`Self::open_with`].
     pub fn share(path: &Path, file: &'static str) -> Result<Self, FolderError> {
-        if !path.join(file).exists() {
-            return Err(FolderError::NoRun { path: path.into(), file });
+        Self::holding(path, file, File::try_lock_shared)
+    }
+
+    fn holding(path: &Path, file: &'static str, lock: Lock) -> Result<Self, FolderError> {
+        match path.join(file).exists() {
+            true => Self::lock_by(path, lock),
+            false => Err(FolderError::NoRun { path: path.into(), file }),
         }
-        Self::lock_by(path, File::try_lock_shared)
     }
 
     /// Takes a folder, whatever it holds, creating it if need be.
@@ -169,7 +173,7 @@ impl RunFolder {
         Self::lock_by(path, File::try_lock)
     }
 
-    fn lock_by(path: &Path, lock: fn(&File) -> Result<(), TryLockError>) -> Result<Self, FolderError> {
+    fn lock_by(path: &Path, lock: Lock) -> Result<Self, FolderError> {
         let file = path.join(LOCK);
         let failed = |source| FolderError::Write { path: file.clone(), source };
         let held = OpenOptions::new().write(true).create(true).truncate(false).open(&file).map_err(failed)?;
