@@ -91,6 +91,19 @@ mod tests {
     use powderline_view::picture::{Camera, Image, Look, Painter};
 
     #[test]
+    fn a_silo_is_drawn_with_its_hole() {
+        let scene = Scene::load("vial").unwrap();
+        let volume_m3 = |shape: ContainerShape| {
+            drawn(&scene, &Container { shape, ..scene.containers[1].clone() }).mesh.volume_m3()
+        };
+        let (inner_radius_m, inner_height_m, outlet_radius_m) = (0.012, 0.03, 0.006);
+        let whole = volume_m3(ContainerShape::Cylinder { inner_radius_m, inner_height_m });
+        let silo = volume_m3(ContainerShape::Silo { inner_radius_m, inner_height_m, outlet_radius_m });
+        let hole = std::f64::consts::PI * outlet_radius_m.powi(2) * scene.containers[1].wall_thickness_m;
+        assert!(((whole - silo) / hole - 1.0).abs() < 0.01, "{whole} {silo} {hole}");
+    }
+
+    #[test]
     fn cuboids_are_drawn_where_they_stand() {
         let scene = Scene::load("bench").unwrap();
         let handle = bench(&scene, &[], 1, 0.01).tool;

@@ -153,6 +153,13 @@ mod tests {
 
     #[test]
     fn a_container_sees_its_inside_its_wall_and_what_is_above() {
+        let (inner_radius_m, inner_height_m) = (0.012, 0.04);
+        let shape = ContainerShape::Silo { inner_radius_m, inner_height_m, outlet_radius_m: 0.004 };
+        // What has come through a hole is below the floor, as nothing else can be.
+        [vial(), Container { shape, ..vial() }].iter().for_each(sees);
+    }
+
+    fn sees(container: &Container) {
         for (x_mm, z_mm, expected) in [
             (0.0, 1.0, Place::Inside),
             (12.4, 39.9, Place::Inside),
@@ -165,7 +172,7 @@ mod tests {
             (13.0, 20.0, Place::Wall),
             (13.6, 20.0, Place::Outside),
         ] {
-            let found = place(&vial(), &[0.0, -1e-3 * x_mm, 1e-3 * z_mm]);
+            let found = place(container, &[0.0, -1e-3 * x_mm, 1e-3 * z_mm]);
             assert_eq!(found, expected, "{x_mm} mm from the axis, {z_mm} mm above the floor");
         }
     }

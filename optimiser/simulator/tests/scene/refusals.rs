@@ -434,6 +434,16 @@ const SINGLE_FIELDS: &[Case] = &[
     ),
     (
         r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
+        r#"shape = { kind = "silo", inner_radius_m = 0.032, inner_height_m = 0.030, outlet_radius_m = 0.033 }"#,
+        r#": container "source".shape.outlet_radius_m is 0.033, but it must be from 0.004 to 0.032"#,
+    ),
+    (
+        r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
+        r#"shape = { kind = "silo", inner_radius_m = 0.032, inner_height_m = 0.030, outlet_radius_m = 0.003 }"#,
+        r#": container "source".shape.outlet_radius_m is 0.003, but it must be from 0.004 to 0.032"#,
+    ),
+    (
+        r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
         r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.0] }"#,
         r#": container "source".shape.inner_size_m[2] is 0, but it must be from 0.004 to 10"#,
     ),
