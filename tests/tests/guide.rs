@@ -1,6 +1,6 @@
 //! What the guide has a reader write.
 
-use powderline_simulator::scene::{FillShape, Scene, embedded_scene};
+use powderline_simulator::scene::{ContainerShape, FillShape, Scene, embedded_scene};
 use powderline_simulator::skill::{SkillMap, Theta, collision};
 
 const GUIDE: &str = include_str!("../../optimiser/guide/scenes.md");
@@ -24,6 +24,13 @@ fn the_silo_of_the_guide_is_a_scene() {
     let text: Vec<&str> = embedded_scene("bench").unwrap().lines().map(changed).collect();
     let scene = Scene::from_toml("silo.toml", &format!("{}\n{silo}", text.join("\n"))).unwrap();
     assert_eq!((scene.containers.len(), scene.gates.len()), (3, 1));
+
+    let hopper = GUIDE.split('`').find(|code| code.starts_with("shape = { kind = \"hopper\"")).unwrap();
+    let shape =
+        |line: &'static str| if line.starts_with("shape = { kind = \"silo\"") { hopper } else { line };
+    let hopper: Vec<&str> = silo.lines().map(shape).collect();
+    let scene = Scene::from_toml("hopper.toml", &format!("{}\n{}", text.join("\n"), hopper.join("\n")));
+    assert!(matches!(scene.unwrap().containers[2].shape, ContainerShape::Hopper { .. }));
 }
 
 #[test]

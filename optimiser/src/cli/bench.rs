@@ -1,16 +1,30 @@
 //! `optimise bench`: what each stage of the simulator takes.
 
-use super::{CliError, Context, Progress, format_size, options::PrecisionArg, parse_size};
+use super::{
+    CliError, Context, Progress, format_size, motion::parse_theta, options::PrecisionArg, parse_size,
+};
 use crate::report::words::{count, grouped};
 use clap::Args;
 use powderline_shared::plan::Precision;
-use powderline_simulator::bench::{Arithmetic, BenchError, Report, Settings, TimeStats, run};
-use powderline_simulator::scene::MAX_PARTICLES;
+use powderline_simulator::bench::{
+    Arithmetic, BenchError, Profile, ProfileSettings, Report, Seconds, Settings, TimeStats, Watch, profile,
+    run,
+};
+use powderline_simulator::rollout::{SimulatorSettings, Workload, check_memory};
+use powderline_simulator::scene::{MAX_PARTICLES, Scene};
+use powderline_simulator::skill::Theta;
+use serde::Serialize;
 use std::{fmt::Write, ops::RangeInclusive};
 
 /// Arguments of `optimise bench`.
 #[derive(Clone, Debug, Args)]
 pub(super) struct BenchArgs {
+    /// Where the time of a whole rollout of this scene goes, instead of a bed of powder: a name, or a scene file
+    #[arg(long, value_name = "SCENE", conflicts_with_all = ["particles", "grid", "steps"])]
+    pub scene: Option<String>,
+    /// With `--scene`: the skill, each parameter in [-1, 1]
+    #[arg(long, value_name = "A,B,C,D,E", requires = "scene", allow_hyphen_values = true)]
+    pub theta: Option<String>,
     /// Particles, eight in a cell; 1,000 to 4,000,000
     #[arg(long, value_name = "N", default_value_t = 20_000)]
     pub particles: u64,
@@ -63,6 +77,9 @@ fn within(name: &str, number: u64, range: RangeInclusive<usize>) -> Result<usize
 /// # Errors
 /// One sentence.
 pub(super) fn execute(arguments: &BenchArgs, context: &mut Context<'_>) -> Result<(), CliError> {
+    if let Some(scene) = &arguments.scene {
+        return of_scene(scene, arguments, context);
+    }
     let settings = Settings {
         particles: within("--particles", arguments.particles, PARTICLES)?,
         grid: within("--grid", arguments.grid, GRID)?,
@@ -72,10 +89,34 @@ pub(super) fn execute(arguments: &BenchArgs, context: &mut Context<'_>) -> Resul
         forward_only: arguments.forward_only,
         memory_bytes: arguments.memory,
     };
+    let report = watched(context, |watch| run(&settings, watch))?;
+    tell(&report, write_text, arguments, context)
+}
+
+/// Where the time of a rollout of a scene goes.
+fn of_scene(scene: &str, arguments: &BenchArgs, context: &mut Context<'_>) -> Result<(), CliError> {
+    let scene = Scene::load(scene)?;
+    let theta = arguments.theta.as_deref().map_or_else(|| Ok(Theta::MIDDLE), parse_theta)?;
+    let (precision, defaults) = (Precision::from(arguments.precision), SimulatorSettings::default());
+    let simulator = SimulatorSettings {
+        threads: Some(arguments.threads.into()),
+        memory_bytes: arguments.memory.unwrap_or(defaults.memory_bytes),
+        ..defaults
+    };
+    let work = if arguments.forward_only { Workload::Single } else { Workload::Gradient };
+    check_memory(&scene, precision, &simulator, work, 0)?;
+    let forward_only = arguments.forward_only;
+    let settings = ProfileSettings { scene: &scene, theta: &theta, precision, simulator, forward_only };
+    let profile = watched(context, |watch| profile(&settings, watch))?;
+    tell(&profile, write_profile, arguments, context)
+}
+
+/// Runs something that says what it does, and how far it is.
+fn watched<R>(context: &Context<'_>, job: impl FnOnce(Watch<'_>) -> R) -> R {
     let interrupt = context.interrupt.clone();
     let progress = Progress::new(&context.err, context.live);
     let mut task = String::new();
-    let report = run(&settings, &mut |doing, done, total| {
+    let done = job(&mut |doing, done, total| {
         if task != doing {
             task = doing.into();
             progress.begin(doing, 0, &[]);
@@ -84,19 +125,56 @@ pub(super) fn execute(arguments: &BenchArgs, context: &mut Context<'_>) -> Resul
         interrupt.flow()
     });
     progress.clear();
-    let report = report?;
+    done
+}
+
+/// As text, or as one JSON object.
+fn tell<R: Serialize>(
+    report: &R,
+    write_text: fn(&mut String, &R) -> std::fmt::Result,
+    arguments: &BenchArgs,
+    context: &mut Context<'_>,
+) -> Result<(), CliError> {
     if arguments.json {
-        return context.json(&report);
+        return context.json(report);
     }
-    write!(context.out, "{}", text(&report))?;
+    let mut text = String::new();
+    // Writing to a string does not fail.
+    let _ = write_text(&mut text, report);
+    write!(context.out, "{text}")?;
     Ok(())
 }
 
-fn text(report: &Report) -> String {
-    let mut out = String::new();
-    // Writing to a string does not fail.
-    let _ = write_text(&mut out, report);
-    out
+fn write_profile(out: &mut String, profile: &Profile) -> std::fmt::Result {
+    writeln!(
+        out,
+        "{}, {}, {}, {}, {}; settled in {:.1} s of processor time.",
+        profile.scene,
+        count(profile.particles as i64, "particle"),
+        count(profile.substeps as i64, "substep"),
+        profile.precision,
+        count(profile.threads as i64, "thread"),
+        profile.settling.processor_s
+    )?;
+    writeln!(out, "\n{:38}{:>10}{:>12}{:>8}", "seconds", "wall", "processor", "share")?;
+    for run in &profile.runs {
+        writeln!(out, "\n{}", run.name)?;
+        let mut row = |name: &str, [wall_s, processor_s]: [f64; 2]| {
+            let share = 100.0 * processor_s / run.time.processor_s;
+            writeln!(out, "  {name:36}{wall_s:>10.2}{processor_s:>12.2}{share:>6.1} %")
+        };
+        for stage in &run.stages {
+            row(stage.name, [stage.time.wall_s, stage.time.processor_s])?;
+        }
+        let of_stages = |of: fn(&Seconds) -> f64| run.stages.iter().map(|stage| of(&stage.time)).sum::<f64>();
+        let rest: [fn(&Seconds) -> f64; 2] = [|time| time.wall_s, |time| time.processor_s];
+        row("what is between them", rest.map(|of| of(&run.time) - of_stages(of)))?;
+        row("all", rest.map(|of| of(&run.time)))?;
+    }
+    let advanced = profile.runs.iter().find(|run| run.advances > 1.0);
+    advanced.map_or(Ok(()), |run| {
+        writeln!(out, "\nThe gradient advances each substep {:.2} times, beside the adjoint.", run.advances)
+    })
 }
 
 fn write_text(out: &mut String, report: &Report) -> std::fmt::Result {

@@ -1389,6 +1389,65 @@ fn bench_without_gradient_has_no_adjoint() {
     assert!(!text.contains("adjoint"), "{text}");
 }
 
+/// The smallest of benches, of a powder that is soft and coarse.
+fn coarse_scene(place: &Place) -> String {
+    let scene = Scene::load("bench-small").unwrap().with(|spec| {
+        spec.name = "coarse".into();
+        spec.powder.particles_per_cell = 1;
+        spec.time.settle_s = 0.05;
+    });
+    let path = place.text("coarse.toml");
+    fs::write(&path, scene.unwrap().to_toml()).unwrap();
+    path
+}
+
+#[test]
+fn bench_says_where_the_time_of_a_scenes_rollout_goes() {
+    let place = Place::new();
+    let scene = coarse_scene(&place);
+    let done = optimise(&["bench", "--scene", &scene, "--theta=0.3,0,0,0,0.3", "--threads", "2", "--json"]);
+    assert_eq!(done.code, 0, "{}", done.err);
+    let report: Value = serde_json::from_str(&done.out).unwrap();
+    assert_eq!((&report["scene"], &report["threads"]), (&"coarse".into(), &2.into()));
+    assert_eq!(report["theta"].as_array().unwrap()[4], 0.3);
+    let [forward, gradient] = &report["runs"].as_array().unwrap()[..] else { panic!("two runs") };
+    for (run, stages) in [(forward, 4), (gradient, 10)] {
+        let times = column(run, "stages", None, "wall_s");
+        assert_eq!(times.len(), stages, "{run}");
+        assert!(
+            times.iter().all(|time| *time >= 0.0)
+                && times.iter().sum::<f64>() <= run["wall_s"].as_f64().unwrap()
+        );
+    }
+    assert_eq!(forward["advances"], 1.0);
+    assert!(gradient["advances"].as_f64().unwrap() >= 1.0 && gradient["stages"][4]["part"] == "adjoint");
+
+    let text = optimise(&["bench", "--scene", &scene, "--forward-only"]).out;
+    for part in [
+        "coarse, ",
+        "f32, 1 thread; settled in",
+        "grid update, with contact",
+        "what is between them",
+        "100.0 %",
+    ] {
+        assert!(text.contains(part), "{part} in {text}");
+    }
+    assert!(!text.contains("adjoint"), "{text}");
+}
+
+#[test]
+fn bench_of_a_scene_refuses_in_one_sentence() {
+    for (arguments, about) in [
+        (&["--scene", "nowhere"][..], "nowhere"),
+        (&["--scene", "bench-small", "--grid", "32"], "--grid"),
+        (&["--theta", "0,0,0,0,0"], "--scene"),
+        (&["--scene", "bench-small", "--theta", "0,0,0"], "there are 3"),
+        (&["--scene", "bench-small", "--memory", "2MiB"], "memory"),
+    ] {
+        assert_sentence(&optimise(&[&["bench"], arguments].concat()), 2, about);
+    }
+}
+
 #[test]
 fn bench_refuses_in_one_sentence() {
     for (arguments, about) in [
@@ -1411,8 +1470,9 @@ fn bench_refuses_in_one_sentence() {
 /// What makes simulators of its own, so that no stand-in sees whether it listens.
 #[test]
 fn what_measures_stops_on_request() {
-    let commands: [&[&str]; 3] = [
+    let commands: [&[&str]; 4] = [
         &["bench", "--particles", "1000"],
+        &["bench", "--scene", "bench-small"],
         &["gradcheck", "bench-small", "--short"],
         &["gradcheck", "bench-small", "--skills", "2", "--json"],
     ];

@@ -47,6 +47,10 @@ fn drawn(scene: &Scene, container: &Container) -> powderline_view::Container {
         ContainerShape::Silo { inner_radius_m, inner_height_m, outlet_radius_m } => {
             Mesh::silo(inner_radius_m, inner_height_m, outlet_radius_m, *wall_thickness_m)
         }
+        ContainerShape::Hopper { inner_radius_m, inner_height_m, outlet_radius_m, half_angle_deg } => {
+            let lean_rad = half_angle_deg.to_radians();
+            Mesh::hopper(inner_radius_m, inner_height_m, outlet_radius_m, lean_rad, *wall_thickness_m)
+        }
     };
     let place = Isometry3::new((*position_m).into(), Vector3::z() * yaw_deg.to_radians());
     let role = match name {
@@ -101,6 +105,24 @@ mod tests {
         let silo = volume_m3(ContainerShape::Silo { inner_radius_m, inner_height_m, outlet_radius_m });
         let hole = std::f64::consts::PI * outlet_radius_m.powi(2) * scene.containers[1].wall_thickness_m;
         assert!(((whole - silo) / hole - 1.0).abs() < 0.01, "{whole} {silo} {hole}");
+    }
+
+    #[test]
+    fn a_hopper_is_drawn_with_its_cone() {
+        let scene = Scene::load("vial").unwrap();
+        let (inner_radius_m, inner_height_m, outlet_radius_m, half_angle_deg) = (0.012, 0.03, 0.006, 30.0);
+        let shape =
+            ContainerShape::Hopper { inner_radius_m, inner_height_m, outlet_radius_m, half_angle_deg };
+        let container = Container { shape, ..scene.containers[1].clone() };
+        let (mesh, wall) = (drawn(&scene, &container).mesh, container.wall_thickness_m);
+        let up = |p: &[f64; 3]| p[2] - container.position_m[2];
+        let away = |p: &[f64; 3]| (p[0] - container.position_m[0]).hypot(p[1] - container.position_m[1]);
+        let lowest = mesh.points_m.iter().map(up).fold(f64::MAX, f64::min);
+        let widest = mesh.points_m.iter().map(away).fold(0.0, f64::max);
+        // The cone's lower edge is across its wall.
+        assert!((lowest + 0.5 * wall).abs() < 1e-9 && (widest - inner_radius_m - wall).abs() < 1e-9);
+        let narrowest = mesh.points_m.iter().map(away).fold(f64::MAX, f64::min);
+        assert!((narrowest - outlet_radius_m).abs() < 1e-9, "{narrowest}");
     }
 
     #[test]

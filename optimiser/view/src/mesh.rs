@@ -94,6 +94,31 @@ impl Mesh {
         ])
     }
 
+    /// Upright round cylinder above a cone whose wall leans by `lean_rad` from the vertical, down to a round hole with its middle at the
+    /// origin; where the cone ends at the rim, that alone.
+    #[must_use]
+    pub fn hopper(
+        inner_radius_m: f64,
+        inner_height_m: f64,
+        outlet_radius_m: f64,
+        lean_rad: f64,
+        wall_m: f64,
+    ) -> Self {
+        let (sin, cos) = lean_rad.sin_cos();
+        let cone_m = (inner_radius_m - outlet_radius_m) * cos / sin;
+        let outer = |radius: f64, height: f64| [radius + wall_m * cos, height - wall_m * sin];
+        let ends_at_rim = inner_height_m <= cone_m * (1.0 + 1e-6);
+        let cylinder = [
+            [inner_radius_m + wall_m, cone_m],
+            [inner_radius_m + wall_m, inner_height_m],
+            [inner_radius_m, inner_height_m],
+        ];
+        let cylinder = cylinder.into_iter().filter(|_| !ends_at_rim);
+        let below = [outer(outlet_radius_m, 0.0), outer(inner_radius_m, cone_m)];
+        let inside = [[inner_radius_m, cone_m], [outlet_radius_m, 0.0], below[0]];
+        Self::turned(&below.into_iter().chain(cylinder).chain(inside).collect::<Vec<_>>())
+    }
+
     /// Upright round pipe that stands on the origin, open at both ends.
     #[must_use]
     pub fn pipe(inner_radius_m: f64, height_m: f64, wall_m: f64) -> Self {
@@ -194,7 +219,7 @@ fn is_flat(points: &[[f64; 2]; 3]) -> bool {
 mod tests {
     use super::*;
     use std::collections::HashMap;
-    use std::f64::consts::PI;
+    use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_4, PI, SQRT_2, TAU};
 
     /// Each edge is run through once in either direction: closed, and all triangles look outwards or all inwards.
     fn is_closed(mesh: &Mesh) -> bool {
@@ -213,12 +238,17 @@ mod tests {
     fn solids_are_closed_and_have_their_volume() {
         // Polygons of 48 sides lie within circles.
         let round = 0.99;
+        // By Guldin: a profile's area times the way of its middle.
+        let cone = 0.05 * SQRT_2 * TAU * (0.75 + 0.05 * FRAC_1_SQRT_2);
+        let corner = 0.005 * FRAC_1_SQRT_2 * TAU * (1.0 + (0.1 + 0.1 * FRAC_1_SQRT_2) / 3.0);
         let cases = [
             (Mesh::block([0.0; 3], [1.0, 2.0, 3.0]), 6.0, 1.0),
             (Mesh::open_box([1.0, 2.0, 3.0], 0.1), 1.2 * 2.2 * 3.1 - 6.0, 1.0),
             (Mesh::box_scoop([1.0, 2.0, 3.0], 0.1), 1.1 * 2.2 * 3.1 - 6.0, 1.0),
             (Mesh::open_cylinder(1.0, 2.0, 0.1), PI * (1.21 * 2.1 - 2.0), round),
             (Mesh::silo(1.0, 2.0, 0.5, 0.1), PI * (1.21 * 2.1 - 2.0 - 0.25 * 0.1), round),
+            (Mesh::hopper(1.0, 0.5, 0.5, FRAC_PI_4, 0.1), cone, round),
+            (Mesh::hopper(1.0, 1.5, 0.5, FRAC_PI_4, 0.1), cone + PI * 0.21 * 1.0 + corner, round),
             (Mesh::pipe(1.0, 2.0, 0.1), PI * 0.21 * 2.0, round),
             (Mesh::bowl(1.0, 0.1), 2.0 / 3.0 * PI * (1.331 - 1.0), round),
             (Mesh::capsule([1.0, 2.0, 3.0], [1.0, 2.0, 1.0], 0.5), PI * (0.5 + 4.0 / 3.0 * 0.125), 0.98),

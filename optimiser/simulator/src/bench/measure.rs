@@ -47,7 +47,7 @@ const PARTS: usize = 5;
 const PASSES: u32 = 2;
 
 /// Everything that is measured of stages, in the order of the report: key, part of the report, name.
-const ENTRIES: [(Pass, Stage, &str, &str); 14] = [
+pub(super) const ENTRIES: [(Pass, Stage, &str, &str); 14] = [
     (Pass::Forward, Stage::Sort, "forward", "sort"),
     (Pass::Forward, Stage::ParticlesToGrid, "forward", "particles to grid, with return map"),
     (Pass::Forward, Stage::GridUpdate, "forward", "grid update, with contact"),
@@ -368,7 +368,7 @@ fn each(total: Reading, count: usize) -> Block {
     total.map(|total| total as f64 / count.max(1) as f64)
 }
 
-fn difference(after: Reading, before: Reading) -> Reading {
+pub(super) fn difference(after: Reading, before: Reading) -> Reading {
     [after[0] - before[0], after[1] - before[1]]
 }
 

@@ -103,11 +103,14 @@
 //! ```
 //!
 //! The second one times each stage with criterion and compares with its own last run.
+//!
+//! `optimise bench --scene SCENE` says the same of a whole rollout of a scene: there most of the powder may be asleep, and walls are near.
 
 mod counted;
 mod machine;
 mod measure;
 mod problem;
+mod profile;
 
 use thiserror::Error;
 
@@ -122,6 +125,7 @@ pub use measure::{
     run,
 };
 pub use problem::{PARTICLES_PER_CELL, SUBSTEPS};
+pub use profile::{Profile, ProfileSettings, RunTime, Seconds, StageTime, profile};
 
 /// Why nothing was measured.
 #[derive(Clone, Debug, PartialEq, Error)]

@@ -4,25 +4,59 @@ use crate::mpm::Model;
 use crate::mpm::bodies::Bodies;
 use crate::mpm::layers::{Class, layers};
 use crate::mpm::layout::{
-    Block, Detour, HiddenBy, Layout, NodeBlock, NodeSet, Source, WallFace, neighbour_offsets, shared_nodes,
+    Block, Coord, Detour, Grid, HiddenBy, Layout, NodeBlock, NodeSet, SHARED_NODES, Source, WallFace,
+    neighbour_offsets,
 };
 use crate::mpm::walls::{hidden_of, moving_hidden};
 use crate::real::Real;
 use crate::shape::Face;
 
 /// Finds the node blocks that the particle blocks touch, with their layers, and links both ways.
-pub(crate) fn connected<T: Real>(model: &Model<T>, bodies: &Bodies<T>, mut blocks: Vec<Block>) -> Layout {
-    let grid = &model.grid;
-    let around = |b: &Block| {
-        let coord = b.coord;
-        neighbour_offsets().map(move |o| grid.index([0, 1, 2].map(|a| coord[a] + o[a])))
-    };
-    let mut touched: Vec<usize> = blocks.iter().flat_map(around).collect();
+pub(crate) fn connected<T: Real>(model: &Model<T>, bodies: &Bodies<T>, blocks: Vec<Block>) -> Layout {
+    let touched = touched(&model.grid, &blocks);
+    let moving = moving_hidden(model, bodies, &blocks, touched.iter().map(|index| model.grid.coord(*index)));
+    connected_behind(model, moving, blocks, &touched)
+}
+
+/// The same where the moving pieces hide other nodes than they did when the layers were made; none where they hide the same.
+pub(crate) fn connected_anew<T: Real>(
+    model: &Model<T>,
+    bodies: &Bodies<T>,
+    layout: &Layout,
+) -> Option<Layout> {
+    let moving = moving_hidden(model, bodies, &layout.blocks, layout.places().map(|layers| layers[0].coord));
+    (moving != layout.moving).then(|| {
+        let touched: Vec<usize> = layout.places().map(|layers| model.grid.index(layers[0].coord)).collect();
+        connected_behind(model, moving, layout.blocks.clone(), &touched)
+    })
+}
+
+/// Numbers of the blocks around one, itself included.
+fn around(grid: &Grid, coord: Coord) -> impl Iterator<Item = usize> {
+    neighbour_offsets().map(move |o| grid.index([0, 1, 2].map(|a| coord[a] + o[a])))
+}
+
+/// Numbers of the node blocks that particle blocks touch, in order.
+fn touched(grid: &Grid, blocks: &[Block]) -> Vec<usize> {
+    let mut touched: Vec<usize> = Vec::with_capacity(27 * blocks.len());
+    for parts in blocks.chunk_by(|a, b| a.coord == b.coord) {
+        touched.extend(around(grid, parts[0].coord));
+    }
     touched.sort_unstable();
     touched.dedup();
+    touched
+}
+
+/// The layout of these blocks, which touch these node blocks; `moving` is what moving pieces hide of them.
+fn connected_behind<T: Real>(
+    model: &Model<T>,
+    moving: Vec<HiddenBy>,
+    mut blocks: Vec<Block>,
+    touched: &[usize],
+) -> Layout {
     let mut sources: Vec<Vec<Source>> = vec![Vec::new(); touched.len()];
     for (tile, block) in (0..).zip(&mut blocks) {
-        for (n, index) in around(block).enumerate() {
+        for (n, index) in around(&model.grid, block.coord).enumerate() {
             let at = touched.binary_search(&index).expect("collected above");
             block.nodes[n] = at as u32;
             // Seen from the node block, the particle block lies in the opposite direction.
@@ -30,7 +64,6 @@ pub(crate) fn connected<T: Real>(model: &Model<T>, bodies: &Bodies<T>, mut block
         }
         block.detours.clear();
     }
-    let moving = moving_hidden(model, bodies, &blocks, touched.iter().map(|index| grid.coord(*index)));
     let sets = FaceSets::of(&blocks);
     let mut nodes: Vec<NodeBlock> = Vec::with_capacity(touched.len());
     let (mut first_layers, mut later) = (Vec::with_capacity(touched.len()), &moving[..]);
@@ -89,7 +122,7 @@ fn add_layers<T: Real>(
     let mut senders: Vec<(u32, NodeSet)> = Vec::new();
     let set_of = |source: &Source| sets.of_block[source.tile as usize];
     for source in &sources {
-        let reach = shared_nodes(source.neighbour.into());
+        let reach = SHARED_NODES[usize::from(source.neighbour)];
         match senders.iter_mut().find(|(set, _)| *set == set_of(source)) {
             Some((_, nodes)) => *nodes |= reach,
             None => senders.push((set_of(source), reach)),
@@ -117,7 +150,7 @@ fn add_layers<T: Real>(
     for (layer, sides) in found.sides.into_iter().enumerate() {
         let mut in_layer = Vec::with_capacity(sources.len());
         for source in &sources {
-            let shared = shared_nodes(source.neighbour.into());
+            let shared = SHARED_NODES[usize::from(source.neighbour)];
             let of_class = &found.of_class[class_of[set_of(source) as usize]];
             let own = shared & of_class.get(layer).unwrap_or(&0);
             if own == 0 {

@@ -16,7 +16,7 @@ use crate::mpm::particles::{Group, LANES, Lanes, mat_of, set_mat, set_vec, vec_o
 use crate::mpm::residue::Residue;
 use crate::mpm::sleep::{BlockStatus, Speeds};
 use crate::mpm::stencil::{TILE_EDGE, Tile, scatter};
-use crate::mpm::stencil_positions::{Reach, StencilPositions};
+use crate::mpm::stencil_positions::{ALL_NEIGHBOURS, Reach, StencilPositions};
 use crate::real::Real;
 use crate::small::{dot, three, tr_mul_vec};
 
@@ -26,10 +26,11 @@ fn load_unforced<T: Real>(
     model: &Model<T>,
     block: &Block,
     unforced: Option<&[Nodes<T>]>,
+    reached: u32,
 ) -> Option<(Residue<T>, Tile<T>)> {
     model.residue.zip(unforced).map(|(residue, nodes)| {
         let mut tile = empty_tile();
-        load_tile(block, nodes, &mut tile);
+        load_tile(block, nodes, reached, &mut tile);
         (residue, tile)
     })
 }
@@ -39,6 +40,8 @@ pub(crate) struct TileToParticles<'a, T> {
     pub(crate) model: &'a Model<T>,
     pub(crate) bodies: &'a Bodies<T>,
     pub(crate) block: &'a Block,
+    /// To which neighbours its particles have sent.
+    pub(crate) reached: u32,
     pub(crate) velocity: &'a [Nodes<T>],
     /// Velocity without forces, where the residue is given back.
     pub(crate) unforced: Option<&'a [Nodes<T>]>,
@@ -55,8 +58,8 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticles<'_, T> {
         let model = self.model;
         let shift = Grid::tile_shift(self.block.coord).map(T::from_f64);
         let mut tile = empty_tile();
-        load_tile(self.block, self.velocity, &mut tile);
-        let unforced = load_unforced(model, self.block, self.unforced);
+        load_tile(self.block, self.velocity, self.reached, &mut tile);
+        let unforced = load_unforced(model, self.block, self.unforced, self.reached);
         let touching = model.obstacles.at_particles(&model.grid, self.block.coord, self.bodies);
         let (mut inside, mut speeds) = (true, Speeds::new(model));
         for (g, state) in self.state.iter_mut().enumerate() {
@@ -140,9 +143,9 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
         let model = self.model;
         let shift = Grid::tile_shift(self.block.coord).map(T::from_f64);
         let mut tile = empty_tile();
-        load_tile(self.block, self.velocity, &mut tile);
+        load_tile(self.block, self.velocity, ALL_NEIGHBOURS, &mut tile);
         *self.tile_bar = empty_tile();
-        let unforced = load_unforced(model, self.block, self.unforced);
+        let unforced = load_unforced(model, self.block, self.unforced, ALL_NEIGHBOURS);
         if let Some(tile_bar) = &mut self.unforced_bar {
             **tile_bar = empty_tile();
         }

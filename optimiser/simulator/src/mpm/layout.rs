@@ -143,11 +143,10 @@ impl Block {
 
     /// The parts of the node blocks around it that are its own: which neighbour, which node block, and which of its nodes.
     fn parts(&self) -> impl Iterator<Item = (usize, u32, NodeSet)> {
-        let shared = const { shared_by_neighbours() };
         self.nodes.into_iter().enumerate().flat_map(move |(n, first)| {
             let detours = self.detours.iter().filter(move |d| usize::from(d.neighbour) == n);
             let elsewhere = detours.clone().fold(0, |nodes, d| nodes | d.nodes);
-            let own = (n, first, shared[26 - n] & !elsewhere);
+            let own = (n, first, SHARED_NODES[26 - n] & !elsewhere);
             std::iter::once(own).chain(detours.map(move |d| (n, d.node_block, d.nodes)))
         })
     }
@@ -194,6 +193,11 @@ impl Layout {
     /// Nothing.
     pub(crate) fn empty() -> Self {
         Self { blocks: Vec::new(), nodes: Vec::new(), moving: Vec::new() }
+    }
+
+    /// Places of the grid, each with the layers of its nodes.
+    pub(crate) fn places(&self) -> impl Iterator<Item = &[NodeBlock]> {
+        self.nodes.chunk_by(|a, b| a.coord == b.coord)
     }
 
     /// Bytes.
@@ -248,8 +252,18 @@ pub(crate) const fn overlap(offset: i32) -> (usize, usize, usize) {
     }
 }
 
-/// The nodes of a node block that it shares with the tile of a neighbour.
-pub(crate) const fn shared_nodes(neighbour: usize) -> NodeSet {
+/// The nodes of a node block that it shares with the tile of each neighbour.
+pub(crate) const SHARED_NODES: [NodeSet; 27] = {
+    let mut out = [0; 27];
+    let mut n = 0;
+    while n < 27 {
+        out[n] = shared_nodes(n);
+        n += 1;
+    }
+    out
+};
+
+const fn shared_nodes(neighbour: usize) -> NodeSet {
     let mut nodes = 0;
     let offset = [neighbour as i32 / 9 - 1, neighbour as i32 / 3 % 3 - 1, neighbour as i32 % 3 - 1];
     let [(ax, _, nx), (ay, _, ny), (az, _, nz)] =
@@ -263,17 +277,6 @@ pub(crate) const fn shared_nodes(neighbour: usize) -> NodeSet {
         n += 1;
     }
     nodes
-}
-
-/// The same for all neighbours.
-const fn shared_by_neighbours() -> [NodeSet; 27] {
-    let mut out = [0; 27];
-    let mut n = 0;
-    while n < 27 {
-        out[n] = shared_nodes(n);
-        n += 1;
-    }
-    out
 }
 
 /// These nodes of a node block, each with its place in the tile of a neighbour that shares it.
@@ -310,14 +313,17 @@ pub(crate) fn any_shared(
 /// Along one axis, for each node of a tile: which neighbour (0, 1, 2) owns it, and its place there.
 const OWNERS: [(usize, usize); TILE_EDGE] = [(0, 3), (1, 0), (1, 1), (1, 2), (1, 3), (2, 0), (2, 1), (2, 2)];
 
-/// Fills a particle block's tile from the node blocks around it.
+/// Fills a particle block's tile from the node blocks around it, those of some neighbours at least: bit `n` for neighbour `n`.
 #[inline(always)]
-pub(crate) fn load_tile<T: Real>(block: &Block, nodes: &[Nodes<T>], tile: &mut Tile<T>) {
+pub(crate) fn load_tile<T: Real>(block: &Block, nodes: &[Nodes<T>], neighbours: u32, tile: &mut Tile<T>) {
     let (rows, _) = tile.as_chunks_mut::<TILE_EDGE>();
     for (i, (nx, ax)) in OWNERS.into_iter().enumerate() {
         for ny in 0..3 {
             // Three columns of blocks along z: below, here, above.
             let column = (nx * 3 + ny) * 3;
+            if neighbours >> column & 7 == 0 {
+                continue;
+            }
             let from = |k: usize| nodes[block.nodes[column + k] as usize].as_chunks::<BLOCK_EDGE>().0;
             let (below, here, above) = (from(0), from(1), from(2));
             let (ay, ty, count) = [(3, 0, 1), (0, 1, 4), (0, 5, 3)][ny];
@@ -332,7 +338,7 @@ pub(crate) fn load_tile<T: Real>(block: &Block, nodes: &[Nodes<T>], tile: &mut T
             }
         }
     }
-    for detour in &block.detours {
+    for detour in block.detours.iter().filter(|detour| neighbours >> detour.neighbour & 1 == 1) {
         let nodes = &nodes[detour.node_block as usize];
         for (n, at) in places_in_tile(26 - usize::from(detour.neighbour), detour.nodes) {
             tile[at] = nodes[n];

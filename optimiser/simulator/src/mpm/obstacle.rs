@@ -10,7 +10,7 @@ use crate::mpm::density::room_beside;
 use crate::mpm::layout::{BLOCK_EDGE, BLOCK_NODES, Coord, Grid, NodeBlock, Side};
 use crate::real::Real;
 use crate::scene::{Container, ContainerShape, Gate, GateShape, Scene, Tool, VolumeCorrection, Walls};
-use crate::shape::{AlignedBox, Face, HalfSpace, Shape, SignedDistance, Tube, with_solid};
+use crate::shape::{AlignedBox, Cone, Face, HalfSpace, Shape, SignedDistance, Tube, with_solid};
 use crate::small::{sub, tr_mul_vec};
 
 /// One piece of a body.
@@ -447,6 +447,26 @@ pub(crate) fn container_shapes(c: &Container) -> Vec<Shape<f64>> {
             ring(0.5 * (hole + r + t), 0.5 * (r + t - hole), -0.5 * t, 0.5 * t),
             ring(r + 0.5 * t, 0.5 * t, 0.5 * (h - t), 0.5 * (h + t)),
         ],
+        ContainerShape::Hopper {
+            inner_radius_m: r,
+            inner_height_m: h,
+            outlet_radius_m: hole,
+            half_angle_deg,
+        } => {
+            let (top, lean) = (c.shape.cone_height_m(), libm::sincos(half_angle_deg.to_radians()));
+            let (sin, cos) = lean;
+            let cone = Cone {
+                radius: 0.5 * (hole + r + t * cos),
+                height: 0.5 * (top - t * sin),
+                half_across: 0.5 * t,
+                half_along: 0.5 * libm::hypot(r - hole, top),
+                lean: [sin, cos],
+            };
+            // From as low as the cone's outer edge: no gap is left between them.
+            let low = top - t * sin;
+            let pipe = ring(r + 0.5 * t, 0.5 * t, 0.5 * (h + low), 0.5 * (h - low));
+            [Some(Shape::Cone(cone)), (h > top + TOUCH_M).then_some(pipe)].into_iter().flatten().collect()
+        }
     }
 }
 
@@ -462,6 +482,9 @@ pub(crate) fn gate_shape(gate: &Gate) -> Shape<f64> {
         }
     }
 }
+
+/// A hopper whose rim is nearer than this to its cone's has no cylinder, m.
+const TOUCH_M: f64 = 1e-9;
 
 /// A tube about the vertical, or a disc, by the middle of its profile and half of its extents.
 fn ring(radius: f64, half_radial: f64, height: f64, half_axial: f64) -> Shape<f64> {

@@ -231,6 +231,8 @@ pub(crate) struct ParticlesToTileAdjoint<'a, T> {
     pub(crate) model: &'a Model<T>,
     pub(crate) block: &'a Block,
     pub(crate) input: &'a [Group<T>],
+    /// To which neighbours its particles have sent.
+    pub(crate) reached: u32,
     /// Cotangents of momentum and mass.
     pub(crate) nodes_bar: &'a [Nodes<T>],
     /// Of momentum without forces, where the velocity residue is given back.
@@ -248,11 +250,11 @@ impl<T: Real> pulp::NullaryFnOnce for ParticlesToTileAdjoint<'_, T> {
         let model = self.model;
         let shift = Grid::tile_shift(self.block.coord).map(T::from_f64);
         let mut tile = empty_tile();
-        load_tile(self.block, self.nodes_bar, &mut tile);
+        load_tile(self.block, self.nodes_bar, self.reached, &mut tile);
         let mass = Lanes([model.mass; LANES]);
         let unforced = self.unforced_bar.map(|nodes| {
             let mut tile = empty_tile();
-            load_tile(self.block, nodes, &mut tile);
+            load_tile(self.block, nodes, self.reached, &mut tile);
             tile
         });
         let mut rows = Rows::new();

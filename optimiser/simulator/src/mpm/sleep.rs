@@ -32,6 +32,7 @@ use crate::mpm::layout::{Block, Layout, Nodes, any_shared, empty_tile, load_tile
 use crate::mpm::p2g::ParticlesToTile;
 use crate::mpm::particles::{EMPTY_LANE, Group, LANES, Lanes, vec_of};
 use crate::mpm::stencil::{TILE_LENGTH, Tile};
+use crate::mpm::stencil_positions::ALL_NEIGHBOURS;
 use crate::real::Real;
 use crate::scene::{Domain, Scene, SleepBy};
 use crate::small::dot;
@@ -287,7 +288,7 @@ pub(crate) fn fall_asleep<T: Real>(
         let (from, state, tile) = (Some(groups), &mut unused[..], &mut sleeper.tile);
         sleeper.reached =
             model.arch.dispatch(ParticlesToTile { model, block, from, state, tile, unforced: None });
-        load_tile(block, velocity, &mut velocities);
+        load_tile(block, velocity, ALL_NEIGHBOURS, &mut velocities);
         let unquiet = |at: &usize| sleeper.is_woken_at(model, *at) && model.sleep.can_wake(&velocities[*at]);
         sleeper.unquiet = (0..TILE_LENGTH).filter(unquiet).map(|at| (at as u16, velocities[at])).collect();
         rest.sleeper = Some(Arc::new(sleeper));

@@ -6,7 +6,7 @@ use rayon::prelude::*;
 
 use crate::mpm::Model;
 use crate::mpm::bodies::Bodies;
-use crate::mpm::connect::connected;
+use crate::mpm::connect::connected_anew;
 use crate::mpm::contact::BodyStateBar;
 use crate::mpm::g2p::{TileToParticles, TileToParticlesAdjoint};
 use crate::mpm::grid_update::{UnforcedNodesBar, UpdateNodes, UpdateNodesAdjoint};
@@ -337,18 +337,19 @@ impl<T: Real> Workspace<T> {
     ) -> Result<(), EscapedParticle> {
         let (layout, velocity) = (&*state.layout, &self.on_grid.velocity);
         let unforced = model.residue.map(|_| &self.on_grid.unforced[..]);
-        let (before, moving) = (&state.rest, &self.moving);
+        let (before, moving, reached) = (&state.rest, &self.moving, &self.reached);
         let (seen, rest): (Vec<BlockStatus>, Vec<SleepState<T>>) = split(layout, &mut state.particles.groups)
             .into_par_iter()
             .zip(&layout.blocks)
-            .zip(before)
+            .zip(before.par_iter().zip(reached))
             .with_max_len(MAX_BLOCKS)
-            .map(|((state, block), before)| {
+            .map(|((state, block), (before, reached))| {
                 if !before.is_asleep() {
                     let seen = model.arch.dispatch(TileToParticles {
                         model,
                         bodies,
                         block,
+                        reached: *reached,
                         velocity,
                         unforced,
                         holds_volume,
@@ -390,8 +391,8 @@ impl<T: Real> Workspace<T> {
                 state.sort_by_faces(model, bodies, &is_wrong, &mut self.spare);
                 return Ok(());
             }
-            if !walls::moving_hide_the_same(model, bodies, &state.layout) {
-                state.layout = Arc::new(connected(model, bodies, state.layout.blocks.clone()));
+            if let Some(layout) = connected_anew(model, bodies, &state.layout) {
+                state.layout = Arc::new(layout);
                 return Ok(());
             }
         }
@@ -418,9 +419,10 @@ impl<T: Real> Workspace<T> {
         let jobs = jobs.with_max_len(MAX_BLOCKS);
         jobs.for_each(|(((state, ((tile, unforced), reached)), block), rest)| {
             let from = from.map(|from| &from[block.first_group..block.first_group + block.groups()]);
-            if !rest.is_asleep() {
-                *reached = model.arch.dispatch(ParticlesToTile { model, block, from, state, tile, unforced });
-            }
+            *reached = match rest.sent() {
+                None => model.arch.dispatch(ParticlesToTile { model, block, from, state, tile, unforced }),
+                Some((_, reached)) => reached,
+            };
         });
         self.timings.mark(Stage::ParticlesToGrid);
         let OnGrid { momentum, velocity, unforced } = &mut self.on_grid;
@@ -533,15 +535,16 @@ impl<T: Real> Workspace<T> {
         split(layout, bar)
             .into_par_iter()
             .zip(&layout.blocks)
-            .zip(&state.rest)
+            .zip(state.rest.par_iter().zip(&self.reached))
             .with_max_len(MAX_BLOCKS)
-            .for_each(|((bar, block), rest)| {
+            .for_each(|((bar, block), (rest, reached))| {
                 let input = &input[block.first_group..block.first_group + block.groups()];
                 if !rest.is_asleep() {
                     model.arch.dispatch(ParticlesToTileAdjoint {
                         model,
                         block,
                         input,
+                        reached: *reached,
                         nodes_bar,
                         unforced_bar,
                         holds_volume,

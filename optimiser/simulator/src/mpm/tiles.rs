@@ -13,7 +13,7 @@ use crate::real::Real;
 pub(crate) struct Tiles<'a, T> {
     pub(crate) fresh: &'a [Tile<T>],
     pub(crate) rest: &'a [SleepState<T>],
-    /// Of those of this substep, which neighbours of their blocks hold anything of them; all, if nobody knows.
+    /// Which neighbours of each block hold anything of its tile; all, if nobody knows.
     pub(crate) reached: Option<&'a [u32]>,
     /// Whether sleepers send anything; in the adjoint they do not.
     pub(crate) sleepers_send: bool,
@@ -24,12 +24,14 @@ impl<'a, T: Real> Tiles<'a, T> {
     #[inline(always)]
     fn of(&self, source: &Source) -> Option<&'a Tile<T>> {
         let b = source.tile as usize;
-        let (tile, reached) = match self.rest[b].sent() {
-            None => (&self.fresh[b], self.reached.map_or(ALL_NEIGHBOURS, |reached| reached[b])),
-            Some(sent) if self.sleepers_send => sent,
-            Some(_) => return None,
-        };
-        (reached >> (26 - source.neighbour) & 1 == 1).then_some(tile)
+        let reached = self.reached.map_or(ALL_NEIGHBOURS, |reached| reached[b]);
+        if reached >> (26 - source.neighbour) & 1 == 0 {
+            return None;
+        }
+        match self.rest[b].sent() {
+            None => Some(&self.fresh[b]),
+            Some((tile, _)) => self.sleepers_send.then_some(tile),
+        }
     }
 
     /// Whether anyone who is awake reaches a block of nodes.

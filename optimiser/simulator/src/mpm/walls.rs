@@ -25,7 +25,7 @@ use rayon::prelude::*;
 use crate::mpm::Model;
 use crate::mpm::bodies::Bodies;
 use crate::mpm::grid_update::{CHUNKS, NodeLanes};
-use crate::mpm::layout::{BLOCK_EDGE, Block, Grid, Hidden, HiddenBy, Layout, NodeBlock, NodeSet, WallFace};
+use crate::mpm::layout::{BLOCK_EDGE, Block, Grid, Hidden, HiddenBy, Layout, NodeSet, WallFace};
 use crate::mpm::obstacle::{
     Colliders, Faces, HIDDEN_REACH_CELLS, NearbyCollider, block_centre, distance, half_diagonal,
 };
@@ -368,13 +368,6 @@ pub(crate) fn moving_hidden<T: Real>(
         }
     }
     out
-}
-
-/// Whether the moving pieces still hide what they hid when the layers were made.
-pub(crate) fn moving_hide_the_same<T: Real>(model: &Model<T>, bodies: &Bodies<T>, layout: &Layout) -> bool {
-    // Layers of one place are beside one another.
-    let places = layout.nodes.chunk_by(|a, b| a.coord == b.coord).map(|layers: &[NodeBlock]| layers[0].coord);
-    layout.moving == moving_hidden(model, bodies, &layout.blocks, places)
 }
 
 /// What the pieces hide of a block of nodes that some of those who send to it are before; `moving` is of this block.

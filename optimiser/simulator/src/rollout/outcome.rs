@@ -112,10 +112,14 @@ fn place(c: &Container, p: &[f64; 3]) -> Place {
         ContainerShape::Cylinder { inner_radius_m, .. } | ContainerShape::Silo { inner_radius_m, .. } => {
             libm::hypot(x, y) - inner_radius_m
         }
+        ContainerShape::Hopper { inner_radius_m, outlet_radius_m, half_angle_deg, .. } => {
+            let (rho, (sin, cos)) = (libm::hypot(x, y), libm::sincos(half_angle_deg.to_radians()));
+            (rho - inner_radius_m).max(cos * (rho - outlet_radius_m) - sin * z)
+        }
     };
     let is_below_rim = z <= c.inner_height_m();
     match () {
-        // Below the floor, which is as thick as the walls.
+        // Below the floor, which is as thick as the walls, or the hole.
         () if z < -wall => Place::Outside,
         () if gap <= IN_WALL * wall && is_below_rim => Place::Inside,
         () if gap <= IN_WALL * wall => Place::Above,
@@ -157,6 +161,33 @@ mod tests {
         let shape = ContainerShape::Silo { inner_radius_m, inner_height_m, outlet_radius_m: 0.004 };
         // What has come through a hole is below the floor, as nothing else can be.
         [vial(), Container { shape, ..vial() }].iter().for_each(sees);
+    }
+
+    #[test]
+    fn a_hopper_sees_its_cone() {
+        let shape = ContainerShape::Hopper {
+            inner_radius_m: 0.012,
+            inner_height_m: 0.04,
+            outlet_radius_m: 0.004,
+            half_angle_deg: 45.0,
+        };
+        let hopper = Container { shape, ..vial() };
+        for (x_mm, z_mm, expected) in [
+            (0.0, 1.0, Place::Inside),
+            (4.4, 0.1, Place::Inside),
+            (11.9, 8.1, Place::Inside),
+            (12.4, 39.9, Place::Inside),
+            (0.0, -2.1, Place::Outside),
+            // Across the wall from its inner face: 1.41 and 1.56 mm.
+            (7.0, 1.0, Place::Wall),
+            (7.2, 1.0, Place::Outside),
+            (11.9, 40.1, Place::Above),
+            (13.0, 20.0, Place::Wall),
+            (13.6, 20.0, Place::Outside),
+        ] {
+            let found = place(&hopper, &[0.0, -1e-3 * x_mm, 1e-3 * z_mm]);
+            assert_eq!(found, expected, "{x_mm} mm from the axis, {z_mm} mm above the hole");
+        }
     }
 
     fn sees(container: &Container) {

@@ -147,6 +147,7 @@ impl Container {
                 let inwards = (inner_radius_m / libm::hypot(x, y)).min(1.0);
                 [x * inwards, y * inwards]
             }
+            ContainerShape::Hopper { .. } => return self.nearest_in_hopper_m([x, y, z]),
         };
         let (sin, cos) = libm::sincos(self.yaw_deg.to_radians());
         let [origin_x, origin_y, origin_z] = self.position_m;
@@ -156,6 +157,36 @@ impl Container {
             origin_z + z.clamp(0.0, self.inner_height_m()),
         ]
     }
+
+    /// The same of a hopper, from a point in its own frame: its profile is a convex polygon.
+    fn nearest_in_hopper_m(&self, [x, y, z]: [f64; 3]) -> [f64; 3] {
+        let (rho, top) = (libm::hypot(x, y), self.inner_height_m());
+        let radius = |height: f64| self.shape.inner_radius_at_m(height).unwrap_or_default();
+        let is_inside = (0.0..=top).contains(&z) && rho <= radius(z);
+        let [near_rho, near_z] = if is_inside {
+            [rho, z]
+        } else {
+            let cone = self.shape.cone_height_m().min(top);
+            let corners =
+                [[0.0, 0.0], [radius(0.0), 0.0], [radius(cone), cone], [radius(top), top], [0.0, top]];
+            let sides = corners.windows(2).map(|ends| nearest_between([rho, z], ends[0], ends[1]));
+            let away = |p: &[f64; 2]| libm::hypot(p[0] - rho, p[1] - z);
+            sides.min_by(|a, b| away(a).total_cmp(&away(b))).unwrap_or([rho, z])
+        };
+        let inwards = if rho > 0.0 { near_rho / rho } else { 0.0 };
+        let (sin, cos) = libm::sincos(self.yaw_deg.to_radians());
+        let [origin_x, origin_y, origin_z] = self.position_m;
+        let (x, y) = (x * inwards, y * inwards);
+        [origin_x + cos * x - sin * y, origin_y + sin * x + cos * y, origin_z + near_z]
+    }
+}
+
+/// The point between two others that is nearest to a third.
+fn nearest_between(p: [f64; 2], a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
+    let along = [b[0] - a[0], b[1] - a[1]];
+    let length = along[0] * along[0] + along[1] * along[1];
+    let share = ((p[0] - a[0]) * along[0] + (p[1] - a[1]) * along[1]) / length.max(f64::MIN_POSITIVE);
+    [0, 1].map(|axis| a[axis] + share.clamp(0.0, 1.0) * along[axis])
 }
 
 impl Skill {
@@ -280,5 +311,25 @@ mod tests {
         let container = container(ContainerShape::Cylinder { inner_radius_m: 0.5, inner_height_m: 0.3 });
         assert_near(container.nearest_m(&[4.0, 6.0, 0.6]), [1.3, 2.4, 0.6]);
         assert_near(container.nearest_m(&[1.0, 2.0, 0.6]), [1.0, 2.0, 0.6]);
+    }
+
+    #[test]
+    fn nearest_point_of_a_hopper() {
+        let (inner_radius_m, inner_height_m, outlet_radius_m, half_angle_deg) = (0.5, 0.6, 0.1, 45.0);
+        let shape =
+            ContainerShape::Hopper { inner_radius_m, inner_height_m, outlet_radius_m, half_angle_deg };
+        let container = container(shape);
+        assert!((container.shape.cone_height_m() - 0.4).abs() < 1e-12);
+        // In it, below its hole, beside its cone (straight across), beside its cylinder, above its rim.
+        assert_near(container.nearest_m(&[1.2, 2.0, 0.65]), [1.2, 2.0, 0.65]);
+        assert_near(container.nearest_m(&[1.05, 2.0, 0.2]), [1.05, 2.0, 0.5]);
+        assert_near(container.nearest_m(&[1.0, 2.4, 0.6]), [1.0, 2.3, 0.7]);
+        assert_near(container.nearest_m(&[4.0, 6.0, 1.0]), [1.3, 2.4, 1.0]);
+        assert_near(container.nearest_m(&[1.3, 2.0, 2.0]), [1.3, 2.0, 1.1]);
+        // A funnel has no cylinder.
+        let shape =
+            ContainerShape::Hopper { inner_radius_m, inner_height_m: 0.4, outlet_radius_m, half_angle_deg };
+        let funnel = Container { shape, ..container };
+        assert_near(funnel.nearest_m(&[4.0, 6.0, 1.0]), [1.3, 2.4, 0.9]);
     }
 }

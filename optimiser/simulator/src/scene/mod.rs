@@ -354,6 +354,42 @@ pub enum ContainerShape {
         /// Radius of the hole, metres; one cell to `inner_radius_m`. Powder flows evenly through holes at least 12 cells across.
         outlet_radius_m: f64,
     },
+    /// Upright round cylinder above a cone that narrows to a round hole; of no cylinder, a funnel. The middle of the hole is the
+    /// container's place. A gate may shut it; what has come through is no longer in the container.
+    Hopper {
+        /// Inner radius of the cylinder, metres; one cell to 10.
+        inner_radius_m: f64,
+        /// Inner height from the hole to the rim, cone and cylinder together, metres; at least the cone's, at most 10.
+        inner_height_m: f64,
+        /// Radius of the hole, metres; one cell to one less than `inner_radius_m`.
+        outlet_radius_m: f64,
+        /// From the vertical to the cone's wall, degrees; 5 to 85.
+        half_angle_deg: f64,
+    },
+}
+
+impl ContainerShape {
+    /// Height of the cone of a hopper, metres; 0 of what has none.
+    pub fn cone_height_m(&self) -> f64 {
+        match *self {
+            Self::Hopper { inner_radius_m, outlet_radius_m, half_angle_deg, .. } => {
+                (inner_radius_m - outlet_radius_m) / libm::tan(half_angle_deg.to_radians())
+            }
+            _ => 0.0,
+        }
+    }
+
+    /// How far the inside of a round one goes from its axis, so high above its place, metres; none of a box.
+    pub(crate) fn inner_radius_at_m(&self, height_m: f64) -> Option<f64> {
+        match *self {
+            Self::Box { .. } => None,
+            Self::Cylinder { inner_radius_m, .. } | Self::Silo { inner_radius_m, .. } => Some(inner_radius_m),
+            Self::Hopper { inner_radius_m, outlet_radius_m, half_angle_deg, .. } => {
+                let widened = height_m.max(0.0) * libm::tan(half_angle_deg.to_radians());
+                Some(inner_radius_m.min(outlet_radius_m + widened))
+            }
+        }
+    }
 }
 
 /// Theta in [-1, 1]^5 maps affinely to these bounds (low at -1, high at +1); low equal to high fixes a

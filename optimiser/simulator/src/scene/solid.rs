@@ -228,7 +228,9 @@ impl Container {
                     let (side, outwards) = sides[index];
                     (format!("{side} wall of container {:?}{turned}", self.name), outwards)
                 }
-                ContainerShape::Cylinder { .. } | ContainerShape::Silo { .. } => {
+                ContainerShape::Cylinder { .. }
+                | ContainerShape::Silo { .. }
+                | ContainerShape::Hopper { .. } => {
                     let outwards = frame.outwards(index as f64 + 0.5);
                     let towards_deg = libm::atan2(outwards[1], outwards[0]).to_degrees().rem_euclid(360.0);
                     (
@@ -250,9 +252,9 @@ impl Container {
     pub fn inner_height_m(&self) -> f64 {
         match self.shape {
             ContainerShape::Box { inner_size_m } => inner_size_m[2],
-            ContainerShape::Cylinder { inner_height_m, .. } | ContainerShape::Silo { inner_height_m, .. } => {
-                inner_height_m
-            }
+            ContainerShape::Cylinder { inner_height_m, .. }
+            | ContainerShape::Silo { inner_height_m, .. }
+            | ContainerShape::Hopper { inner_height_m, .. } => inner_height_m,
         }
     }
 
@@ -264,14 +266,15 @@ impl Container {
                 frame.block([-0.5 * x - wall, -0.5 * y - wall, -wall], [0.5 * x + wall, 0.5 * y + wall, z])
             }
             ContainerShape::Cylinder { inner_radius_m, inner_height_m }
-            | ContainerShape::Silo { inner_radius_m, inner_height_m, .. } => {
+            | ContainerShape::Silo { inner_radius_m, inner_height_m, .. }
+            | ContainerShape::Hopper { inner_radius_m, inner_height_m, .. } => {
                 frame.prism(inner_radius_m + wall, -wall, inner_height_m)
             }
         }
     }
 
-    /// The container's material in convex pieces: the floor plate first, then the walls. A hole in the floor counts as floor: nothing but
-    /// powder goes through it.
+    /// The container's material in convex pieces: the floor plate first, then the walls. A hole in the floor counts as floor, and so does the
+    /// whole of a cone: nothing but powder goes there.
     pub(super) fn pieces(&self) -> Vec<Hull> {
         let (wall, frame) = (self.wall_thickness_m, self.frame());
         match self.shape {
@@ -288,46 +291,68 @@ impl Container {
             ContainerShape::Cylinder { inner_radius_m, inner_height_m }
             | ContainerShape::Silo { inner_radius_m, inner_height_m, .. } => {
                 let floor = frame.prism(inner_radius_m + wall, -wall, 0.0);
-                std::iter::once(floor).chain(frame.pipe(inner_radius_m, wall, inner_height_m)).collect()
+                std::iter::once(floor)
+                    .chain(frame.pipe(inner_radius_m, wall, [0.0, inner_height_m]))
+                    .collect()
+            }
+            ContainerShape::Hopper { inner_radius_m, inner_height_m, outlet_radius_m, half_angle_deg } => {
+                let (top, (sin, cos)) =
+                    (self.shape.cone_height_m(), libm::sincos(half_angle_deg.to_radians()));
+                let edge = [wall * cos, -wall * sin];
+                let lower = [outlet_radius_m + edge[0], edge[1]];
+                let upper = [inner_radius_m + edge[0], top + edge[1]];
+                let cone = frame.turned(&[lower, upper, [inner_radius_m + wall, top]]);
+                let heights = [top, inner_height_m];
+                let walls =
+                    (inner_height_m > top + TOUCH_M).then(|| frame.pipe(inner_radius_m, wall, heights));
+                std::iter::once(cone).chain(walls.into_iter().flatten()).collect()
             }
         }
     }
 
     /// Whether a point lies inside the container, rim included.
     pub(super) fn holds_point(&self, [x, y, z]: Vec3) -> bool {
-        self.holds_heights(z, z) && self.holds_column([x, y], 0.0)
+        self.holds_heights(z, z) && self.holds_column([x, y], 0.0, z)
     }
 
     /// Whether the powder lies inside the container at its start, rim included.
     pub(super) fn holds_powder(&self, powder: &Powder) -> bool {
-        let columns = powder.columns();
-        self.holds_heights(powder.fill_min_m[2], powder.fill_max_m[2])
-            && columns.into_iter().all(|(middle, radius_m)| self.holds_column(middle, radius_m))
+        self.holds_heights(powder.fill_min_m[2], powder.fill_max_m[2]) && self.holds_columns(powder)
     }
 
     /// What of the container the powder would be in at its start, in words, and by how much, metres; nothing if it is clear.
     pub(super) fn powder_in(&self, powder: &Powder) -> Option<(String, f64)> {
+        // What stands for a cone here is filled.
+        if self.holds_powder(powder) {
+            return None;
+        }
         let filled = powder.fill_hull();
         let depth_m = |hull: &Hull| {
             let clear = hull.clear_of(|direction| powder.fill_support(direction));
             (!clear).then(|| hull.overlap_m(&filled))
         };
-        let from_inside = self.holds_column(powder.fill_middle_m(), 0.0);
+        let from_inside = self.holds_column(powder.fill_middle_m(), 0.0, powder.fill_min_m[2]);
         // From inside it is the inner face that counts, however thick the wall.
         let wall_depth_m = |wall: &Wall| {
             let beyond_m = || wall.beyond_m(|direction| powder.fill_support(direction));
             depth_m(&wall.hull).map(|depth_m| if from_inside { beyond_m() } else { depth_m })
         };
         // Round walls are of straight pieces here, and the powder may be as round as they are.
-        let columns = powder.columns();
-        let between_walls = columns.into_iter().all(|(middle, radius_m)| self.holds_column(middle, radius_m));
-        let walls = if between_walls { Vec::new() } else { self.walls() };
+        let walls = if self.holds_columns(powder) { Vec::new() } else { self.walls() };
         let in_walls = walls.iter().filter_map(|wall| Some((wall.name.clone(), wall_depth_m(wall)?)));
         let deepest = in_walls.max_by(|a, b| a.1.total_cmp(&b.1));
         deepest.or_else(|| {
             let [floor, ..] = &self.pieces()[..] else { return None };
-            Some((format!("floor of container {:?}", self.name), depth_m(floor)?))
+            Some((format!("{} of container {:?}", self.below(), self.name), depth_m(floor)?))
         })
+    }
+
+    /// What its first piece is called.
+    pub(super) fn below(&self) -> &'static str {
+        match self.shape {
+            ContainerShape::Hopper { .. } => "cone",
+            _ => "floor",
+        }
     }
 
     /// Whether these heights lie between the inner floor and the rim, both included.
@@ -336,8 +361,14 @@ impl Container {
         low_m >= floor_m - TOUCH_M && high_m <= floor_m + self.inner_height_m() + TOUCH_M
     }
 
-    /// Whether an upright round column lies between the walls.
-    fn holds_column(&self, [x, y]: [f64; 2], radius_m: f64) -> bool {
+    /// Whether the powder lies between the walls at its start, how high ever.
+    fn holds_columns(&self, powder: &Powder) -> bool {
+        let low_m = powder.fill_min_m[2];
+        powder.columns().into_iter().all(|(middle, radius_m)| self.holds_column(middle, radius_m, low_m))
+    }
+
+    /// Whether an upright round column that begins at such a height lies between the walls.
+    fn holds_column(&self, [x, y]: [f64; 2], radius_m: f64, low_m: f64) -> bool {
         let from_centre = [x - self.position_m[0], y - self.position_m[1], 0.0];
         let [along, across, _] = self.frame().axes.map(|axis| dot(axis, from_centre));
         match self.shape {
@@ -345,8 +376,9 @@ impl Container {
                 along.abs() + radius_m <= 0.5 * inner_size_m[0] + TOUCH_M
                     && across.abs() + radius_m <= 0.5 * inner_size_m[1] + TOUCH_M
             }
-            ContainerShape::Cylinder { inner_radius_m, .. } | ContainerShape::Silo { inner_radius_m, .. } => {
-                libm::hypot(along, across) + radius_m <= inner_radius_m + TOUCH_M
+            _ => {
+                let inner_m = self.shape.inner_radius_at_m(low_m - self.position_m[2]);
+                inner_m.is_some_and(|inner_m| libm::hypot(along, across) + radius_m <= inner_m + TOUCH_M)
             }
         }
     }
@@ -372,7 +404,7 @@ impl Gate {
         match self.shape {
             GateShape::Box { size_m } => vec![self.frame().plate(size_m)],
             GateShape::Tube { inner_radius_m, height_m, wall_thickness_m } => {
-                self.frame().pipe(inner_radius_m, wall_thickness_m, height_m).collect()
+                self.frame().pipe(inner_radius_m, wall_thickness_m, [0.0, height_m]).collect()
             }
         }
     }
@@ -430,18 +462,37 @@ impl Frame {
         Hull { points: points.collect(), normals: sides.chain([UP]).collect() }
     }
 
-    /// A round wall that stands on the origin, segment after segment.
-    fn pipe(&self, inner_radius: f64, wall: f64, height: f64) -> impl Iterator<Item = Hull> {
-        (0..ROUND_SEGMENTS).map(move |index| self.stave(index, inner_radius, wall, height))
+    /// What is around a convex profile, of corners in radius and height, that is turned about the vertical, and all in it.
+    fn turned(&self, corners: &[[f64; 2]]) -> Hull {
+        let widened = 1.0 / libm::cos(std::f64::consts::PI / ROUND_SEGMENTS as f64);
+        let ring = |index: usize| {
+            let (sin, cos) = libm::sincos(segment_angle(index as f64 + 0.5));
+            corners.iter().map(move |[r, z]| self.to_world([widened * r * cos, widened * r * sin, *z]))
+        };
+        let sides = (0..ROUND_SEGMENTS).flat_map(|index| {
+            let outwards = self.outwards(index as f64);
+            corners.windows(2).map(move |ends| {
+                let [rise, run] = [ends[1][1] - ends[0][1], ends[1][0] - ends[0][0]];
+                let length = libm::hypot(rise, run);
+                let [x, y, _] = outwards.map(|component| component * rise / length);
+                [x, y, -run / length]
+            })
+        });
+        Hull { points: (0..ROUND_SEGMENTS).flat_map(ring).collect(), normals: sides.chain([UP]).collect() }
+    }
+
+    /// A round wall from one height to another, segment after segment.
+    fn pipe(&self, inner_radius: f64, wall: f64, heights: [f64; 2]) -> impl Iterator<Item = Hull> {
+        (0..ROUND_SEGMENTS).map(move |index| self.stave(index, inner_radius, wall, heights))
     }
 
     /// One segment of a round wall.
-    fn stave(&self, index: usize, inner_radius: f64, wall: f64, height: f64) -> Hull {
+    fn stave(&self, index: usize, inner_radius: f64, wall: f64, heights: [f64; 2]) -> Hull {
         let points = [0, 1].into_iter().flat_map(|end| {
             let (sin, cos) = libm::sincos(segment_angle((index + end) as f64));
             [inner_radius, inner_radius + wall]
                 .into_iter()
-                .flat_map(move |radius| [0.0, height].map(|z| self.to_world([radius * cos, radius * sin, z])))
+                .flat_map(move |radius| heights.map(|z| self.to_world([radius * cos, radius * sin, z])))
         });
         let outwards = self.outwards(index as f64 + 0.5);
         let along = [-outwards[1], outwards[0], 0.0];

@@ -71,7 +71,7 @@ mod tests {
     use crate::mpm::obstacle::{container_shapes, gate_shape};
     use crate::scene::{Container, ContainerShape, Cuboid, Gate, GateOpening, GateShape, Tool, ToolShape};
     use crate::shape::{
-        AlignedBox, Bowl, Capsule, HalfSpace, OrientedBox, Shape, SignedDistance, Tube, with_solid,
+        AlignedBox, Bowl, Capsule, Cone, HalfSpace, OrientedBox, Shape, SignedDistance, Tube, with_solid,
     };
     use crate::small::{dot, sub};
 
@@ -84,8 +84,9 @@ mod tests {
         let sizes =
             (point(0.3), [0.05..0.8, 0.05..0.8, 0.05..0.8], [-180.0..180.0, -90.0..90.0, -180.0..180.0]);
         let round = (0.2..0.9f64, 0.02..0.15f64, -0.3..0.3f64, 0.1..0.8f64);
-        (0usize..5, sizes, round).prop_map(
-            |(kind, (centre, half, rotation_deg), (radius, t, height, half_axial))| match kind {
+        let lean = 5.0..80.0f64;
+        (0usize..6, sizes, round, lean).prop_map(
+            |(kind, (centre, half, rotation_deg), (radius, t, height, half_axial), lean)| match kind {
                 0 => Shape::AlignedBox(AlignedBox { centre, half }),
                 1 => {
                     let axes = Cuboid { centre_m: centre, size_m: half, rotation_deg }.axes();
@@ -93,6 +94,12 @@ mod tests {
                 }
                 2 => Shape::Bowl(Bowl { radius, half: t }),
                 3 => Shape::Tube(Tube { radius, half_radial: t, height, half_axial }),
+                4 => {
+                    let lean: [f64; 2] = lean.to_radians().sin_cos().into();
+                    // Its lower edge stays clear of the axis.
+                    let half_along = half_axial.min(0.6 * (radius - t) / lean[0]);
+                    Shape::Cone(Cone { radius, height, half_across: t, half_along, lean })
+                }
                 _ => Shape::Tube(Tube { radius: 0.0, half_radial: radius, height, half_axial: t }),
             },
         )
@@ -137,13 +144,18 @@ mod tests {
 
         /// What is before the opposite face lies behind the wall: no straight line leads there but through it.
         #[test]
-        fn between_opposite_faces_there_is_the_wall(shape in solid(), a in point(1.3), b in point(1.3), turn in -0.3..0.3f64) {
+        fn between_opposite_faces_there_is_the_wall(shape in solid(), a in point(1.3), b in point(1.3)) {
             let face = shape.face_at(a);
             let mut b = b;
-            if let (Shape::Tube(_), true) = (shape, (2..4).contains(&face.number())) {
-                // Through the hole in the middle there is another way from top to bottom.
-                let (sin, cos) = turn.sin_cos();
-                (b[0], b[1]) = (cos * a[0] - sin * a[1], sin * a[0] + cos * a[1]);
+            // Through the hole in the middle there is another way from top to bottom; below a cone's, from inside to outside.
+            let in_one_plane = match shape {
+                Shape::Tube(_) => (2..4).contains(&face.number()),
+                Shape::Cone(_) => true,
+                _ => false,
+            };
+            if in_one_plane {
+                let longer = b[0].hypot(b[1]) / a[0].hypot(a[1]);
+                (b[0], b[1]) = (longer * a[0], longer * a[1]);
             }
             if face.opposite() == Some(shape.face_at(b)) {
                 prop_assert!(crosses(&shape, a, b));
@@ -174,6 +186,46 @@ mod tests {
             prop_assert!(is_open(outlet_radius_m * 0.99 * away), "through the hole");
             let beside = outlet_radius_m * 1.01 + away * (radius - outlet_radius_m * 1.01);
             prop_assert!(!is_open(beside), "through the floor");
+        }
+
+        /// Who is in a hopper's cone sees nothing of what is outside of it at the same height, but what is below the hole.
+        #[test]
+        fn a_hoppers_cone_parts_inside_and_outside(
+            radius in 0.02..0.1f64, hole in 0.2..0.8f64, half_angle_deg in 10.0..75.0f64, t in 0.001..0.02f64,
+            cylinder in 0.0..0.05f64, inside in [0.0..0.99f64, 0.02..0.98f64], beyond in 0.01..1.0f64, turn in 0.0..6.0f64,
+        ) {
+            let outlet_radius_m = hole * radius;
+            let shape = |inner_height_m| ContainerShape::Hopper {
+                inner_radius_m: radius, inner_height_m, outlet_radius_m, half_angle_deg,
+            };
+            let top = shape(0.0).cone_height_m();
+            let shape = shape(top + cylinder);
+            let container = Container {
+                name: String::new(), position_m: [0.0; 3], yaw_deg: 0.0, wall_thickness_m: t, friction: 0.4,
+                shape: shape.clone(),
+            };
+            let pieces = container_shapes(&container);
+            let at = |rho: f64, z: f64| [rho * turn.cos(), rho * turn.sin(), z];
+            let z = inside[1] * top;
+            let inner = shape.inner_radius_at_m(z).unwrap();
+            let within = at(inside[0] * inner, z);
+            prop_assert!(pieces.iter().all(|piece| piece.distance_at(within) > 0.0));
+            let cos = half_angle_deg.to_radians().cos();
+            let outside = at(inner + (1.0 + beyond) * t / cos, z);
+            let hidden = |from: [f64; 3], what| pieces.iter().any(|piece| piece.hides(piece.face_at(from), what));
+            // Beside the cone, not below its edge nor above its end.
+            let (sin, along) = (half_angle_deg.to_radians().sin(), (1.0 + beyond) * t * half_angle_deg.to_radians().tan());
+            let length = top / cos;
+            let is_beside = |rho: f64| {
+                let up = (rho - outlet_radius_m) * sin + z * cos;
+                (0.0..length).contains(&up)
+            };
+            if is_beside(inside[0] * inner) && is_beside(inner) && inside[1] * length + along < length {
+                prop_assert!(hidden(within, outside), "{within:?} {outside:?}");
+                prop_assert!(crosses(&pieces[0], within, outside));
+            }
+            let (above, below) = (at(0.0, z), at(0.5 * outlet_radius_m, -2.0 * t));
+            prop_assert!(pieces.iter().all(|piece| !crosses(piece, above, below)), "through the hole");
         }
 
         /// Along a face its continuation is smooth: a distance with a gradient of length 1, curved no more than the solid.

@@ -9,6 +9,7 @@
 mod aligned_box;
 mod bowl;
 mod capsule;
+mod cone;
 mod face;
 mod half_space;
 mod oriented_box;
@@ -24,6 +25,7 @@ use crate::small::Vec3;
 pub(crate) use aligned_box::AlignedBox;
 pub(crate) use bowl::Bowl;
 pub(crate) use capsule::Capsule;
+pub(crate) use cone::{Cone, Slope};
 pub(crate) use face::Face;
 pub(crate) use half_space::HalfSpace;
 pub(crate) use oriented_box::OrientedBox;
@@ -43,6 +45,8 @@ pub(crate) enum Shape<T> {
     OrientedBox(OrientedBox<T>),
     Plane(Plane<T>),
     Round(Round<T>),
+    Cone(Cone<T>),
+    Slope(Slope<T>),
 }
 
 /// Runs `$body` with `$solid` bound to the concrete solid inside a [`Shape`], so that a loop over lanes in
@@ -58,6 +62,8 @@ macro_rules! with_solid {
             $crate::shape::Shape::OrientedBox($solid) => $body,
             $crate::shape::Shape::Plane($solid) => $body,
             $crate::shape::Shape::Round($solid) => $body,
+            $crate::shape::Shape::Cone($solid) => $body,
+            $crate::shape::Shape::Slope($solid) => $body,
         }
     };
 }
@@ -92,6 +98,8 @@ impl Shape<f64> {
             Self::OrientedBox(solid) => Shape::OrientedBox(solid.rounded()),
             Self::Plane(solid) => Shape::Plane(solid.rounded()),
             Self::Round(solid) => Shape::Round(solid.rounded()),
+            Self::Cone(solid) => Shape::Cone(solid.rounded()),
+            Self::Slope(solid) => Shape::Slope(solid.rounded()),
         }
     }
 

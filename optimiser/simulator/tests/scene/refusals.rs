@@ -104,7 +104,7 @@ const STRUCTURE: &[Case] = &[
     (
         r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
         r#"shape = { kind = "sphere" }"#,
-        r#": container "source".shape.kind at line 39: unknown variant `sphere`, expected one of `box`, `cylinder`, `silo`"#,
+        r#": container "source".shape.kind at line 39: unknown variant `sphere`, expected one of `box`, `cylinder`, `silo`, `hopper`"#,
     ),
     (
         r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
@@ -441,6 +441,21 @@ const SINGLE_FIELDS: &[Case] = &[
         r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
         r#"shape = { kind = "silo", inner_radius_m = 0.032, inner_height_m = 0.030, outlet_radius_m = 0.003 }"#,
         r#": container "source".shape.outlet_radius_m is 0.003, but it must be from 0.004 to 0.032"#,
+    ),
+    (
+        r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
+        r#"shape = { kind = "hopper", inner_radius_m = 0.032, inner_height_m = 0.030, outlet_radius_m = 0.030, half_angle_deg = 45 }"#,
+        r#": container "source".shape.outlet_radius_m is 0.03, but it must be from 0.004 to 0.028"#,
+    ),
+    (
+        r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
+        r#"shape = { kind = "hopper", inner_radius_m = 0.032, inner_height_m = 0.030, outlet_radius_m = 0.012, half_angle_deg = 90 }"#,
+        r#": container "source".shape.half_angle_deg is 90, but it must be from 5 to 85"#,
+    ),
+    (
+        r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
+        r#"shape = { kind = "hopper", inner_radius_m = 0.032, inner_height_m = 0.019, outlet_radius_m = 0.012, half_angle_deg = 45 }"#,
+        r#": container "source".shape.inner_height_m is 0.019, but it must be from 0.0199"#,
     ),
     (
         r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,

@@ -47,6 +47,14 @@ fn arbitrary_scene() -> impl Strategy<Value = Scene> {
                     outlet_radius_m: 0.01 + 1e-3 * small,
                 };
             }
+            if round && column {
+                scene.containers[1].shape = ContainerShape::Hopper {
+                    inner_radius_m: 0.03,
+                    inner_height_m: 0.04,
+                    outlet_radius_m: 0.01 + 1e-3 * small,
+                    half_angle_deg: 45.0,
+                };
+            }
             if scoop {
                 scene.tool.shape = ToolShape::BoxScoop { inner_size_m: [0.02, 0.02, 0.01 + 1e-3 * small] };
             }

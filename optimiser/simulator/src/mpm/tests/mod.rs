@@ -23,6 +23,7 @@ use crate::mpm::p2g::ParticlesToTile;
 use crate::mpm::particles::{Group, Lanes, Particles, vec_of};
 use crate::mpm::principal::return_map;
 use crate::mpm::stencil::Tile;
+use crate::mpm::stencil_positions::ALL_NEIGHBOURS;
 use crate::mpm::substep::{State, Workspace};
 use crate::real::Real;
 use crate::scene::Scene;
@@ -245,6 +246,7 @@ fn to_particles<T: Real>(
             model,
             bodies,
             block,
+            reached: ALL_NEIGHBOURS,
             velocity,
             unforced,
             holds_volume,

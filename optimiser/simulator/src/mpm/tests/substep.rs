@@ -17,7 +17,7 @@ use crate::mpm::residue::{unforced_velocity, unforced_velocity_adjoint};
 use crate::mpm::sort::{sort, sort_adjoint};
 use crate::mpm::spare::BufferPool;
 use crate::mpm::stencil::{Affine, Stencil, TILE_EDGE, TILE_LENGTH, Tile, scatter, weight_slopes, weights};
-use crate::mpm::stencil_positions::StencilPositions;
+use crate::mpm::stencil_positions::{ALL_NEIGHBOURS, StencilPositions};
 use crate::mpm::substep::{State, Workspace};
 use crate::mpm::tests::{
     Dice, assert_gradient, empty_bench, far_away, lattice, moved, on_grid, row, standing, to_particles,
@@ -433,6 +433,7 @@ fn particle_to_grid_gradient(powder: Law) {
             model: &model,
             block,
             input: &state.particles.groups[range.clone()],
+            reached: ALL_NEIGHBOURS,
             nodes_bar: &nodes_bar,
             unforced_bar: model.residue.map(|_| &unforced_bar[..]),
             holds_volume: false,
@@ -495,7 +496,7 @@ fn grid_update_gradient(powder: Law) {
     let mut gradient = Vec::new();
     for block in &state.layout.blocks {
         let mut tile = empty_tile();
-        load_tile(block, &bars, &mut tile);
+        load_tile(block, &bars, ALL_NEIGHBOURS, &mut tile);
         gradient.extend(scaled(tile.as_flattened(), &units));
     }
     gradient.extend(tool_gradient(&tool_bar));
@@ -550,7 +551,7 @@ fn shared_out(state: &State<f64>, values: &[Nodes<f64>], reached: &[[f64; BLOCK_
     let shares: Vec<_> = values.iter().zip(reached).map(share).collect();
     let mut tiles = vec![empty_tile(); state.layout.blocks.len()];
     for (block, tile) in state.layout.blocks.iter().zip(&mut tiles) {
-        load_tile(block, &shares, tile);
+        load_tile(block, &shares, ALL_NEIGHBOURS, tile);
     }
     tiles
 }

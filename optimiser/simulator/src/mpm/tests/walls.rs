@@ -2,12 +2,13 @@
 
 use crate::mpm::Model;
 use crate::mpm::bodies::Bodies;
+use crate::mpm::connect::connected_anew;
 use crate::mpm::particles::{LANES, Particles, vec_of};
 use crate::mpm::substep::{State, Workspace};
 use crate::mpm::tests::{
     Settled, advance, awake, empty_bench, even_lattice, far_away, mean, settle, standing,
 };
-use crate::mpm::walls::{LOOK_EVERY, before_other_faces, moving_hide_the_same};
+use crate::mpm::walls::{LOOK_EVERY, before_other_faces};
 use crate::scene::{ContainerShape, Cuboid, Scene, ToolShape, Walls};
 use crate::small::{dot, sub};
 
@@ -169,7 +170,7 @@ fn lifted(walls: Walls, with_bed: bool, with_layer: bool) -> Lifted {
 
 fn is_stale(model: &Model<f64>, bodies: &Bodies<f64>, state: &State<f64>) -> bool {
     let particles = before_other_faces(model, bodies, &state.layout, &state.particles.groups, state.rest());
-    particles.contains(&true) || !moving_hide_the_same(model, bodies, &state.layout)
+    particles.contains(&true) || connected_anew(model, bodies, &state.layout).is_some()
 }
 
 /// A tool that moves takes its two sides with it.

@@ -109,6 +109,19 @@ fn container(found: &mut Found<'_>, path: &str, container: &Container, cell_m: f
             let outlet = Range::closed(cell_m, *inner_radius_m);
             found.number(&field("shape.outlet_radius_m"), *outlet_radius_m, outlet);
         }
+        ContainerShape::Hopper { inner_radius_m, inner_height_m, outlet_radius_m, half_angle_deg } => {
+            found.number(&field("shape.inner_radius_m"), *inner_radius_m, inner);
+            let outlet = Range::closed(cell_m, *inner_radius_m - cell_m);
+            found.number(&field("shape.outlet_radius_m"), *outlet_radius_m, outlet);
+            found.number(&field("shape.half_angle_deg"), *half_angle_deg, Range::closed(5.0, 85.0));
+            // As written, the last digits of a funnel's may be rounded.
+            let least = (1.0 - 1e-6) * container.shape.cone_height_m();
+            found.number(
+                &field("shape.inner_height_m"),
+                *inner_height_m,
+                Range::closed(least.max(cell_m), 10.0),
+            );
+        }
     }
 }
 

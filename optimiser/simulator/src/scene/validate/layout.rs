@@ -390,7 +390,7 @@ pub(super) fn check_start(checker: &Checker<'_>, scene: &Scene) -> Checked {
             return overlap(format!("the {}", wall.name));
         }
         if one.pieces().iter().any(|piece| !clears(piece)) {
-            return overlap(format!("the floor of container {:?}", one.name));
+            return overlap(format!("the {} of container {:?}", one.below(), one.name));
         }
     }
     for gate in &scene.gates {
