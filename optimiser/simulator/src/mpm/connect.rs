@@ -54,15 +54,22 @@ fn connected_behind<T: Real>(
     mut blocks: Vec<Block>,
     touched: &[usize],
 ) -> Layout {
-    let mut sources: Vec<Vec<Source>> = vec![Vec::new(); touched.len()];
-    for (tile, block) in (0..).zip(&mut blocks) {
-        for (n, index) in around(&model.grid, block.coord).enumerate() {
-            let at = touched.binary_search(&index).expect("collected above");
-            block.nodes[n] = at as u32;
-            // Seen from the node block, the particle block lies in the opposite direction.
-            sources[at].push(Source { tile, neighbour: 26 - n as u8, nodes: NodeSet::MAX });
+    let mut counts = vec![0; touched.len()];
+    for parts in blocks.chunk_by_mut(|a, b| a.coord == b.coord) {
+        let at = |index| touched.binary_search(&index).expect("collected above") as u32;
+        let nodes: Vec<u32> = around(&model.grid, parts[0].coord).map(at).collect();
+        nodes.iter().for_each(|at| counts[*at as usize] += parts.len());
+        for block in parts {
+            block.nodes.copy_from_slice(&nodes);
+            block.detours.clear();
         }
-        block.detours.clear();
+    }
+    let mut sources: Vec<Vec<Source>> = counts.into_iter().map(Vec::with_capacity).collect();
+    for (tile, block) in (0..).zip(&blocks) {
+        for (n, at) in (0..).zip(block.nodes) {
+            // Seen from the node block, the particle block lies in the opposite direction.
+            sources[at as usize].push(Source { tile, neighbour: 26 - n, nodes: NodeSet::MAX });
+        }
     }
     let sets = FaceSets::of(&blocks);
     let mut nodes: Vec<NodeBlock> = Vec::with_capacity(touched.len());

@@ -1,11 +1,13 @@
 //! Grid update: momentum to velocity, gravity, contact at the nodes; and the density there, if volume is held to it.
 
+use smallvec::SmallVec;
+
 use crate::mpm::Model;
 use crate::mpm::bodies::Bodies;
 use crate::mpm::contact::{BodyStateBar, ContactParams, contact, contact_adjoint};
 use crate::mpm::density::inverse_room;
 use crate::mpm::layout::{BLOCK_EDGE, BLOCK_NODES, NodeBlock, Nodes, Side};
-use crate::mpm::obstacle::{Collider, Colliders, NearbyCollider, room_of};
+use crate::mpm::obstacle::{Collider, Colliders, NearbyCollider, USUALLY_NEAR, room_of};
 use crate::mpm::particles::{LANES, Lanes, set_vec, vec_of};
 use crate::mpm::residue::{unforced_velocity, unforced_velocity_adjoint};
 use crate::mpm::stencil::Tile;
@@ -64,7 +66,7 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodes<'_, T> {
         if !self.tiles.any_awake(self.node) {
             return false;
         }
-        *self.momentum = self.tiles.sum(self.node);
+        self.tiles.sum(self.node, self.momentum);
         if !any_mass(self.momentum) {
             *self.velocity = [[T::ZERO; 4]; BLOCK_NODES];
             if let Some((_, unforced)) = self.unforced {
@@ -73,7 +75,7 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodes<'_, T> {
             return false;
         }
         if let Some((tiles, unforced)) = self.unforced {
-            *unforced = Tiles { fresh: tiles, sleepers_send: false, ..self.tiles }.sum(self.node);
+            Tiles { fresh: tiles, sleepers_send: false, ..self.tiles }.sum(self.node, unforced);
             for (unforced, momentum) in unforced.iter_mut().zip(&*self.momentum) {
                 *unforced = unforced_velocity(*unforced, momentum[3]);
             }
@@ -170,13 +172,13 @@ struct Meetings<'a, T> {
     sides: &'a [Side],
     /// Of which nodes these are.
     chunk: Option<usize>,
-    found: Vec<Meeting<'a, T>>,
+    found: SmallVec<[Meeting<'a, T>; USUALLY_NEAR]>,
 }
 
 impl<'a, T: Real> Meetings<'a, T> {
     #[inline(always)]
     fn new(obstacles: &'a Colliders<T>, touching: &'a [NearbyCollider<'a, T>], sides: &'a [Side]) -> Self {
-        Self { obstacles, touching, sides, chunk: None, found: Vec::with_capacity(touching.len()) }
+        Self { obstacles, touching, sides, chunk: None, found: SmallVec::new() }
     }
 
     /// Those of one of the block's [`CHUNKS`].
@@ -415,7 +417,7 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodesAdjoint<'_, T> {
             return BodyStateBar::default();
         }
         let of_unforced = self.unforced.map(|UnforcedNodesBar { tiles, velocity, bar }| {
-            *bar = Tiles { fresh: tiles, ..self.velocity_bar_tiles }.sum(self.node);
+            Tiles { fresh: tiles, ..self.velocity_bar_tiles }.sum(self.node, bar);
             for ((bar, velocity), momentum) in bar.iter_mut().zip(velocity).zip(self.momentum) {
                 *bar = unforced_velocity_adjoint(*velocity, momentum[3], *bar);
             }
@@ -425,7 +427,8 @@ impl<T: Real> pulp::NullaryFnOnce for UpdateNodesAdjoint<'_, T> {
             *self.momentum_bar = [[T::ZERO; 4]; BLOCK_NODES];
             return BodyStateBar::default();
         }
-        let incoming = self.velocity_bar_tiles.sum(self.node);
+        let mut incoming = [[T::ZERO; 4]; BLOCK_NODES];
+        self.velocity_bar_tiles.sum(self.node, &mut incoming);
         let mut bar = [[Lanes::ZERO; 3]; CHUNKS];
         for (n, b) in incoming.iter().enumerate() {
             set_vec(&mut bar[n / LANES], n % LANES, [b[0], b[1], b[2]]);

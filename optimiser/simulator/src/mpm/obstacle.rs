@@ -4,6 +4,8 @@
 //! A container is several pieces, applied one after the other, rather than one union: the normal of a union
 //! jumps along the bisector of an inner corner, the composition of pieces does not.
 
+use smallvec::SmallVec;
+
 use crate::mpm::bodies::{Bodies, turned};
 use crate::mpm::contact::{BodyState, ContactParams};
 use crate::mpm::density::room_beside;
@@ -165,7 +167,7 @@ impl<T: Real> Colliders<T> {
         grid: &Grid,
         node: &NodeBlock,
         bodies: &'a Bodies<T>,
-    ) -> Vec<NearbyCollider<'a, T>> {
+    ) -> Pieces<'a, T> {
         self.touching(grid, (node.coord, &node.sides), bodies, &self.near_nodes, BLOCK_EDGE)
     }
 
@@ -175,7 +177,7 @@ impl<T: Real> Colliders<T> {
         grid: &Grid,
         node: &NodeBlock,
         bodies: &'a Bodies<T>,
-    ) -> Vec<NearbyCollider<'a, T>> {
+    ) -> Pieces<'a, T> {
         self.touching(grid, (node.coord, &node.sides), bodies, &self.near_rooms, BLOCK_EDGE)
     }
 
@@ -185,7 +187,7 @@ impl<T: Real> Colliders<T> {
         grid: &Grid,
         coord: [i32; 3],
         bodies: &'a Bodies<T>,
-    ) -> Vec<NearbyCollider<'a, T>> {
+    ) -> Pieces<'a, T> {
         self.touching(grid, (coord, &[]), bodies, &self.near_particles, BLOCK_EDGE + 4)
     }
 
@@ -223,12 +225,12 @@ impl<T: Real> Colliders<T> {
         bodies: &'a Bodies<T>,
         near: &[Vec<u16>],
         cells: usize,
-    ) -> Vec<NearbyCollider<'a, T>> {
+    ) -> Pieces<'a, T> {
         let near = &near[grid.index(coord)];
         let behind = sides.iter().map(|side| side.of.piece);
         let mut far: Vec<u16> =
             behind.filter(|n| usize::from(*n) < self.fixed.len() && !near.contains(n)).collect();
-        let mut out: Vec<_> = near.iter().map(|number| self.fixed_piece(*number)).collect();
+        let mut out: Pieces<'a, T> = near.iter().map(|number| self.fixed_piece(*number)).collect();
         if !far.is_empty() {
             far.dedup();
             out.extend(far.into_iter().map(|number| self.fixed_piece(number)));
@@ -322,6 +324,12 @@ pub(crate) struct NearbyCollider<'a, T> {
     pub(crate) is_fixed: bool,
     pub(crate) of_tool: bool,
 }
+
+/// As many pieces as are near a block, as a rule: no memory is asked for then.
+pub(crate) const USUALLY_NEAR: usize = 8;
+
+/// Pieces near a block.
+pub(crate) type Pieces<'a, T> = SmallVec<[NearbyCollider<'a, T>; USUALLY_NEAR]>;
 
 pub(crate) fn block_centre<T: Real>(grid: &Grid, coord: [i32; 3]) -> [T; 3] {
     grid.block_origin(coord).map(|o| T::from_f64(o + 0.5 * BLOCK_EDGE as f64 * grid.dx))

@@ -42,8 +42,8 @@ impl<'a, T: Real> Tiles<'a, T> {
 
     /// Adds up the tiles that overlap a node block, in a fixed order.
     #[inline(always)]
-    pub(crate) fn sum(&self, node: &NodeBlock) -> Nodes<T> {
-        let mut sum = [[T::ZERO; 4]; BLOCK_NODES];
+    pub(crate) fn sum(&self, node: &NodeBlock, sum: &mut Nodes<T>) {
+        *sum = [[T::ZERO; 4]; BLOCK_NODES];
         for source in &node.sources {
             let Some(tile) = self.of(source) else { continue };
             let neighbour = usize::from(source.neighbour);
@@ -69,7 +69,6 @@ impl<'a, T: Real> Tiles<'a, T> {
                 }
             }
         }
-        sum
     }
 }
 

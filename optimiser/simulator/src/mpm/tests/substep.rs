@@ -9,7 +9,7 @@ use crate::mpm::g2p::TileToParticlesAdjoint;
 use crate::mpm::gather::{Gathered, Rows, Sent, gather_all, gather_fourth};
 use crate::mpm::gather::{gather_gradient, gather_sum, gather_with_gradient};
 use crate::mpm::grid_update::UpdateNodesAdjoint;
-use crate::mpm::layout::{BLOCK_NODES, Nodes, empty_tile, load_tile};
+use crate::mpm::layout::{BLOCK_NODES, NodeBlock, Nodes, empty_tile, load_tile};
 use crate::mpm::material::Material;
 use crate::mpm::p2g::{ParticlesToTileAdjoint, affine, at_base};
 use crate::mpm::particles::{Group, LANES, Lanes, Particles};
@@ -23,6 +23,7 @@ use crate::mpm::tests::{
     Dice, assert_gradient, empty_bench, far_away, lattice, moved, on_grid, row, standing, to_particles,
     to_tiles,
 };
+use crate::mpm::tiles::Tiles;
 use crate::real::Real;
 use crate::scene::{Flow, Transfer, VolumeCorrection, Walls, YieldSurface};
 use crate::shape::SignedDistance;
@@ -398,6 +399,12 @@ fn random_nodes(blocks: usize, unit: [f64; 4], dice: &mut Dice) -> Vec<Nodes<f64
     nodes
 }
 
+fn summed(tiles: &Tiles<'_, f64>, node: &NodeBlock) -> Nodes<f64> {
+    let mut sum = [[0.0; 4]; BLOCK_NODES];
+    tiles.sum(node, &mut sum);
+    sum
+}
+
 fn inner_nodes(a: &[Nodes<f64>], b: &[Nodes<f64>]) -> f64 {
     a.as_flattened().as_flattened().iter().zip(b.as_flattened().as_flattened()).map(|(a, b)| a * b).sum()
 }
@@ -420,7 +427,7 @@ fn particle_to_grid_gradient(powder: Law) {
         let state = with_numbers(&state, x);
         let sent = to_tiles(&model, &state);
         let sum = |tiles: &[Tile<f64>]| -> Vec<_> {
-            state.layout.nodes.iter().map(|n| state.tiles(tiles).sum(n)).collect()
+            state.layout.nodes.iter().map(|n| summed(&state.tiles(tiles), n)).collect()
         };
         inner_nodes(&nodes_bar, &sum(&sent.tiles))
             + inner_nodes(&unforced_bar, &sum(&sent.unforced))
@@ -540,7 +547,7 @@ fn through_volume(input: &Group<f64>, bar: &mut Group<f64>) {
 fn tiles_at_nodes(state: &State<f64>) -> Vec<[f64; BLOCK_NODES]> {
     let mut ones = vec![empty_tile(); state.layout.blocks.len()];
     ones.as_flattened_mut().iter_mut().for_each(|n| *n = [1.0; 4]);
-    state.layout.nodes.iter().map(|n| state.tiles(&ones).sum(n).map(|n| n[0])).collect()
+    state.layout.nodes.iter().map(|n| summed(&state.tiles(&ones), n).map(|n| n[0])).collect()
 }
 
 /// Tiles that add up to the given values at the nodes: each takes its share.
@@ -651,7 +658,7 @@ fn grid_to_particle_gradient(powder: Law) {
     for tiles in [&tiles, &unforced_tiles] {
         for node in &state.layout.nodes {
             // The fourth number at a node is no velocity.
-            let sums = state.tiles(tiles).sum(node);
+            let sums = summed(&state.tiles(tiles), node);
             gradient.extend(sums.iter().flat_map(|b| [b[0] * SPEED, b[1] * SPEED, b[2] * SPEED, b[3]]));
         }
     }
