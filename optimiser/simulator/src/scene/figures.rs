@@ -24,6 +24,12 @@ pub fn about(value: f64, digits: usize) -> String {
     plain(format!("{value:.*e}", digits.saturating_sub(1)).parse().unwrap_or(value))
 }
 
+/// A computed number that is above a limit, to three significant digits, or as many as show that it is.
+pub(crate) fn above(value: f64, limit: f64) -> String {
+    let is_above = |text: &String| text.parse::<f64>().is_ok_and(|number| number > limit);
+    (3..17).map(|digits| about(value, digits)).find(is_above).unwrap_or_else(|| plain(value))
+}
+
 /// A mass as people dose it, to four significant digits: grams, milligrams below one gram.
 pub fn mass(kg: f64) -> String {
     Mass(kg).to_string()
@@ -64,6 +70,11 @@ mod tests {
     #[test]
     fn thousands_are_set_apart() {
         assert_eq!(["0", "999", "1,000", "-12,345,678"], [0, 999, 1000, -12_345_678].map(grouped)[..]);
+    }
+
+    #[test]
+    fn what_is_above_a_limit_reads_so() {
+        assert_eq!([above(1.3178, 0.5), above(0.500_01, 0.5)], ["1.32", "0.50001"]);
     }
 
     #[test]

@@ -3,7 +3,7 @@
 use super::checker::{Checked, Checker, container_paths};
 use crate::scene::closest_match::did_you_mean;
 use crate::scene::error::MAX_NAME_CHARS;
-use crate::scene::figures::{about, at_most, list, plain};
+use crate::scene::figures::{about, above, at_most, list, plain};
 use crate::scene::solid::{Hull, TOUCH_M, Vec3};
 use crate::scene::{
     BLOCK_CELLS, FillShape, MAX_CELLS, MAX_CFL, MAX_PARTICLES, MAX_SUBSTEPS, MAX_VISCOUS_LOSS, PlacedTool,
@@ -121,7 +121,7 @@ pub(super) fn check_cfl(checker: &Checker<'_>, scene: &Scene) -> Checked {
         format!(
             "the CFL number sqrt(P-wave modulus / density) * dt_sub / cell is then {} and must be at most {}; \
              time.substeps of at least {} or powder.youngs_modulus_pa of at most {} would be right",
-            about(cfl, 3),
+            above(cfl, MAX_CFL),
             MAX_CFL,
             about(substeps, 12),
             at_most(modulus_pa * (MAX_CFL / cfl).powi(2))
@@ -148,7 +148,7 @@ pub(super) fn check_powder_law(checker: &Checker<'_>, scene: &Scene) -> Checked 
             format!(
                 "8 * viscosity * dt_sub / (density * cell^2) is then {} and must be at most {MAX_VISCOUS_LOSS}; \
                  at most {} would be right",
-                about(loss, 3),
+                above(loss, MAX_VISCOUS_LOSS),
                 at_most(powder.viscosity_pa_s * MAX_VISCOUS_LOSS / loss)
             ),
         ));
