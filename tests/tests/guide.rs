@@ -25,12 +25,21 @@ fn the_silo_of_the_guide_is_a_scene() {
     let scene = Scene::from_toml("silo.toml", &format!("{}\n{silo}", text.join("\n"))).unwrap();
     assert_eq!((scene.containers.len(), scene.gates.len()), (3, 1));
 
-    let hopper = GUIDE.split('`').find(|code| code.starts_with("shape = { kind = \"hopper\"")).unwrap();
-    let shape =
-        |line: &'static str| if line.starts_with("shape = { kind = \"silo\"") { hopper } else { line };
-    let hopper: Vec<&str> = silo.lines().map(shape).collect();
-    let scene = Scene::from_toml("hopper.toml", &format!("{}\n{}", text.join("\n"), hopper.join("\n")));
-    assert!(matches!(scene.unwrap().containers[2].shape, ContainerShape::Hopper { .. }));
+    // The hopper in its place.
+    let (_, after) = GUIDE.split_once("A hopper has a cone").unwrap();
+    let code = |key: &str| after.split('`').find(|code| code.starts_with(key)).unwrap();
+    let changed = |line: &'static str| match line {
+        line if line == low => code("fill_min_m"),
+        line if line == high => code("fill_max_m"),
+        "position_m = [0.176, 0.048, 0.116]" => code("position_m"),
+        line if line.starts_with("shape = { kind = \"silo\"") => code("shape"),
+        line => line,
+    };
+    let hopper: Vec<&str> = text.into_iter().chain(silo.lines()).map(changed).collect();
+    let scene = Scene::from_toml("hopper.toml", &hopper.join("\n")).unwrap();
+    assert!(matches!(scene.containers[2].shape, ContainerShape::Hopper { .. }));
+    let heights_m = [scene.gates[0].position_m[2], scene.powder.fill_min_m[2]];
+    assert!((heights_m[0] - 0.120).abs() < 1e-12 && (heights_m[1] - 0.140).abs() < 1e-12, "{heights_m:?}");
 }
 
 #[test]

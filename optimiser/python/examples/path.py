@@ -29,17 +29,21 @@ def main(plan, picture):
     if path.path_coefficients == 0:
         sys.exit(f"{plan} is a skill's own motion: a plan of `optimise run --method path` would be right")
     scene = path.scene
+    if scene is None:
+        sys.exit(f"{plan} lies beside no scene.toml: the folder of a run would be right")
     skill = pl.Simulator(scene, seed=path.seed).plan(path.theta)
     figure, (side, turn, speed) = plt.subplots(1, 3, figsize=(12, 3.6))
     for name, motion, style in (("path", path, "-"), ("its skill", skill, "--")):
         print(words(name, motion))
         times, poses = motion.times_s, motion.poses
-        side.plot(1e3 * poses[:, 0], 1e3 * poses[:, 2], style, label=name)
+        heading = np.radians(scene.to_dict()["skill"]["heading_deg"])
+        ahead = poses[:, :2] @ [np.cos(heading), np.sin(heading)]
+        side.plot(1e3 * ahead, 1e3 * poses[:, 2], style, label=name)
         turn.plot(times, pitch_deg(poses), style)
         velocity = np.linalg.norm(np.diff(poses[:, :3], axis=0), axis=1) / motion.control_period_s
         speed.plot(times[1:], velocity, style)
     speed.axhline(scene.to_dict()["limits"]["linear_velocity_m_s"], linestyle=":", color="black")
-    side.set(xlabel="x of the tool, mm", ylabel="z, mm", aspect="equal")
+    side.set(xlabel="along the heading, mm", ylabel="z, mm", aspect="equal")
     turn.set(xlabel="time, s", ylabel="pitch since the start, degrees")
     speed.set(xlabel="time, s", ylabel="speed of the tool, m/s")
     side.legend(fontsize=8)

@@ -107,9 +107,11 @@ impl Mesh {
         let (sin, cos) = lean_rad.sin_cos();
         let cone_m = (inner_radius_m - outlet_radius_m) * cos / sin;
         let outer = |radius: f64, height: f64| [radius + wall_m * cos, height - wall_m * sin];
-        let ends_at_rim = inner_height_m <= cone_m * (1.0 + 1e-6);
+        // Heights are written to some digits.
+        let ends_at_rim = inner_height_m <= cone_m * (1.0 + 1e-3);
+        let low = (cone_m - wall_m * sin).min(inner_height_m - wall_m);
         let cylinder = [
-            [inner_radius_m + wall_m, cone_m],
+            [inner_radius_m + wall_m, low],
             [inner_radius_m + wall_m, inner_height_m],
             [inner_radius_m, inner_height_m],
         ];
@@ -240,7 +242,9 @@ mod tests {
         let round = 0.99;
         // By Guldin: a profile's area times the way of its middle.
         let cone = 0.05 * SQRT_2 * TAU * (0.75 + 0.05 * FRAC_1_SQRT_2);
-        let corner = 0.005 * FRAC_1_SQRT_2 * TAU * (1.0 + (0.1 + 0.1 * FRAC_1_SQRT_2) / 3.0);
+        // The wall between cone and cylinder: of the ring below the cylinder, what the cone has not.
+        let below = 0.1 * FRAC_1_SQRT_2;
+        let corner = PI * 0.21 * below - 0.5 * below * below * TAU * (1.0 + below / 3.0);
         let cases = [
             (Mesh::block([0.0; 3], [1.0, 2.0, 3.0]), 6.0, 1.0),
             (Mesh::open_box([1.0, 2.0, 3.0], 0.1), 1.2 * 2.2 * 3.1 - 6.0, 1.0),

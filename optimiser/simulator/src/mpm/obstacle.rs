@@ -461,8 +461,7 @@ pub(crate) fn container_shapes(c: &Container) -> Vec<Shape<f64>> {
             outlet_radius_m: hole,
             half_angle_deg,
         } => {
-            let (top, lean) = (c.shape.cone_height_m(), libm::sincos(half_angle_deg.to_radians()));
-            let (sin, cos) = lean;
+            let (top, (sin, cos)) = (c.shape.cone_height_m(), libm::sincos(half_angle_deg.to_radians()));
             let cone = Cone {
                 radius: 0.5 * (hole + r + t * cos),
                 height: 0.5 * (top - t * sin),
@@ -470,10 +469,9 @@ pub(crate) fn container_shapes(c: &Container) -> Vec<Shape<f64>> {
                 half_along: 0.5 * libm::hypot(r - hole, top),
                 lean: [sin, cos],
             };
-            // From as low as the cone's outer edge: no gap is left between them.
-            let low = top - t * sin;
-            let pipe = ring(r + 0.5 * t, 0.5 * t, 0.5 * (h + low), 0.5 * (h - low));
-            [Some(Shape::Cone(cone)), (h > top + TOUCH_M).then_some(pipe)].into_iter().flatten().collect()
+            let upright = |low: f64| ring(r + 0.5 * t, 0.5 * t, 0.5 * (h + low), 0.5 * (h - low));
+            let upright = c.shape.upright_from_m(t).map(upright);
+            [Some(Shape::Cone(cone)), upright].into_iter().flatten().collect()
         }
     }
 }
@@ -490,9 +488,6 @@ pub(crate) fn gate_shape(gate: &Gate) -> Shape<f64> {
         }
     }
 }
-
-/// A hopper whose rim is nearer than this to its cone's has no cylinder, m.
-const TOUCH_M: f64 = 1e-9;
 
 /// A tube about the vertical, or a disc, by the middle of its profile and half of its extents.
 fn ring(radius: f64, half_radial: f64, height: f64, half_axial: f64) -> Shape<f64> {

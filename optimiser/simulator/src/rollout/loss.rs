@@ -88,8 +88,7 @@ pub(crate) fn values(scene: &Scene, positions: &[[f64; 3]]) -> Vec<Option<f64>> 
 /// a^2 / (a^2 + t^2), and its gradient with respect to the position.
 fn lost(scene: &Scene, p: &[f64; 3]) -> (f64, [f64; 3]) {
     let beside = scene.containers.iter().map(|container| {
-        let inside_m = container.nearest_m(p);
-        let aside = [p[0] - inside_m[0], p[1] - inside_m[1]];
+        let aside = container.beside_m(p);
         (aside[0] * aside[0] + aside[1] * aside[1], aside, container.wall_thickness_m)
     });
     let nearest = beside.min_by(|a, b| a.0.total_cmp(&b.0));

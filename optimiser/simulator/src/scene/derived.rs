@@ -132,30 +132,43 @@ impl Container {
 
     /// Horizontal distance from a point to the container's opening, metres; 0 above it.
     pub(super) fn gap_to_opening_m(&self, p: [f64; 3]) -> f64 {
-        let nearest = self.nearest_m(&p);
-        libm::hypot(nearest[0] - p[0], nearest[1] - p[1])
+        let [x, y] = self.beside_m(&p);
+        libm::hypot(x, y)
+    }
+
+    /// From the container's inside, as it is seen from above, to a point, metres, world frame; 0 within.
+    pub(crate) fn beside_m(&self, p: &[f64; 3]) -> [f64; 2] {
+        let nearest = self.nearest_from_above_m(p);
+        [p[0] - nearest[0], p[1] - nearest[1]]
     }
 
     /// The point of the container's inner space that is nearest to another, metres, world frame.
     pub(crate) fn nearest_m(&self, p: &[f64; 3]) -> [f64; 3] {
         let [x, y, z] = self.local_m(p);
+        if let ContainerShape::Hopper { .. } = self.shape {
+            return self.nearest_in_hopper_m([x, y, z]);
+        }
+        let [x, y] = self.nearest_from_above_m(p);
+        [x, y, self.position_m[2] + z.clamp(0.0, self.inner_height_m())]
+    }
+
+    /// The same of the inner space as it is seen from above.
+    fn nearest_from_above_m(&self, p: &[f64; 3]) -> [f64; 2] {
+        let [x, y, _] = self.local_m(p);
         let [x, y] = match self.shape {
             ContainerShape::Box { inner_size_m: [lx, ly, _] } => {
                 [x.clamp(-0.5 * lx, 0.5 * lx), y.clamp(-0.5 * ly, 0.5 * ly)]
             }
-            ContainerShape::Cylinder { inner_radius_m, .. } | ContainerShape::Silo { inner_radius_m, .. } => {
+            ContainerShape::Cylinder { inner_radius_m, .. }
+            | ContainerShape::Silo { inner_radius_m, .. }
+            | ContainerShape::Hopper { inner_radius_m, .. } => {
                 let inwards = (inner_radius_m / libm::hypot(x, y)).min(1.0);
                 [x * inwards, y * inwards]
             }
-            ContainerShape::Hopper { .. } => return self.nearest_in_hopper_m([x, y, z]),
         };
         let (sin, cos) = libm::sincos(self.yaw_deg.to_radians());
-        let [origin_x, origin_y, origin_z] = self.position_m;
-        [
-            origin_x + cos * x - sin * y,
-            origin_y + sin * x + cos * y,
-            origin_z + z.clamp(0.0, self.inner_height_m()),
-        ]
+        let [origin_x, origin_y, _] = self.position_m;
+        [origin_x + cos * x - sin * y, origin_y + sin * x + cos * y]
     }
 
     /// The same of a hopper, from a point in its own frame: its profile is a convex polygon.
@@ -326,6 +339,9 @@ mod tests {
         assert_near(container.nearest_m(&[1.0, 2.4, 0.6]), [1.0, 2.3, 0.7]);
         assert_near(container.nearest_m(&[4.0, 6.0, 1.0]), [1.3, 2.4, 1.0]);
         assert_near(container.nearest_m(&[1.3, 2.0, 2.0]), [1.3, 2.0, 1.1]);
+        // From above the inside is as wide as its rim.
+        assert_near([container.gap_to_opening_m([1.4, 2.0, 0.55]), 0.0, 0.0], [0.0; 3]);
+        assert_near([container.gap_to_opening_m([1.0, 2.7, 0.55]), 0.0, 0.0], [0.2, 0.0, 0.0]);
         // A funnel has no cylinder.
         let shape =
             ContainerShape::Hopper { inner_radius_m, inner_height_m: 0.4, outlet_radius_m, half_angle_deg };

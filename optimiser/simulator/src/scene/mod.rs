@@ -357,7 +357,7 @@ pub enum ContainerShape {
     /// Upright round cylinder above a cone that narrows to a round hole; of no cylinder, a funnel. The middle of the hole is the
     /// container's place. A gate may shut it; what has come through is no longer in the container.
     Hopper {
-        /// Inner radius of the cylinder, metres; one cell to 10.
+        /// Inner radius of the cylinder, metres; two cells to 10.
         inner_radius_m: f64,
         /// Inner height from the hole to the rim, cone and cylinder together, metres; at least the cone's, at most 10.
         inner_height_m: f64,
@@ -377,6 +377,17 @@ impl ContainerShape {
             }
             _ => 0.0,
         }
+    }
+
+    /// From which height on a hopper has an upright wall, metres: from as low as its cone's outer edge, so that no gap is left between
+    /// them, and over no less than the wall's thickness. None of a funnel, which ends with its cone.
+    pub(crate) fn upright_from_m(&self, wall_m: f64) -> Option<f64> {
+        let Self::Hopper { inner_height_m, half_angle_deg, .. } = *self else { return None };
+        let top_m = self.cone_height_m();
+        let (sin, _) = libm::sincos(half_angle_deg.to_radians());
+        let low_m = (top_m - wall_m * sin).min(inner_height_m - wall_m);
+        // Heights are written to some digits.
+        (inner_height_m > top_m * (1.0 + 1e-3)).then_some(low_m)
     }
 
     /// How far the inside of a round one goes from its axis, so high above its place, metres; none of a box.

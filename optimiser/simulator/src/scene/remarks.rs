@@ -178,6 +178,8 @@ impl Container {
                 let (hx, hy) = if turned { (0.5 * width, 0.5 * length) } else { (0.5 * length, 0.5 * width) };
                 vec![z, x - hx, x + hx, y - hy, y + hy]
             }
+            // Where it ends is a hole.
+            ContainerShape::Hopper { .. } => Vec::new(),
             _ => vec![z],
         }
     }

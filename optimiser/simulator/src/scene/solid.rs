@@ -266,10 +266,10 @@ impl Container {
                 frame.block([-0.5 * x - wall, -0.5 * y - wall, -wall], [0.5 * x + wall, 0.5 * y + wall, z])
             }
             ContainerShape::Cylinder { inner_radius_m, inner_height_m }
-            | ContainerShape::Silo { inner_radius_m, inner_height_m, .. }
-            | ContainerShape::Hopper { inner_radius_m, inner_height_m, .. } => {
+            | ContainerShape::Silo { inner_radius_m, inner_height_m, .. } => {
                 frame.prism(inner_radius_m + wall, -wall, inner_height_m)
             }
+            ContainerShape::Hopper { inner_height_m, .. } => self.cone_up_to(inner_height_m),
         }
     }
 
@@ -295,19 +295,42 @@ impl Container {
                     .chain(frame.pipe(inner_radius_m, wall, [0.0, inner_height_m]))
                     .collect()
             }
-            ContainerShape::Hopper { inner_radius_m, inner_height_m, outlet_radius_m, half_angle_deg } => {
-                let (top, (sin, cos)) =
-                    (self.shape.cone_height_m(), libm::sincos(half_angle_deg.to_radians()));
-                let edge = [wall * cos, -wall * sin];
-                let lower = [outlet_radius_m + edge[0], edge[1]];
-                let upper = [inner_radius_m + edge[0], top + edge[1]];
-                let cone = frame.turned(&[lower, upper, [inner_radius_m + wall, top]]);
-                let heights = [top, inner_height_m];
-                let walls =
-                    (inner_height_m > top + TOUCH_M).then(|| frame.pipe(inner_radius_m, wall, heights));
-                std::iter::once(cone).chain(walls.into_iter().flatten()).collect()
+            ContainerShape::Hopper { inner_radius_m, inner_height_m, .. } => {
+                let top = self.shape.cone_height_m();
+                let has_walls = self.shape.upright_from_m(wall).is_some();
+                let walls = has_walls.then(|| frame.pipe(inner_radius_m, wall, [top, inner_height_m]));
+                std::iter::once(self.cone_up_to(top)).chain(walls.into_iter().flatten()).collect()
             }
         }
+    }
+
+    /// A hopper's cone, filled, and if it has a cylinder that with its inside up to a height.
+    fn cone_up_to(&self, height: f64) -> Hull {
+        let ContainerShape::Hopper { inner_radius_m, outlet_radius_m, half_angle_deg, .. } = self.shape
+        else {
+            return self.outer();
+        };
+        let (wall, (sin, cos)) = (self.wall_thickness_m, libm::sincos(half_angle_deg.to_radians()));
+        let edge = [wall * cos, -wall * sin];
+        let lower = [outlet_radius_m + edge[0], edge[1]];
+        let corners = match self.shape.upright_from_m(wall) {
+            Some(low) => [lower, [inner_radius_m + wall, low], [inner_radius_m + wall, height]],
+            None => {
+                let top = self.shape.cone_height_m();
+                [lower, [inner_radius_m + edge[0], top + edge[1]], [inner_radius_m, top]]
+            }
+        };
+        self.frame().turned(&corners)
+    }
+
+    /// Whether it stands apart from another; a hopper may reach into what is open.
+    pub(super) fn is_apart(&self, other: &Self) -> bool {
+        let is_hopper = |one: &Self| matches!(one.shape, ContainerShape::Hopper { .. });
+        let pieces_are = || {
+            let others = other.pieces();
+            self.pieces().iter().all(|piece| others.iter().all(|other| piece.clear_of_hull(other)))
+        };
+        self.outer().clear_of_hull(&other.outer()) || (is_hopper(self) || is_hopper(other)) && pieces_are()
     }
 
     /// Whether a point lies inside the container, rim included.
@@ -322,9 +345,13 @@ impl Container {
 
     /// What of the container the powder would be in at its start, in words, and by how much, metres; nothing if it is clear.
     pub(super) fn powder_in(&self, powder: &Powder) -> Option<(String, f64)> {
-        // What stands for a cone here is filled.
-        if self.holds_powder(powder) {
+        // What stands for a cone here is filled: powder in it is judged by itself.
+        let begins_in_it = powder.fill_min_m[2] >= self.position_m[2] - TOUCH_M;
+        if begins_in_it && self.holds_columns(powder) {
             return None;
+        }
+        if let Some(depth_m) = self.beyond_cone_m(powder).filter(|_| begins_in_it) {
+            return Some((format!("{} of container {:?}", self.below(), self.name), depth_m));
         }
         let filled = powder.fill_hull();
         let depth_m = |hull: &Hull| {
@@ -352,6 +379,31 @@ impl Container {
         match self.shape {
             ContainerShape::Hopper { .. } => "cone",
             _ => "floor",
+        }
+    }
+
+    /// How far powder that begins within a hopper's cone goes beyond its wall there, metres; none where it does not begin there.
+    fn beyond_cone_m(&self, powder: &Powder) -> Option<f64> {
+        let ContainerShape::Hopper { half_angle_deg, .. } = self.shape else { return None };
+        let low_m = powder.fill_min_m[2];
+        let begins_there = low_m - self.position_m[2] < self.shape.cone_height_m()
+            && self.holds_column(powder.fill_middle_m(), 0.0, low_m);
+        let inner_m = self.shape.inner_radius_at_m(low_m - self.position_m[2])?;
+        let [x, y, _] = self.position_m;
+        let beyond = powder
+            .columns()
+            .into_iter()
+            .map(|(middle, radius_m)| libm::hypot(middle[0] - x, middle[1] - y) + radius_m - inner_m);
+        begins_there.then(|| beyond.fold(0.0, f64::max) * libm::cos(half_angle_deg.to_radians()))
+    }
+
+    /// Above which height a tool stays, metres, and what is there, in words.
+    pub(super) fn floor(&self) -> (f64, &'static str) {
+        match self.shape {
+            ContainerShape::Hopper { .. } => {
+                (self.position_m[2] + self.shape.cone_height_m(), "upper end of the cone")
+            }
+            _ => (self.position_m[2], "floor"),
         }
     }
 

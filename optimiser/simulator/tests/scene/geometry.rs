@@ -1,7 +1,8 @@
 //! Rules about places, with turned and round containers and the box scoop.
 
 use powderline_simulator::scene::{
-    ContainerShape, FillShape, Gate, GateOpening, GateShape, Scene, SceneError, SceneSpec, ToolShape,
+    Container, ContainerShape, FillShape, Gate, GateOpening, GateShape, Scene, SceneError, SceneSpec,
+    ToolShape,
 };
 
 fn bench() -> SceneSpec {
@@ -255,4 +256,90 @@ fn shut_gates_may_lie_in_walls_and_in_each_other_and_slide_out_of_the_domain() {
     };
     scene.gates = vec![pipe(0.024), plate];
     assert_eq!(refused_field(&scene), None);
+}
+
+/// The hopper of the guide over the target of `bench`: 24 mm inside, a cone of 27.7 mm, a hole of 8 mm at a height of 124 mm.
+fn with_hopper() -> SceneSpec {
+    let mut scene = bench();
+    scene.arm = None;
+    scene.containers.push(Container {
+        name: "hopper".into(),
+        position_m: [0.176, 0.048, 0.124],
+        yaw_deg: 0.0,
+        wall_thickness_m: 0.004,
+        friction: 0.4,
+        shape: ContainerShape::Hopper {
+            inner_radius_m: 0.024,
+            inner_height_m: 0.060,
+            outlet_radius_m: 0.008,
+            half_angle_deg: 30.0,
+        },
+    });
+    scene
+}
+
+#[test]
+fn powder_starts_in_a_cone_as_far_out_as_there_is_room() {
+    let refused = |radius_m: f64, low_m: f64, high_m: f64| {
+        let mut scene = with_hopper();
+        scene.powder.fill_shape = FillShape::Cylinder;
+        scene.powder.fill_min_m = [0.176 - radius_m, 0.048 - radius_m, low_m];
+        scene.powder.fill_max_m = [0.176 + radius_m, 0.048 + radius_m, high_m];
+        scene.validate_as("scene").err().map(|error| error.to_string())
+    };
+    // 16 mm above the hole there is room for 17.24 mm.
+    assert_eq!(refused(0.0172, 0.140, 0.180), None);
+    let sentence = refused(0.0174, 0.140, 0.180).unwrap();
+    assert!(
+        sentence.contains("that column goes 0.00014 m into the cone of container \"hopper\""),
+        "{sentence}"
+    );
+    // Heaped above the rim; from the hole on; and from below it.
+    assert_eq!(refused(0.0172, 0.140, 0.195), None);
+    assert_eq!(refused(0.0079, 0.124, 0.180), None);
+    let sentence = refused(0.0079, 0.110, 0.180).unwrap();
+    assert!(sentence.contains("into the cone of container \"hopper\""), "{sentence}");
+    // In the cylinder it is the wall that counts.
+    assert_eq!(refused(0.0239, 0.152, 0.180), None);
+    let sentence = refused(0.0245, 0.152, 0.180).unwrap();
+    assert!(sentence.contains("wall of container \"hopper\""), "{sentence}");
+}
+
+#[test]
+fn a_funnel_may_stand_in_the_mouth_of_another_container() {
+    let refused = |low_m: f64, inner_height_m: f64| {
+        let mut scene = with_hopper();
+        let ContainerShape::Hopper { inner_height_m: height, .. } = &mut scene.containers[2].shape else {
+            panic!("a hopper")
+        };
+        *height = inner_height_m;
+        scene.containers[1].shape = ContainerShape::Cylinder { inner_radius_m: 0.016, inner_height_m: 0.040 };
+        scene.containers[2].position_m[2] = low_m;
+        refused_field(&scene)
+    };
+    // The vial's rim is at 44 mm, and its inner edge 16 mm from the axis; the cone is as wide outside 5.86 mm above the hole.
+    for height in [0.060, 0.02771] {
+        assert_eq!(refused(0.0385, height), None);
+        assert_eq!(refused(0.0377, height).as_deref(), Some("container \"hopper\".position_m"));
+    }
+}
+
+#[test]
+fn a_tool_keeps_out_of_a_cone() {
+    let scoops = |lift_m: f64| {
+        let mut scene = with_hopper();
+        scene.containers.swap_remove(0);
+        scene.containers[0].name = "source".into();
+        scene.containers[0].position_m = [0.056, 0.048, 0.004 + lift_m];
+        if let ContainerShape::Hopper { inner_radius_m, inner_height_m, .. } = &mut scene.containers[0].shape
+        {
+            (*inner_radius_m, *inner_height_m) = (0.036, 0.080);
+        }
+        scene.powder.fill_shape = FillShape::Cylinder;
+        scene.powder.fill_min_m = [0.028, 0.020, 0.0525];
+        scene.powder.fill_max_m = [0.084, 0.076, 0.080];
+        scene.validate_as("scene").err().map(|error| error.to_string())
+    };
+    let sentence = scoops(0.0).unwrap();
+    assert!(sentence.contains("below the upper end of the cone of container \"source\""), "{sentence}");
 }

@@ -455,7 +455,7 @@ const SINGLE_FIELDS: &[Case] = &[
     (
         r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
         r#"shape = { kind = "hopper", inner_radius_m = 0.032, inner_height_m = 0.019, outlet_radius_m = 0.012, half_angle_deg = 45 }"#,
-        r#": container "source".shape.inner_height_m is 0.019, but it must be from 0.0199"#,
+        r#": container "source".shape.inner_height_m is 0.019, but it must be from 0.02 to 10"#,
     ),
     (
         r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,

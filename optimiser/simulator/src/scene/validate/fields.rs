@@ -110,17 +110,21 @@ fn container(found: &mut Found<'_>, path: &str, container: &Container, cell_m: f
             found.number(&field("shape.outlet_radius_m"), *outlet_radius_m, outlet);
         }
         ContainerShape::Hopper { inner_radius_m, inner_height_m, outlet_radius_m, half_angle_deg } => {
-            found.number(&field("shape.inner_radius_m"), *inner_radius_m, inner);
-            let outlet = Range::closed(cell_m, *inner_radius_m - cell_m);
+            let (wide, leaning) = (Range::closed(2.0 * cell_m, 10.0), Range::closed(5.0, 85.0));
+            found.number(&field("shape.inner_radius_m"), *inner_radius_m, wide);
+            found.number(&field("shape.half_angle_deg"), *half_angle_deg, leaning);
+            // What the others have to fit is asked of what is right by itself.
+            let is_wide = (2.0 * cell_m..=10.0).contains(inner_radius_m);
+            let outlet = if is_wide { Range::closed(cell_m, inner_radius_m - cell_m) } else { inner };
             found.number(&field("shape.outlet_radius_m"), *outlet_radius_m, outlet);
-            found.number(&field("shape.half_angle_deg"), *half_angle_deg, Range::closed(5.0, 85.0));
-            // As written, the last digits of a funnel's may be rounded.
-            let least = (1.0 - 1e-6) * container.shape.cone_height_m();
-            found.number(
-                &field("shape.inner_height_m"),
-                *inner_height_m,
-                Range::closed(least.max(cell_m), 10.0),
-            );
+            let has_cone = is_wide
+                && (cell_m..=inner_radius_m - cell_m).contains(outlet_radius_m)
+                && (5.0..=85.0).contains(half_angle_deg);
+            // To four digits, so that a funnel's may be written as it is asked for.
+            let cone_m = if has_cone { container.shape.cone_height_m() } else { cell_m };
+            let least: f64 = format!("{cone_m:.3e}").parse().unwrap_or(cone_m);
+            let inner = Range::closed(least.max(cell_m), 10.0);
+            found.number(&field("shape.inner_height_m"), *inner_height_m, inner);
         }
     }
 }

@@ -219,7 +219,7 @@ pub(super) fn check_containers(checker: &Checker<'_>, scene: &Scene) -> Checked 
             "the container",
             |direction| outer.support(direction),
         )?;
-        if let Some(other) = containers[..index].iter().find(|other| !outer.clear_of_hull(&other.outer())) {
+        if let Some(other) = containers[..index].iter().find(|other| !container.is_apart(other)) {
             return Err(checker.invalid(
                 field("position_m"),
                 list(&container.position_m),

@@ -76,7 +76,7 @@ fn check_floor(checker: &Checker<'_>, scene: &Scene) -> Checked {
     let lowest_m = pitches(scoop_pitch)
         .map(|pitch_deg| -PlacedTool::new(scene, start, pitch_deg).body_support([0.0, 0.0, -1.0]))
         .fold(f64::INFINITY, f64::min);
-    let floor_m = scene.source().position_m[2];
+    let (floor_m, floor) = scene.source().floor();
     let room_m = lowest_m - skill.approach_m - floor_m;
     if skill.scooping_depth_m[1] <= room_m + TOUCH_M {
         return Ok(());
@@ -85,7 +85,7 @@ fn check_floor(checker: &Checker<'_>, scene: &Scene) -> Checked {
         "skill.scooping_depth_m",
         list(&skill.scooping_depth_m),
         format!(
-            "at the deepest scoop the tool would go {} m below the floor of container {:?}; at most {} would be \
+            "at the deepest scoop the tool would go {} m below the {floor} of container {:?}; at most {} would be \
              right",
             about(skill.scooping_depth_m[1] - room_m, 3),
             scene.source().name,
