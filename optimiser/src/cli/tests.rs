@@ -1439,8 +1439,6 @@ fn bench_says_where_the_time_of_a_scenes_rollout_goes() {
 fn bench_of_a_scene_refuses_in_one_sentence() {
     for (arguments, about) in [
         (&["--scene", "nowhere"][..], "nowhere"),
-        (&["--scene", "bench-small", "--grid", "32"], "--grid"),
-        (&["--theta", "0,0,0,0,0"], "--scene"),
         (&["--scene", "bench-small", "--theta", "0,0,0"], "there are 3"),
         (&["--scene", "bench-small", "--memory", "2MiB"], "memory"),
     ] {
