@@ -319,27 +319,32 @@ fn a_funnel_may_stand_in_the_mouth_of_another_container() {
     };
     // The vial's rim is at 44 mm, and its inner edge 16 mm from the axis; the cone is as wide outside 5.86 mm above the hole.
     for height in [0.060, 0.02771] {
-        assert_eq!(refused(0.0385, height), None);
+        assert_eq!(refused(0.0392, height), None);
         assert_eq!(refused(0.0377, height).as_deref(), Some("container \"hopper\".position_m"));
     }
 }
 
 #[test]
 fn a_tool_keeps_out_of_a_cone() {
-    let scoops = |lift_m: f64| {
+    // Its cone ends at a height of 52.5 mm, and the deepest scoop is 20 mm below the powder's surface.
+    let refused = |surface_m: f64| {
         let mut scene = with_hopper();
         scene.containers.swap_remove(0);
-        scene.containers[0].name = "source".into();
-        scene.containers[0].position_m = [0.056, 0.048, 0.004 + lift_m];
-        if let ContainerShape::Hopper { inner_radius_m, inner_height_m, .. } = &mut scene.containers[0].shape
-        {
+        let source = &mut scene.containers[0];
+        source.name = "source".into();
+        source.position_m = [0.056, 0.048, 0.004];
+        if let ContainerShape::Hopper { inner_radius_m, inner_height_m, .. } = &mut source.shape {
             (*inner_radius_m, *inner_height_m) = (0.036, 0.080);
         }
         scene.powder.fill_shape = FillShape::Cylinder;
         scene.powder.fill_min_m = [0.028, 0.020, 0.0525];
-        scene.powder.fill_max_m = [0.084, 0.076, 0.080];
-        scene.validate_as("scene").err().map(|error| error.to_string())
+        scene.powder.fill_max_m = [0.084, 0.076, surface_m];
+        scene.tool.start_position_m[2] = surface_m + 0.040;
+        scene.validate_as("scene").err().map(|error| error.to_string()).unwrap_or_default()
     };
-    let sentence = scoops(0.0).unwrap();
-    assert!(sentence.contains("below the upper end of the cone of container \"source\""), "{sentence}");
+    let sentence = refused(0.070);
+    let about = "would go 0.0025 m below the upper end of the cone of container \"source\"";
+    assert!(sentence.contains(about), "{sentence}");
+    let sentence = refused(0.0726);
+    assert!(!sentence.contains("cone"), "{sentence}");
 }
