@@ -183,9 +183,12 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
             }
             let stencils = places.stencils(&weights);
             let (q_bar, dt) = (bar.q[0], model.dt);
-            let held = self
-                .holds_volume
-                .then(|| hold_volume_adjoint(&tile, &places, &weights, occupied, dt, input, &q_bar));
+            // Not by a closure: one that is not inlined is compiled for the baseline instruction set.
+            let held = if self.holds_volume {
+                Some(hold_volume_adjoint(&tile, &places, &weights, occupied, dt, input, &q_bar))
+            } else {
+                None
+            };
             let through_f = if let Some(Some(held)) = &held {
                 let fourth = &held.fourth;
                 scatter(self.tile_bar, occupied, |l| stencils.of(l), |l| sent.affine_of_four(l, fourth));
