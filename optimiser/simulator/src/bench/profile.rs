@@ -112,26 +112,23 @@ fn profile_in<T: Real>(settings: &ProfileSettings<'_>, watch: Watch<'_>) -> Resu
     let began = nanoseconds();
     let settled = simulator.initial_state(&mut |done, total| watch("settling", done, total))?;
     let settling = Seconds::of(difference(nanoseconds(), began));
-    let run = |name, began, timings: Vec<PassTimings>| {
-        let time = Seconds::of(difference(nanoseconds(), began));
-        let forward = timings.iter().filter(|lap| lap.pass == Pass::Forward).count();
-        RunTime { name, time, advances: forward as f64 / substeps as f64, stages: stages(&timings) }
-    };
-    let mut runs = Vec::new();
-
-    simulator.timings().follow(nanoseconds);
-    let began = nanoseconds();
-    let end = simulator.advanced(&settled, &controls, &mut |d, t| watch("forward", d, t));
-    let timings = simulator.timings().take();
-    end?;
-    runs.push(run("forward", began, timings));
-    if !forward_only {
+    let mut run = |name, job: &mut dyn FnMut(&mut Simulator<T>) -> Result<(), RolloutError>| {
         simulator.timings().follow(nanoseconds);
         let began = nanoseconds();
-        let found = simulator.control_gradient(&settled, &controls, &mut |d, t| watch("gradient", d, t));
+        let done = job(&mut simulator);
+        let time = Seconds::of(difference(nanoseconds(), began));
         let timings = simulator.timings().take();
-        found?;
-        runs.push(run("forward and gradient", began, timings));
+        let forward = timings.iter().filter(|lap| lap.pass == Pass::Forward).count();
+        let advances = forward as f64 / substeps as f64;
+        done.map(|()| RunTime { name, time, advances, stages: stages(&timings) })
+    };
+    let mut runs = vec![run("forward", &mut |simulator| {
+        simulator.advanced(&settled, &controls, &mut |d, t| watch("forward", d, t)).map(|_| ())
+    })?];
+    if !forward_only {
+        runs.push(run("forward and gradient", &mut |simulator| {
+            simulator.control_gradient(&settled, &controls, &mut |d, t| watch("gradient", d, t)).map(|_| ())
+        })?);
     }
     Ok(Profile {
         scene: scene.name.clone(),

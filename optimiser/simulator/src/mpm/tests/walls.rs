@@ -2,8 +2,12 @@
 
 use crate::mpm::Model;
 use crate::mpm::bodies::Bodies;
-use crate::mpm::connect::connected_anew;
+use crate::mpm::connect::{connected, connected_anew};
+use crate::mpm::layout::{
+    BLOCK_NODES, Block, Layout, NO_BLOCK, Nodes, SHARED_NODES, empty_tile, load_tile, places_in_tile,
+};
 use crate::mpm::particles::{LANES, Particles, vec_of};
+use crate::mpm::stencil_positions::ALL_NEIGHBOURS;
 use crate::mpm::substep::{State, Workspace};
 use crate::mpm::tests::{
     Settled, advance, awake, empty_bench, even_lattice, far_away, mean, settle, standing,
@@ -164,13 +168,43 @@ fn lifted(walls: Walls, with_bed: bool, with_layer: bool) -> Lifted {
         in_a_row = if is_stale(&model, &tool, &state) { in_a_row + 1 } else { 0 };
         (stale, stale_in_a_row) = (stale + u32::from(in_a_row > 0), stale_in_a_row.max(in_a_row));
     }
+    if walls == Walls::TwoSided && with_bed && with_layer {
+        loads_what_is_asked_for(&state.layout);
+    }
     let after = heights(&state);
     Lifted { bed_m: after[0] - before[0], layer_m: after[1] - before[1], stale, stale_in_a_row }
 }
 
 fn is_stale(model: &Model<f64>, bodies: &Bodies<f64>, state: &State<f64>) -> bool {
     let particles = before_other_faces(model, bodies, &state.layout, &state.particles.groups, state.rest());
-    particles.contains(&true) || connected_anew(model, bodies, &state.layout).is_some()
+    let anew = connected_anew(model, bodies, &state.layout);
+    if let Some(anew) = &anew {
+        // As if nothing had been connected before.
+        let unconnected =
+            |block: &Block| Block { nodes: [NO_BLOCK; 27], detours: Vec::new(), ..block.clone() };
+        let blocks = state.layout.blocks.iter().map(unconnected).collect();
+        assert_eq!(format!("{anew:?}"), format!("{:?}", connected(model, bodies, blocks)));
+    }
+    particles.contains(&true) || anew.is_some()
+}
+
+/// Who asks for the nodes of one neighbour gets them all, those in other layers too.
+fn loads_what_is_asked_for(layout: &Layout) {
+    let nodes: Vec<Nodes<f64>> = (0..layout.nodes.len())
+        .map(|b| std::array::from_fn(|n| [1.0 + (b * BLOCK_NODES + n) as f64; 4]))
+        .collect();
+    assert!(layout.blocks.iter().any(|block| !block.detours.is_empty()));
+    for block in &layout.blocks {
+        let mut whole = empty_tile();
+        load_tile(block, &nodes, ALL_NEIGHBOURS, &mut whole);
+        for neighbour in 0..27 {
+            let mut part = empty_tile();
+            load_tile(block, &nodes, 1 << neighbour, &mut part);
+            for (_, at) in places_in_tile(26 - neighbour, SHARED_NODES[26 - neighbour]) {
+                assert!(part[at] == whole[at] && part[at][0] > 0.0, "{neighbour} {at}");
+            }
+        }
+    }
 }
 
 /// A tool that moves takes its two sides with it.
