@@ -668,7 +668,8 @@ mod tests {
         let expected = functions as f64 * lanes as f64 / 1_000.0;
         assert!((wide[at][0] - narrow[at][0] - expected).abs() < 1e-9, "{wide:?} {narrow:?}");
         let at = entry(Pass::Forward, Stage::GridUpdate);
-        assert!((wide[at][0] - narrow[at][0]).abs() < 1e-9);
+        // A node on a surface may be behind a wall in one precision and not in the other.
+        assert!((wide[at][0] / narrow[at][0] - 1.0).abs() < 1e-3);
     }
 
     #[test]

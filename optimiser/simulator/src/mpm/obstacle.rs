@@ -261,7 +261,8 @@ pub(crate) const HIDDEN_REACH_CELLS: f64 = 3.1;
 
 /// The outward normal of a piece at a point in its frame, and the part of a node's spline there that it leaves, with the derivative along
 /// the normal. A surface that bends is as one that is flat and lies where it is on average over the spline, whose variance along
-/// each axis is a quarter of a cell's square. `TWO_SIDED` is whether the piece is.
+/// each axis is a quarter of a cell's square; near the axis of one that is round, where that is not so, it lies [`BEND_LIMIT_CELLS`]
+/// off at most. `TWO_SIDED` is whether the piece is.
 #[inline(always)]
 pub(crate) fn room_of<T: Real, D: SignedDistance<T>, const TWO_SIDED: bool>(
     solid: &D,
@@ -278,9 +279,16 @@ pub(crate) fn room_of<T: Real, D: SignedDistance<T>, const TWO_SIDED: bool>(
     let hides = solid.face(y) < Face::PAIRED as i32;
     let (eighth, dx) = (T::from_f64(0.125), T::ONE / inverse_dx);
     let [bend, slope] = solid.bend(y);
-    let (room, by_distance) = room_beside(s + eighth * dx * bend, if hides { endless } else { own });
+    let limit = T::from_f64(BEND_LIMIT_CELLS);
+    let bent = eighth * dx * bend;
+    let slope = slope.only_if(bent.abs() < limit);
+    let bent = bent.at_least(-limit).at_most(limit);
+    let (room, by_distance) = room_beside(s + bent, if hides { endless } else { own });
     (normal, (room, by_distance * (T::ONE + eighth * dx * dx * slope)))
 }
+
+/// How far a surface that bends lies from one that is flat at most, on average over a node's spline, in cells.
+const BEND_LIMIT_CELLS: f64 = 0.25;
 
 /// Half the width of a node's spline, in cells: nothing farther off takes room from it.
 const ROOM_REACH_CELLS: f64 = 1.5;

@@ -2,7 +2,7 @@
 
 use super::figures::{about, list, mass};
 use super::solid::{Hull, Vec3, dot};
-use super::{Container, ContainerShape, Objective, PlacedTool, Powder, Scene};
+use super::{Container, ContainerShape, Objective, PlacedTool, Powder, Scene, SleepBy, Walls};
 
 /// Gap between expectation and geometry that is worth a remark, in cells.
 const REMARKABLE_CELLS: f64 = 0.25;
@@ -147,8 +147,14 @@ impl Scene {
         })
     }
 
+    /// Of walls with two sides, and powder that sleeps by the mean, beds stay where they are, wherever the faces lie.
     fn remark_faces(&self) -> Option<String> {
-        let cell_m = self.domain.cell_m;
+        let domain = &self.domain;
+        let sleeps = domain.sleep_by == SleepBy::MeanSquare && domain.sleep_speed_m_s > 0.0;
+        if domain.walls == Walls::TwoSided && sleeps {
+            return None;
+        }
+        let cell_m = domain.cell_m;
         let (container, face_m) = self.containers.iter().find_map(|container| {
             let badly = |face_m: &f64| {
                 let halves = 2.0 * face_m / cell_m;
@@ -158,7 +164,8 @@ impl Scene {
         })?;
         Some(format!(
             "a face of container {:?} at {} mm lies neither on the grid's nodes nor midway between two, so powder at \
-             rest on it sinks by some per cent a second; multiples of {} mm would be right",
+             rest on it sinks by some per cent a second; multiples of {} mm would be right, or domain.walls = \"two_sided\" with \
+             domain.sleep_by = \"mean_square\"",
             container.name,
             about(1e3 * face_m, 4),
             about(1e3 * 0.5 * cell_m, 4)
@@ -278,8 +285,12 @@ mod tests {
     #[test]
     fn faces_between_nodes_are_remarked() {
         let mut scene = Scene::load("bench").unwrap();
+        scene.domain.walls = Walls::Shared;
         assert_eq!(scene.remark_faces(), None);
         scene.containers[1].position_m[0] += 0.001;
+        scene.domain.walls = Walls::TwoSided;
+        assert_eq!(scene.remark_faces(), None);
+        scene.domain.walls = Walls::Shared;
         let remark = scene.remark_faces().unwrap();
         assert!(remark.contains("\"target\" at 145 mm") && remark.contains("multiples of 2 mm"), "{remark}");
         scene.containers[1].yaw_deg = 30.0;

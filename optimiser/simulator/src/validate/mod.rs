@@ -31,7 +31,7 @@
 //! | heaps | `heap.rs` | a stream from just above the top that the heap should have, on a plate of friction 1 |
 //! | packing | `packing.rs` | a stream into a box; the heap that a skill leaves in the target of the default scene; particles counted in balls that have powder on all sides |
 //! | silos | `silo.rs` | a cylinder full of powder with a hole in its floor, or at the end of a cone; what flows through from 3 to 7 times `sqrt(D/g)` on |
-//! | weight, incline | `statics.rs` | a bed between walls without friction; a block under tilted gravity, its middle third |
+//! | weight, incline | `statics.rs` | a bed between walls without friction, mean over half a second, as it swings; a block under tilted gravity, its middle third |
 //! | independence | `independence.rs` | one of the columns, with another time step, stiffness, number format |
 //! | controls | `controls.rs` | lines of the others, broken |
 //!

@@ -12,8 +12,11 @@ const CELL_M: f64 = 0.004;
 const WIDTH_M: f64 = 0.032;
 const DEPTH_M: f64 = 0.024;
 
-/// Time to come to rest, s: dry powder between walls without friction swings for two.
+/// Time to come to rest, s. Dry powder between walls without friction swings longer: pressures are means over the last half second, some
+/// seventeen times its period.
 const REST_S: f64 = 4.0;
+const SWING_S: f64 = 0.5;
+const LOOKS: usize = 25;
 
 /// A bed in a box without friction whose walls and floor lie so many cells off the nodes.
 fn boxed(law: &SceneSpec, shift_cells: f64) -> SceneSpec {
@@ -31,16 +34,22 @@ fn boxed(law: &SceneSpec, shift_cells: f64) -> SceneSpec {
     scene
 }
 
-/// Pressure at the base over the weight above it.
+/// Pressure at the base over the weight above it, mean over time.
 fn base_pressure(scene: SceneSpec, seed: u64, meter: &Meter<'_>) -> Result<f64, Halt> {
     let [x, y, z] = scene.containers[0].position_m;
     let half = 0.5 * WIDTH_M;
     let bed = packed(&scene, [x - half, y - half, z], [x + half, y + half, z + DEPTH_M], seed);
     let weight = scene.powder.density_kg_m3 * GRAVITY * DEPTH_M;
     let mut rig = Rig::<f32>::new(scene, &bed)?;
-    rig.run(REST_S, meter)?;
+    rig.run(REST_S - SWING_S, meter)?;
     // Vertical pressure over height in the bed as it was made: what lies above a particle stays above it.
-    let points: Vec<_> = bed.iter().zip(rig.stresses()).map(|(p, stress)| [p[2] - z, -stress[2]]).collect();
+    let mut points: Vec<_> = bed.iter().map(|p| [p[2] - z, 0.0]).collect();
+    for _ in 0..LOOKS {
+        rig.run(SWING_S / LOOKS as f64, meter)?;
+        for (point, stress) in points.iter_mut().zip(rig.stresses()) {
+            point[1] -= stress[2] / LOOKS as f64;
+        }
+    }
     Ok(line(&points)[0] / weight)
 }
 

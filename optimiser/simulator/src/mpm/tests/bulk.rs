@@ -3,7 +3,9 @@
 use crate::mpm::Model;
 use crate::mpm::particles::Particles;
 use crate::mpm::substep::{State, Workspace};
-use crate::mpm::tests::{Settled, advance, awake, empty_bench, even_lattice, far_away, mean, settle};
+use crate::mpm::tests::{
+    Settled, advance, awake, empty_bench, even_lattice, far_away, mean, settle, settled_often,
+};
 use crate::scene::{ContainerShape, Flow, Powder, Scene, VolumeCorrection, YieldSurface};
 
 /// Height of the bed in [`boxed`], m.
@@ -26,20 +28,25 @@ fn height(scene: &Scene, bed: &[Settled]) -> f64 {
     2.0 * (mean(bed, |_| true, |p| p.x[2]) - scene.containers[0].position_m[2])
 }
 
-/// Nothing but the numerics brings the elastic bed to rest: after a second it swings by a seventh yet, after two by a hundredth.
+/// Nothing but the numerics brings the elastic bed to rest, and where it may leave the floor it swings by a half yet after two seconds:
+/// pressures are means over time.
 #[test]
 fn the_base_of_a_frictionless_box_bears_the_powders_weight() {
     for (shift, tolerance, least_height) in
-        [(0.0, 0.05, 0.97), (0.001, 0.05, 0.85), (0.002, 0.3, 0.91), (0.003, 0.3, 0.82)]
+        [(0.0, 0.05, 0.97), (0.001, 0.15, 0.85), (0.002, 0.3, 0.91), (0.003, 0.3, 0.82)]
     {
         let (scene, positions) = boxed(shift, 0.0);
         let [x, y, z] = scene.containers[0].position_m;
-        let [early, end] = [2000, 4000].map(|substeps| settle(&scene, &positions, substeps));
+        let early = settle(&scene, &positions, 2000);
+        let swings = settled_often(&scene, &positions, 4000, 37, 27);
+        let end = swings.last().expect("some instants");
         let inside = |p: &Settled| (p.x[0] - x).abs() < 0.012 && (p.x[1] - y).abs() < 0.012 && p.x[2] > z;
         let height = height(&scene, &early);
         // Vertical pressure over depth, a straight line down to the base.
         let depths: Vec<f64> = positions.iter().map(|p| z + HEIGHT_M - p[2]).collect();
-        let pressures: Vec<f64> = end.iter().map(|p| -p.stress[2]).collect();
+        let pressure =
+            |k: usize| swings.iter().map(|bed| -bed[k].stress[2]).sum::<f64>() / swings.len() as f64;
+        let pressures: Vec<f64> = (0..positions.len()).map(pressure).collect();
         let base = line(&depths, &pressures, HEIGHT_M);
         let want = scene.powder.density_kg_m3 * 9.81 * HEIGHT_M;
         println!(

@@ -274,10 +274,31 @@ struct Settled {
 
 /// Every particle after `substeps` without a tool.
 fn settle(scene: &Scene, positions: &[[f64; 3]], substeps: usize) -> Vec<Settled> {
+    settled_often(scene, positions, substeps, 1, 0).remove(0)
+}
+
+/// The same, and `times` more, each after `every` further substeps.
+fn settled_often(
+    scene: &Scene,
+    positions: &[[f64; 3]],
+    substeps: usize,
+    every: usize,
+    times: usize,
+) -> Vec<Vec<Settled>> {
     let model: Model<f64> = Model::new(scene);
     let mut state = State::new(&model, &far_away(), &Particles::at_rest(positions)).unwrap();
-    advance(&model, &far_away(), &mut state, substeps);
-    let mut out = vec![Settled { x: [0.0; 3], stress: [0.0; 6] }; positions.len()];
+    let later = std::iter::repeat_n(every, times);
+    let look = |substeps: usize| {
+        advance(&model, &far_away(), &mut state, substeps);
+        looked_at(&model, &state)
+    };
+    std::iter::once(substeps).chain(later).map(look).collect()
+}
+
+/// Every particle as it is.
+fn looked_at(model: &Model<f64>, state: &State<f64>) -> Vec<Settled> {
+    let particles = state.particles.occupied().count();
+    let mut out = vec![Settled { x: [0.0; 3], stress: [0.0; 6] }; particles];
     for (g, l, id) in state.particles.occupied() {
         let group = &state.particles.groups[g];
         let (stress, _, _) = return_map(&model.material, group.strain_of(l), [0.0; 2]);

@@ -6,6 +6,7 @@ use crate::mpm::connect::{connected, connected_anew};
 use crate::mpm::layout::{
     BLOCK_NODES, Block, Layout, NO_BLOCK, Nodes, SHARED_NODES, empty_tile, load_tile, places_in_tile,
 };
+use crate::mpm::obstacle::room_of;
 use crate::mpm::particles::{LANES, Particles, vec_of};
 use crate::mpm::stencil_positions::ALL_NEIGHBOURS;
 use crate::mpm::substep::{State, Workspace};
@@ -14,6 +15,7 @@ use crate::mpm::tests::{
 };
 use crate::mpm::walls::{LOOK_EVERY, before_other_faces};
 use crate::scene::{ContainerShape, Cuboid, Scene, ToolShape, Walls};
+use crate::shape::{Bowl, Shape, Tube, with_solid};
 use crate::small::{dot, sub};
 
 /// A wall from x = `face` to `face + thickness` across the domain.
@@ -278,4 +280,20 @@ fn what_falls_before_a_wall_wakes_nobody_behind_it() {
     let [shared, two_sided] = [Walls::Shared, Walls::TwoSided].map(woken);
     assert!(two_sided[0] > 0 && two_sided[1] == 0);
     assert!(shared[1] > 0, "nothing to cure");
+}
+
+/// A round surface is flat to the nodes near it, a little off; by its axis, which is far from it, that is no measure of anything.
+#[test]
+fn a_round_wall_takes_no_room_from_nodes_near_its_axis() {
+    let dx = 0.004;
+    let tube = Shape::Tube(Tube { radius: 0.018, half_radial: 0.002, height: 0.0, half_axial: 0.02 });
+    let bowl = Shape::Bowl(Bowl { radius: 0.018, half: 0.002 });
+    for shape in [tube, bowl] {
+        for off_cells in [0.0, 1e-6, 1e-4, 1e-3, 0.01, 0.03, 0.1, 0.5] {
+            let y = [0.6 * off_cells * dx, -0.8 * off_cells * dx, 0.0];
+            let (_, (room, slope)) =
+                with_solid!(shape, solid => room_of::<f64, _, true>(&solid, 1.0 / dx, y));
+            assert_eq!((room, slope), (1.0, 0.0), "{off_cells} cells off the axis");
+        }
+    }
 }
