@@ -18,8 +18,10 @@ const LARGEST_STEP: f64 = 0.5;
 const MOST_STEEPER: f64 = 3.0;
 /// Between two looks on either side of what is wanted the next one keeps so far from both, as a share of the way.
 const KEEPS_FROM_ENDS: f64 = 0.2;
-/// A parameter leads no farther where it could be changed by less than this.
+/// A parameter leads no farther where it could be changed by less than this,
 const NEXT_TO_NOTHING: f64 = 1e-3;
+/// or where so many looks at it came no nearer and all on one side: the finer grid's amount has its peak there.
+const MOST_ASTRAY: usize = 2;
 
 /// Where a skill is looked at.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
@@ -138,8 +140,11 @@ impl Corrected {
         let mut last = *self.best();
         // The nearest looks with too little and with too much.
         let mut sides = [None; 2];
-        let mut reach = LARGEST_STEP;
-        while self.tried.len() <= MOST_CORRECTIONS && !wanted.is_met(self.best().mass_kg) {
+        let (mut reach, mut astray) = (LARGEST_STEP, 0);
+        while self.tried.len() <= MOST_CORRECTIONS
+            && astray < MOST_ASTRAY
+            && !wanted.is_met(self.best().mass_kg)
+        {
             sides[usize::from(last.mass_kg > wanted.mass_kg)] = Some(last);
             let from = *self.best();
             let theta = with(&from.theta, parameter, next(&from, sides, parameter, (slope, reach), wanted));
@@ -160,6 +165,7 @@ impl Corrected {
                 self.best = self.tried.len() - 1;
             } else if sides.contains(&None) {
                 reach *= 0.5;
+                astray += 1;
             }
             last = now;
         }
@@ -264,6 +270,22 @@ mod tests {
             let found = corrected(&Theta::clamped([0.0; 5]), WANTED, &mut look).unwrap();
             assert!(WANTED.is_met(found.best().mass_kg), "{mass_kg} {slope}: {found:?}");
         }
+    }
+
+    /// On the finer grid what answers best on the own one has its peak: looks are left for what answers next best.
+    #[test]
+    fn a_parameter_that_leads_nowhere_makes_way_for_the_next() {
+        let mut look = |grid, theta: &Theta| {
+            let [depth, angle, ..] = theta.components();
+            let mass_kg = match grid {
+                Grid::Own => 0.01 + 0.006 * angle + 0.004 * depth,
+                Grid::Finer => 0.0085 + 0.001 * angle - 0.01 * angle * angle + 0.003 * depth,
+            };
+            Ok(Some(Look { theta: *theta, mass_kg, evaluation: Evaluation::new(1.0, 0, Census::default()) }))
+        };
+        let found = corrected(&Theta::clamped([0.0; 5]), WANTED, &mut look).unwrap();
+        assert!(WANTED.is_met(found.best().mass_kg), "{found:?}");
+        assert!(found.best().theta.components()[0] > 0.3, "{found:?}");
     }
 
     /// Depth leads no farther than the arm may go, lift a little farther.

@@ -103,10 +103,16 @@ impl Place {
 
     /// A scene that takes a second: `bench-small` on a grid twice as coarse.
     pub(crate) fn tiny(&self) -> String {
+        self.tiny_with(8)
+    }
+
+    /// The same with so many particles to a cell.
+    pub(crate) fn tiny_with(&self, particles_per_cell: u32) -> String {
         let mut scene = Scene::load("bench-small").unwrap().into_spec();
         scene.name = "tiny".into();
         scene.domain.cell_m *= 2.0;
         scene.time.substeps /= 2;
+        scene.powder.particles_per_cell = particles_per_cell;
         self.write("tiny.toml", scene.to_toml().as_bytes())
     }
 
