@@ -669,7 +669,7 @@ mod tests {
         assert!((wide[at][0] - narrow[at][0] - expected).abs() < 1e-9, "{wide:?} {narrow:?}");
         let at = entry(Pass::Forward, Stage::GridUpdate);
         // A node on a surface may be behind a wall in one precision and not in the other.
-        assert!((wide[at][0] / narrow[at][0] - 1.0).abs() < 1e-3);
+        assert!((wide[at][0] / narrow[at][0] - 1.0).abs() < 2e-4);
     }
 
     #[test]

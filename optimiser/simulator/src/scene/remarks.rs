@@ -290,6 +290,9 @@ mod tests {
         scene.containers[1].position_m[0] += 0.001;
         scene.domain.walls = Walls::TwoSided;
         assert_eq!(scene.remark_faces(), None);
+        // Without sleep by the mean it sinks there, too.
+        scene.domain.sleep_by = SleepBy::Largest;
+        assert!(scene.remark_faces().is_some());
         scene.domain.walls = Walls::Shared;
         let remark = scene.remark_faces().unwrap();
         assert!(remark.contains("\"target\" at 145 mm") && remark.contains("multiples of 2 mm"), "{remark}");

@@ -75,9 +75,9 @@ fn a_silo_keeps_its_powder_until_its_gate_opens_and_then_loses_it_through_the_ho
     let through = below(&state);
     assert!(through.len() > points.len() / 20 && through.len() < points.len() / 2, "{}", through.len());
     // It falls straight down, as wide as the hole to within what the grid tells apart, until it lands.
-    let falls = through.iter().filter(|p| p[2] > 2.0 * dx);
-    let widest = falls.map(|p| (p[0] - middle).hypot(p[1] - middle)).fold(0.0, f64::max);
-    assert!(widest < 0.012 + dx, "{widest}");
+    let falls: Vec<_> = through.iter().filter(|p| p[2] > 2.0 * dx).collect();
+    let widest = falls.iter().map(|p| (p[0] - middle).hypot(p[1] - middle)).fold(0.0, f64::max);
+    assert!(falls.len() > through.len() / 4 && widest < 0.012 + dx, "{} {widest}", falls.len());
 }
 
 #[test]

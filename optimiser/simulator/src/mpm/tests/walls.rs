@@ -289,11 +289,14 @@ fn a_round_wall_takes_no_room_from_nodes_near_its_axis() {
     let tube = Shape::Tube(Tube { radius: 0.018, half_radial: 0.002, height: 0.0, half_axial: 0.02 });
     let bowl = Shape::Bowl(Bowl { radius: 0.018, half: 0.002 });
     for shape in [tube, bowl] {
-        for off_cells in [0.0, 1e-6, 1e-4, 1e-3, 0.01, 0.03, 0.1, 0.5] {
+        let room = |off_cells: f64| {
             let y = [0.6 * off_cells * dx, -0.8 * off_cells * dx, 0.0];
-            let (_, (room, slope)) =
-                with_solid!(shape, solid => room_of::<f64, _, true>(&solid, 1.0 / dx, y));
-            assert_eq!((room, slope), (1.0, 0.0), "{off_cells} cells off the axis");
+            with_solid!(shape, solid => room_of::<f64, _, true>(&solid, 1.0 / dx, y)).1
+        };
+        for off_cells in [0.0, 1e-6, 1e-4, 1e-3, 0.01, 0.03, 0.1, 0.5] {
+            assert_eq!(room(off_cells), (1.0, 0.0), "{off_cells} cells off the axis");
         }
+        let (beside, slope) = room(3.8);
+        assert!(beside > 0.3 && beside < 0.9 && slope > 0.0, "a fifth of a cell before the wall: {beside}");
     }
 }
