@@ -3,7 +3,8 @@
 //! Epoch 0 makes [`FIRST_TRIALS`] in the coarse world: the skill that the seed draws, and others all over the range. Each further
 //! epoch makes [`COARSE_TRIALS`] there, the first where the surrogate expects the lowest loss, the others where it expects most gain
 //! below the best known (expected improvement; Mockus 1975, Jones et al. 1998), each as if those before had come out as guessed. After
-//! [`COARSE_EPOCHS`] the coarse world has told what it can.
+//! [`COARSE_EPOCHS`] the coarse world has told what it can, unless its best skill is still off what is wanted or its loss still falls: there
+//! an epoch costs a third of one in the scene itself, so it is where a search that has farther to go goes on.
 //!
 //! From then on each epoch makes [`FINE_TRIALS`] in the scene itself, as a plan would ship them: at first where the lowest loss is expected, and
 //! where it is farther away, in case the former is not what it seems; then where it is and where most is to be gained, both within a
@@ -25,9 +26,17 @@ const COARSE_TRIALS: usize = 4;
 /// Trials of an epoch in the scene itself.
 const FINE_TRIALS: usize = 2;
 
-/// Epochs in the coarse world at most; and where less than half of what is wanted has arrived.
+/// Epochs in the coarse world at most; where its best skill is farther off what is wanted than [`COARSE_NEAR`], or the last epoch lowered the
+/// loss by [`COARSE_FALL`]; and where less than half of what is wanted has ever arrived.
 const COARSE_EPOCHS: u32 = 8;
+const COARSE_EPOCHS_ON_THE_WAY: u32 = 12;
 const COARSE_EPOCHS_WITHOUT_POWDER: u32 = 14;
+
+/// Part of what is wanted that may be missing or too much in the coarse world, whose particles are eight times as large.
+const COARSE_NEAR: f64 = 0.05;
+
+/// Part of the loss by which an epoch has to lower it for the coarse world to go on.
+const COARSE_FALL: f64 = 0.05;
 
 /// How far from the middle the first trials go.
 const FIRST_RANGE: f64 = 0.8;
@@ -70,6 +79,8 @@ pub(super) struct CoarseToFine {
     fine: Known,
     /// How many epochs the coarse world had.
     coarse_epochs: u32,
+    /// Whether the last of them lowered the loss so that another is worth it.
+    coarse_falls: bool,
     /// Half the edge of the box about the best skill of the scene itself.
     half_box: f64,
     /// The fall of the loss that the present epoch's first trial is guessed to bring.
@@ -88,6 +99,7 @@ impl CoarseToFine {
             coarse: Known::default(),
             fine: Known::default(),
             coarse_epochs: 0,
+            coarse_falls: false,
             half_box: WIDEST_BOX,
             guessed_fall: None,
             asked: Vec::new(),
@@ -98,6 +110,7 @@ impl CoarseToFine {
     fn is_coarse(&self, is_last: bool) -> bool {
         let most = match self.coarse.most_arrives() {
             most if most < 0.5 => COARSE_EPOCHS_WITHOUT_POWDER,
+            _ if self.coarse_falls || self.coarse.is_off(&self.edge, COARSE_NEAR) => COARSE_EPOCHS_ON_THE_WAY,
             _ => COARSE_EPOCHS,
         };
         self.fine.is_empty() && !is_last && self.coarse_epochs < most
@@ -254,7 +267,8 @@ impl Search for CoarseToFine {
     fn tell(&mut self, found: &[Found]) -> Result<Option<Epoch>, SearchError> {
         check(&self.asked, found)?;
         let asked = std::mem::take(&mut self.asked);
-        let before = self.fine.best(&self.edge).map(|(_, loss)| loss);
+        let lowest = |known: &Known| known.best(&self.edge).map(|(_, loss)| loss);
+        let (before, coarse_before) = (lowest(&self.fine), lowest(&self.coarse));
         for (trial, found) in asked.iter().zip(found) {
             let parts = self.edge.parts(self.problem.amount(&found.evaluation), found.evaluation.loss);
             // What is rounded is what counts.
@@ -265,6 +279,8 @@ impl Search for CoarseToFine {
             self.trust(before);
         } else {
             self.coarse_epochs += 1;
+            let (_, loss) = self.coarse.best(&self.edge).expect("one was told");
+            self.coarse_falls = coarse_before.is_some_and(|before| loss < (1.0 - COARSE_FALL) * before);
         }
         let best = asked
             .into_iter()
@@ -427,6 +443,32 @@ mod tests {
             let epochs = searched(problem(seed), 16, corner);
             assert!(best_of(&epochs).census.target > 900, "seed {seed}");
         }
+    }
+
+    /// A search that has farther to go does so where that is cheap.
+    #[test]
+    fn where_it_is_on_the_way_it_stays_in_the_coarse_world() {
+        let coarse = |epochs: &[Vec<(Trial, Evaluation)>]| {
+            epochs.iter().filter(|trials| trials[0].0.world == World::Coarse).count()
+        };
+        // Of what is wanted nine tenths are the most that can be had.
+        let most = |part: f64| {
+            move |trial: &Trial| {
+                let arrives = f64::from(bench(trial).census.target).min(part * WANTED);
+                let census = Census { target: arrives as u32, ..Census::default() };
+                Evaluation::new(0.088 * (WANTED - arrives) + 0.03 * arrives, 0, census)
+            }
+        };
+        for (part, epochs) in [(0.9, COARSE_EPOCHS_ON_THE_WAY), (0.97, COARSE_EPOCHS)] {
+            assert_eq!(coarse(&searched(problem(1), 16, most(part))), epochs as usize, "{part}");
+        }
+        // What is wanted arrives, and each trial has a tenth less loss than the one before.
+        let falls = std::cell::Cell::new(50.0);
+        let falling = |_: &Trial| {
+            falls.set(0.9 * falls.get());
+            Evaluation::new(falls.get(), 0, Census { target: WANTED as u32, ..Census::default() })
+        };
+        assert_eq!(coarse(&searched(problem(1), 16, falling)), COARSE_EPOCHS_ON_THE_WAY as usize);
     }
 
     #[test]

@@ -83,6 +83,13 @@ impl Known {
         self.parts.iter().map(|parts| parts.amount).fold(0.0, f64::max)
     }
 
+    /// Whether what arrives is off what is wanted by more than `part` of it, in the one with the lowest loss. Never where there is no edge.
+    pub(super) fn is_off(&self, edge: &Edge, part: f64) -> bool {
+        let loss = |parts: &&Parts| edge.loss(**parts);
+        let best = self.parts.iter().min_by(|a, b| loss(a).total_cmp(&loss(b)));
+        edge.unit_m > 0.0 && best.is_some_and(|best| (best.amount - 1.0).abs() > part)
+    }
+
     /// So many of them, those with the lowest losses, in the order in which they came.
     pub(super) fn best_of(&self, most: usize, edge: &Edge) -> Self {
         let mut ranked: Vec<usize> = (0..self.places.len()).collect();

@@ -1,6 +1,10 @@
 //! What could help a run whose plan misses the wanted amount, from what its epochs measured.
 
-use super::{amounts::Amounts, judged::Judged, words::parameter};
+use super::{
+    amounts::{Amounts, percent},
+    judged::Judged,
+    words::parameter,
+};
 use crate::optim::World;
 use powderline_shared::plan::SkillParameter;
 use powderline_simulator::{
@@ -11,6 +15,8 @@ use powderline_simulator::{
 /// Powder that counts as none, and as a good part, of the wanted.
 const NEXT_TO_NOTHING: f64 = 0.01;
 const A_GOOD_PART: f64 = 0.1;
+/// Powder lost, of the wanted, from which on a plan that brings what is wanted is no good one.
+const MUCH_LOST: f64 = 0.05;
 /// Theta this near to its bound stands at it.
 const AT_BOUND: f64 = 0.999;
 /// A miss that shrank to this part in the last third of the epochs is still shrinking.
@@ -44,6 +50,21 @@ pub(super) fn advice_on_finer(scene: &Scene, theta: Theta) -> Vec<String> {
     let other = "on smaller cells the skill answers otherwise, and no parameter alone led to the amount there: another --seed begins from \
                  another skill, and smaller cells of the scene's own (domain.cell_m) let the search see what they see";
     at_bounds(scene, theta).chain([other.into()]).collect()
+}
+
+/// What could help where the plan brings what is wanted, and much is lost on the way.
+pub(super) fn advice_on_lost(scene: &Scene, theta: Theta, lost_kg: f64) -> Option<String> {
+    let part = lost_kg / Amounts::from(scene).wanted_kg;
+    let displacement = SkillParameter::TransportDisplacement;
+    (part >= MUCH_LOST).then(|| {
+        format!(
+            "{}, {} of what is wanted, fell on rims or beside them, with a transport displacement of {}: `optimise report` shows where; \
+             another --seed begins from another skill, and --patience 0 goes on to the last epoch",
+            mass(lost_kg),
+            percent(part),
+            value(scene, displacement, theta[displacement])
+        )
+    })
 }
 
 struct Measured<'a> {

@@ -3,7 +3,7 @@
 //! Decided here, once. The terminal, `metrics.jsonl`, `curves.svg`, the page, `inspect` and `--json` say it, and decide nothing.
 
 use super::{
-    advice::{advice, advice_on_finer},
+    advice::{advice, advice_on_finer, advice_on_lost},
     amounts::Amounts,
     judged::{Judged, Rule},
     looks::Seen,
@@ -241,7 +241,7 @@ pub struct Finding {
     /// Whether the plan brings the wanted amount within the tolerance, on the smallest cells on which it was looked at; nothing before there
     /// is one, and where as much as can be had is wanted.
     pub met: Option<bool>,
-    /// What could help, from what was measured, where it does not.
+    /// What could help, from what was measured, where it does not, or where much is lost on the way.
     pub advice: Vec<String>,
 }
 
@@ -300,6 +300,10 @@ impl Finding {
             // The search did what it should.
             (Some(false), Some(true), Some(shipped)) => advice_on_finer(scene, shipped.theta),
             (Some(false), ..) => advice(scene, epochs, epoch),
+            (Some(true), _, Some(shipped)) => {
+                let brings = finer.map_or(shipped.outcome, |finer| finer.plan);
+                advice_on_lost(scene, shipped.theta, brings.lost_kg).into_iter().collect()
+            }
             _ => Vec::new(),
         };
         Some(Self {

@@ -318,6 +318,27 @@ mod tests {
         );
     }
 
+    #[test]
+    fn what_is_met_with_much_lost_says_what_could_help() {
+        for (rims, words) in
+            [(40, None), (150, Some("\nWhat could help:\n- 1.264 g, 13 % of what is wanted, fell"))]
+        {
+            let (_, mut run) = found([100, 1190, 1000], None, 1198);
+            let mut shipped = run.shipped.unwrap();
+            let census = Census { rims, ..shipped.outcome.census };
+            shipped.outcome = Outcome::new(&Amounts::from(&run.scene), census, 99.1);
+            run.shipped = Some(shipped);
+            let finding = run.finding().unwrap();
+            let text = finding.text(run.skills());
+            assert_eq!(finding.met, Some(true));
+            assert_eq!(
+                (text.contains("help"), words.is_none_or(|words| text.contains(words))),
+                (words.is_some(), true),
+                "{text}"
+            );
+        }
+    }
+
     /// The search's plan met on the scene's own cells, and 14 % were missing on smaller ones.
     #[test]
     fn what_smaller_cells_say_comes_before_what_the_scenes_own_do() {

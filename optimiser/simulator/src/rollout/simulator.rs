@@ -28,9 +28,9 @@ use crate::rollout::{
 use crate::scene::Scene;
 use crate::skill::{Control, SkillMap, Theta, ThetaGradient};
 
-/// Memory of each worker when there are several, in settled states: its current state, its workspace, its sort buffers, all of them
-/// half as large again once the powder has spread.
-const WORKER_STATES: u64 = 6;
+/// Memory of each worker when there are several, in settled states: its current state, its workspace, its sort buffers, the layout
+/// that a sort replaces and the one that it makes; twice as large once the powder has spread and lies on both sides of walls.
+const WORKER_STATES: u64 = 10;
 
 /// Work of one adjoint substep in units of a forward one, for the progress bar.
 const ADJOINT_WORK: u64 = 3;
