@@ -3,8 +3,8 @@
 //! Epoch 0 makes [`FIRST_TRIALS`] in the coarse world: the skill that the seed draws, and others all over the range. Each further
 //! epoch makes [`COARSE_TRIALS`] there, the first where the surrogate expects the lowest loss, the others where it expects most gain
 //! below the best known (expected improvement; Mockus 1975, Jones et al. 1998), each as if those before had come out as guessed. After
-//! [`COARSE_EPOCHS`] the coarse world has told what it can, unless its best skill is still off what is wanted or its loss still falls: there
-//! an epoch costs a third of one in the scene itself, so it is where a search that has farther to go goes on.
+//! [`COARSE_EPOCHS`] the coarse world has told what it can, unless its best skill is still off what is wanted or its loss still falls: a rollout costs
+//! a third of one of the scene itself there, so it is where a search that has farther to go goes on, for [`COARSE_EPOCHS_ON_THE_WAY`] at most.
 //!
 //! From then on each epoch makes [`FINE_TRIALS`] in the scene itself, as a plan would ship them: at first where the lowest loss is expected, and
 //! where it is farther away, in case the former is not what it seems; then where it is and where most is to be gained, both within a
@@ -26,13 +26,14 @@ const COARSE_TRIALS: usize = 4;
 /// Trials of an epoch in the scene itself.
 const FINE_TRIALS: usize = 2;
 
-/// Epochs in the coarse world at most; where its best skill is farther off what is wanted than [`COARSE_NEAR`], or the last epoch lowered the
-/// loss by [`COARSE_FALL`]; and where less than half of what is wanted has ever arrived.
+/// Epochs in the coarse world, as a rule.
 const COARSE_EPOCHS: u32 = 8;
+/// At most, where its best skill is farther off what is wanted than [`COARSE_NEAR`], or the last epoch lowered the loss by [`COARSE_FALL`].
 const COARSE_EPOCHS_ON_THE_WAY: u32 = 12;
+/// At most, where less than half of what is wanted has ever arrived.
 const COARSE_EPOCHS_WITHOUT_POWDER: u32 = 14;
 
-/// Part of what is wanted that may be missing or too much in the coarse world, whose particles are eight times as large.
+/// Part of what is wanted that may be missing or too much in the coarse world, whose particles are larger, whatever the tolerance.
 const COARSE_NEAR: f64 = 0.05;
 
 /// Part of the loss by which an epoch has to lower it for the coarse world to go on.
@@ -110,10 +111,16 @@ impl CoarseToFine {
     fn is_coarse(&self, is_last: bool) -> bool {
         let most = match self.coarse.most_arrives() {
             most if most < 0.5 => COARSE_EPOCHS_WITHOUT_POWDER,
-            _ if self.coarse_falls || self.coarse.is_off(&self.edge, COARSE_NEAR) => COARSE_EPOCHS_ON_THE_WAY,
+            _ if self.problem.coarsest() == World::Coarse && self.is_on_the_way() => COARSE_EPOCHS_ON_THE_WAY,
             _ => COARSE_EPOCHS,
         };
         self.fine.is_empty() && !is_last && self.coarse_epochs < most
+    }
+
+    /// Whether another epoch in the coarse world is worth it.
+    fn is_on_the_way(&self) -> bool {
+        let near = self.problem.tolerance.max(COARSE_NEAR);
+        self.coarse_falls || self.coarse.is_off(&self.edge, near)
     }
 
     /// The skill that the seed draws, and a sequence that fills the range evenly, from anywhere in it.
@@ -484,9 +491,15 @@ mod tests {
     fn a_scene_without_a_coarse_copy_is_searched_itself() {
         let scene = Scene::load("bench").unwrap().coarse().unwrap();
         let problem = Problem::new(&scene, 1).without_obstacles();
-        let epochs = searched(problem, 10, bench);
-        assert!(epochs.iter().flatten().all(|(trial, _)| trial.world == World::Fine));
-        assert!(!epochs[0][0].0.is_rounded && epochs[9][0].0.is_rounded);
+        // However far off it is: an epoch of it is no cheaper than one of what counts.
+        let far_off = |_: &Trial| {
+            Evaluation::new(50.0, 0, Census { target: (0.8 * WANTED) as u32, ..Census::default() })
+        };
+        for epochs in [searched(problem.clone(), 10, bench), searched(problem, 10, far_off)] {
+            assert!(epochs.iter().flatten().all(|(trial, _)| trial.world == World::Fine));
+            let rounded = |epoch: u32| epochs[epoch as usize][0].0.is_rounded;
+            assert!(!rounded(0) && !rounded(COARSE_EPOCHS - 1) && rounded(COARSE_EPOCHS));
+        }
     }
 
     #[test]

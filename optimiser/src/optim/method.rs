@@ -120,7 +120,7 @@ pub struct Problem {
     /// From a skill to its motion.
     pub(super) map: Rc<SkillMap>,
     /// How far what arrives may be off that, relative; any distance where as much as can be had is wanted.
-    tolerance: f64,
+    pub(super) tolerance: f64,
     is_able: IsAble,
 }
 

@@ -1,4 +1,4 @@
-//! What could help a run whose plan misses the wanted amount, from what its epochs measured.
+//! What could help a run whose plan misses the wanted amount, or loses much on the way, from what its epochs measured.
 
 use super::{
     amounts::{Amounts, percent},
@@ -53,16 +53,27 @@ pub(super) fn advice_on_finer(scene: &Scene, theta: Theta) -> Vec<String> {
 }
 
 /// What could help where the plan brings what is wanted, and much is lost on the way.
-pub(super) fn advice_on_lost(scene: &Scene, theta: Theta, lost_kg: f64) -> Option<String> {
+/// `epochs` are those that it ended after, and `settled` is whether it was allowed more.
+pub(super) fn advice_on_lost(
+    scene: &Scene,
+    theta: Theta,
+    lost_kg: f64,
+    (epochs, settled): (usize, bool),
+) -> Option<String> {
     let part = lost_kg / Amounts::from(scene).wanted_kg;
     let displacement = SkillParameter::TransportDisplacement;
     (part >= MUCH_LOST).then(|| {
         format!(
-            "{}, {} of what is wanted, fell on rims or beside them, with a transport displacement of {}: `optimise report` shows where; \
-             another --seed begins from another skill, and --patience 0 goes on to the last epoch",
+            "{}, {} of what is wanted, is lost, with a transport displacement of {} of {}: the pictures of `optimise report` show \
+             where; another --seed begins from another skill, and {}",
             mass(lost_kg),
             percent(part),
-            value(scene, displacement, theta[displacement])
+            value(scene, displacement, theta[displacement]),
+            key(scene, displacement),
+            match settled {
+                true => "a run that is begun with --patience 0 goes on to the last epoch".to_owned(),
+                false => format!("--resume with --epochs {} goes on", 2 * epochs.saturating_sub(1).max(1)),
+            }
         )
     })
 }

@@ -302,7 +302,8 @@ impl Finding {
             (Some(false), ..) => advice(scene, epochs, epoch),
             (Some(true), _, Some(shipped)) => {
                 let brings = finer.map_or(shipped.outcome, |finer| finer.plan);
-                advice_on_lost(scene, shipped.theta, brings.lost_kg).into_iter().collect()
+                let ended = (epochs.len(), ended_of.is_some());
+                advice_on_lost(scene, shipped.theta, brings.lost_kg, ended).into_iter().collect()
             }
             _ => Vec::new(),
         };

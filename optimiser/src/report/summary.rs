@@ -321,7 +321,7 @@ mod tests {
     #[test]
     fn what_is_met_with_much_lost_says_what_could_help() {
         for (rims, words) in
-            [(40, None), (150, Some("\nWhat could help:\n- 1.264 g, 13 % of what is wanted, fell"))]
+            [(40, None), (150, Some("\nWhat could help:\n- 1.264 g, 13 % of what is wanted, is lost"))]
         {
             let (_, mut run) = found([100, 1190, 1000], None, 1198);
             let mut shipped = run.shipped.unwrap();

@@ -62,7 +62,7 @@ class Run:
     @property
     def summary(self) -> str:
         """What was found, as the program says it at the end: whether the amount is met, where the rest of the powder is, which epoch
-        became the plan and why, and, where it misses, what could help."""
+        became the plan and why, and, where it misses or much is lost, what could help."""
         return _native.summary(self.folder) or "No epoch is finished yet."
 
     def __fspath__(self) -> str:

@@ -200,6 +200,11 @@ impl Layout {
         self.nodes.chunk_by(|a, b| a.coord == b.coord)
     }
 
+    /// Groups of all blocks.
+    pub(crate) fn groups(&self) -> usize {
+        self.blocks.last().map_or(0, |last| last.first_group + last.groups())
+    }
+
     /// Bytes.
     pub(crate) fn bytes(&self) -> usize {
         let of_block = |b: &Block| size_of_val(b) + size_of_val(&b.faces[..]) + size_of_val(&b.detours[..]);

@@ -2,12 +2,13 @@
 
 use crate::mpm::Model;
 use crate::mpm::bodies::Bodies;
-use crate::mpm::connect::connected;
+use crate::mpm::connect::{connected, connected_like};
 use crate::mpm::layout::{BLOCK_NODES, Block, Coord, Grid, Layout, NO_BLOCK, WallFace};
 use crate::mpm::particles::{EMPTY_LANE, Group, LANES, Lanes, Particles, vec_of};
 use crate::mpm::spare::{BufferPool, fit};
 use crate::mpm::walls;
 use crate::real::{Real, RealOps};
+use std::sync::Arc;
 
 /// A particle that is no longer anywhere on the grid.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -36,14 +37,15 @@ pub(crate) fn sort<T: Real>(
     for keys in keys.chunk_by(|a, b| block_of(*a) == block_of(*b)) {
         cut.part(model, bodies, model.grid.coord(block_of(keys[0])), keys, old);
     }
-    Ok(cut.sorted(model, bodies, old, spare))
+    let (particles, order) = cut.moved(&model.grid, old, spare);
+    Ok((particles, connected(model, bodies, cut.blocks), order))
 }
 
 /// The same for those of some blocks alone, which are before other faces than they were. The others stay where they are.
 pub(crate) fn sort_by_faces<T: Real>(
     model: &Model<T>,
     bodies: &Bodies<T>,
-    (old, layout): (&Particles<T>, &Layout),
+    (old, layout): (Particles<T>, &Layout),
     is_wrong: &[bool],
     spare: &mut BufferPool<T>,
 ) -> Sorted<T> {
@@ -64,9 +66,20 @@ pub(crate) fn sort_by_faces<T: Real>(
         };
         let mut keys: Vec<u64> = places.map(|place| keyed(key(place), place)).collect();
         keys.sort_unstable();
-        cut.part(model, bodies, blocks[0].coord, &keys, old);
+        cut.part(model, bodies, blocks[0].coord, &keys, &old);
     }
-    cut.sorted(model, bodies, old, spare)
+    let (particles, order) = if cut.is_same(layout, |a, b| a.groups() == b.groups()) {
+        cut.moved_in_place(&model.grid, old)
+    } else {
+        let moved = cut.moved(&model.grid, &old, spare);
+        spare.return_groups(old.groups);
+        moved
+    };
+    let layout = match cut.is_same(layout, |a, b| a.faces == b.faces) {
+        true => connected_like(model, bodies, cut.blocks, layout),
+        false => connected(model, bodies, cut.blocks),
+    };
+    (particles, layout, order)
 }
 
 /// Sort key, and the particle's place in the old memory order.
@@ -129,46 +142,81 @@ impl Cut {
         }
     }
 
-    /// Brings the particles there.
-    fn sorted<T: Real>(
-        mut self,
-        model: &Model<T>,
-        bodies: &Bodies<T>,
+    /// Whether there are as many blocks as in a layout, at the same places of the grid, and each as like its own as is asked for.
+    fn is_same(&self, layout: &Layout, is_like: impl Fn(&Block, &Block) -> bool) -> bool {
+        let mut pairs = self.blocks.iter().zip(&layout.blocks);
+        self.blocks.len() == layout.blocks.len() && pairs.all(|(a, b)| a.coord == b.coord && is_like(a, b))
+    }
+
+    /// Brings the particles there, and tells where each lane came from.
+    fn moved<T: Real>(
+        &self,
+        grid: &Grid,
         old: &Particles<T>,
         spare: &mut BufferPool<T>,
-    ) -> Sorted<T> {
+    ) -> (Particles<T>, Vec<u32>) {
         let mut groups = spare.acquire_groups(self.groups);
         let mut ids = vec![[EMPTY_LANE; LANES]; self.groups];
-        let mut order = vec![EMPTY_LANE; self.groups * LANES];
-        let mut places = &self.places[..];
-        for block in &self.blocks {
-            let (own, others) = places.split_at(block.particles);
-            places = others;
-            let resting = resting_group(&model.grid, block.coord);
-            let to = &mut groups[block.first_group..block.first_group + block.groups()];
-            to.fill(resting);
-            for (group, places) in own.chunks(LANES).enumerate() {
-                let first = places[0] as usize;
-                let as_they_were = first.is_multiple_of(LANES)
-                    && places.len() == LANES
-                    && places.iter().zip(first..).all(|(place, at)| *place as usize == at);
-                if as_they_were {
-                    to[group] = old.groups[first / LANES];
-                } else {
-                    for (lane, place) in places.iter().enumerate() {
-                        let place = *place as usize;
-                        to[group].copy_lane(lane, &old.groups[place / LANES], place % LANES);
-                    }
-                }
-            }
-            for (at, place) in (block.first_group * LANES..).zip(own) {
-                let from = *place as usize;
-                ids[at / LANES][at % LANES] = old.ids[from / LANES][from % LANES];
-                order[at] = *place;
+        bring(grid, (&self.blocks, &self.places), (0, &old.groups, &old.ids), (&mut groups, &mut ids));
+        (Particles { groups, ids: ids.into() }, self.order())
+    }
+
+    /// The same where each block has its groups where it had them: most stay as they are.
+    fn moved_in_place<T: Real>(&self, grid: &Grid, mut particles: Particles<T>) -> (Particles<T>, Vec<u32>) {
+        let (groups, ids) = (&mut particles.groups, Arc::make_mut(&mut particles.ids));
+        let mut left = &self.places[..];
+        for blocks in self.blocks.chunk_by(|a, b| a.coord == b.coord) {
+            let (places, others) = left.split_at(blocks.iter().map(|block| block.particles).sum());
+            left = others;
+            if !blocks.iter().flat_map(Block::places).zip(places).all(|(at, from)| at == *from as usize) {
+                let first = blocks[0].first_group;
+                let own = first..first + blocks.iter().map(Block::groups).sum::<usize>();
+                let (old_groups, old_ids) = (groups[own.clone()].to_vec(), ids[own].to_vec());
+                bring(grid, (blocks, places), (first, &old_groups, &old_ids), (groups, ids));
             }
         }
-        let layout = connected(model, bodies, std::mem::take(&mut self.blocks));
-        (Particles { groups, ids: ids.into() }, layout, order)
+        (particles, self.order())
+    }
+
+    /// Where each lane comes from.
+    fn order(&self) -> Vec<u32> {
+        let mut order = vec![EMPTY_LANE; self.groups * LANES];
+        let lanes = self.blocks.iter().flat_map(Block::places);
+        lanes.zip(&self.places).for_each(|(lane, from)| order[lane] = *from);
+        order
+    }
+}
+
+/// Copies the particles at `places` to the groups of `blocks`, in that order. `groups` and `ids` are what was there, from group number
+/// `first` on.
+fn bring<T: Real>(
+    grid: &Grid,
+    (blocks, mut places): (&[Block], &[u32]),
+    (first, groups, ids): (usize, &[Group<T>], &[[u32; LANES]]),
+    (to_groups, to_ids): (&mut [Group<T>], &mut [[u32; LANES]]),
+) {
+    for block in blocks {
+        let (own, others) = places.split_at(block.particles);
+        places = others;
+        for (to, places) in (block.first_group..).zip(own.chunks(LANES)) {
+            let (to_group, to_ids) = (&mut to_groups[to], &mut to_ids[to]);
+            let at = places[0] as usize;
+            let from = |place: &u32| (*place as usize / LANES - first, *place as usize % LANES);
+            let as_they_were = at.is_multiple_of(LANES)
+                && places.len() == LANES
+                && places.iter().zip(at..).all(|(place, at)| *place as usize == at);
+            if as_they_were {
+                (*to_group, *to_ids) = (groups[at / LANES - first], ids[at / LANES - first]);
+                continue;
+            }
+            if places.len() < LANES {
+                (*to_group, *to_ids) = (resting_group(grid, block.coord), [EMPTY_LANE; LANES]);
+            }
+            for (lane, (group, from)) in places.iter().map(from).enumerate() {
+                to_group.copy_lane(lane, &groups[group], from);
+                to_ids[lane] = ids[group][from];
+            }
+        }
     }
 }
 

@@ -118,13 +118,15 @@ impl<T: Real> State<T> {
         spare: &mut BufferPool<T>,
     ) {
         self.fill();
-        let sorted = sort_by_faces(model, bodies, (&self.particles, &self.layout), is_wrong, spare);
+        let none = Particles { groups: Vec::new(), ids: Arc::new([]) };
+        let particles = std::mem::replace(&mut self.particles, none);
+        let sorted = sort_by_faces(model, bodies, (particles, &self.layout), is_wrong, spare);
         self.take_over(sorted, spare);
     }
 
     fn take_over(&mut self, (particles, layout, order): Sorted<T>, spare: &mut BufferPool<T>) {
         self.rest = sleep::after_sort(&self.rest, &self.layout, &layout, &order, &particles.groups);
-        self.sorted_from = Some((order.into(), self.particles.groups.len()));
+        self.sorted_from = Some((order.into(), self.layout.groups()));
         self.layout = Arc::new(layout);
         spare.return_groups(std::mem::replace(&mut self.particles, particles).groups);
     }

@@ -1,7 +1,7 @@
 //! Powder in an apparatus of its own: a scene, particles, and the engine that moves them.
 
 use crate::mpm::Model;
-use crate::mpm::bodies::Bodies;
+use crate::mpm::bodies::{Bodies, Moment};
 use crate::mpm::contact::BodyState;
 use crate::mpm::material::{self, Material};
 use crate::mpm::particles::{EMPTY_LANE, Group, LANES, Lanes, Particles, mat_of, set_vec, vec_of};
@@ -99,17 +99,28 @@ pub(super) struct Rig<T: Real> {
     state: State<T>,
     workspace: Workspace<T>,
     bodies: Bodies<T>,
+    /// Substeps that are done: gates open when it is time.
+    done: usize,
     forgets_volume: bool,
 }
 
 impl<T: Real> Rig<T> {
-    /// Particles at rest and free of stress.
+    /// Particles at rest and free of stress, and no tool.
     pub(super) fn new(scene: SceneSpec, particles: &[[f64; 3]]) -> Result<Self, Halt> {
+        Self::with_tool(scene, particles, away())
+    }
+
+    /// The same with the scene's tool, which stays where it is.
+    pub(super) fn with_tool(
+        scene: SceneSpec,
+        particles: &[[f64; 3]],
+        tool: BodyState<T>,
+    ) -> Result<Self, Halt> {
         let scene = scene.unchecked();
         let model = Model::new(&scene);
-        let bodies = away();
+        let bodies = Bodies { tool, gates: model.gates.at(Moment::After(0)) };
         let state = State::new(&model, &bodies, &Particles::at_rest(particles))?;
-        Ok(Self { scene, model, state, workspace: Workspace::new(), bodies, forgets_volume: false })
+        Ok(Self { scene, model, state, workspace: Workspace::new(), bodies, done: 0, forgets_volume: false })
     }
 
     /// The same between sides without friction; the floor keeps its own.
@@ -142,7 +153,11 @@ impl<T: Real> Rig<T> {
         let period = self.scene.time.substeps as usize;
         let substeps = (seconds / self.scene.time.substep_s()).round() as usize;
         for substep in 0..substeps {
+            if !self.bodies.gates.is_empty() {
+                self.bodies.gates = self.model.gates.at(Moment::After(self.done));
+            }
             self.workspace.substep(&self.model, &self.bodies, &mut self.state)?;
+            self.done += 1;
             if self.forgets_volume {
                 self.state.particles.groups.iter_mut().for_each(|group| group.q = [Lanes::ZERO; 1]);
             }
@@ -241,15 +256,14 @@ impl From<EscapedParticle> for Halt {
 }
 
 /// A tool out of everybody's reach.
-fn away<T: Real>() -> Bodies<T> {
+fn away<T: Real>() -> BodyState<T> {
     let (zero, one) = (T::ZERO, T::ONE);
-    let tool = BodyState {
+    BodyState {
         rotation: [[one, zero, zero], [zero, one, zero], [zero, zero, one]],
         position: [T::from_f64(-1e3); 3],
         velocity: [zero; 3],
         angular_velocity: [zero; 3],
-    };
-    Bodies { tool, gates: Vec::new() }
+    }
 }
 
 #[cfg(test)]

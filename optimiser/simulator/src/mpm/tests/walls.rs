@@ -1,5 +1,7 @@
 //! What powder feels of a wall, and of what lies behind it.
 
+use std::sync::Arc;
+
 use crate::mpm::Model;
 use crate::mpm::bodies::Bodies;
 use crate::mpm::connect::{connected, connected_anew};
@@ -7,7 +9,10 @@ use crate::mpm::layout::{
     BLOCK_NODES, Block, Layout, NO_BLOCK, Nodes, SHARED_NODES, empty_tile, load_tile, places_in_tile,
 };
 use crate::mpm::obstacle::room_of;
-use crate::mpm::particles::{LANES, Particles, vec_of};
+use crate::mpm::particles::{EMPTY_LANE, Group, LANES, Particles, vec_of};
+use crate::mpm::sleep::all_awake;
+use crate::mpm::sort::sort_by_faces;
+use crate::mpm::spare::BufferPool;
 use crate::mpm::stencil_positions::ALL_NEIGHBOURS;
 use crate::mpm::substep::{State, Workspace};
 use crate::mpm::tests::{
@@ -161,6 +166,9 @@ fn lifted(walls: Walls, with_bed: bool, with_layer: bool) -> Lifted {
         [bed, layer].map(|of| of.iter().map(|x| x[2]).sum::<f64>() / of.len().max(1) as f64)
     };
     let before = heights(&state);
+    if walls == Walls::TwoSided && with_bed && with_layer {
+        sorts_what_is_swapped(&model, &tool, &state);
+    }
     let (mut stale, mut in_a_row, mut stale_in_a_row) = (0, 0, 0);
     let mut workspace = Workspace::new();
     tool.tool.velocity[2] = LIFT_SPEED_M_S;
@@ -179,15 +187,65 @@ fn lifted(walls: Walls, with_bed: bool, with_layer: bool) -> Lifted {
 
 fn is_stale(model: &Model<f64>, bodies: &Bodies<f64>, state: &State<f64>) -> bool {
     let particles = before_other_faces(model, bodies, &state.layout, &state.particles.groups, state.rest());
+    if particles.contains(&true) {
+        sorts_by_faces(model, bodies, state, &particles);
+    }
     let anew = connected_anew(model, bodies, &state.layout);
     if let Some(anew) = &anew {
-        // As if nothing had been connected before.
-        let unconnected =
-            |block: &Block| Block { nodes: [NO_BLOCK; 27], detours: Vec::new(), ..block.clone() };
-        let blocks = state.layout.blocks.iter().map(unconnected).collect();
-        assert_eq!(format!("{anew:?}"), format!("{:?}", connected(model, bodies, blocks)));
+        is_as_if_connected_first(model, bodies, anew);
     }
     particles.contains(&true) || anew.is_some()
+}
+
+/// As if nothing had been connected before.
+fn is_as_if_connected_first(model: &Model<f64>, bodies: &Bodies<f64>, layout: &Layout) {
+    let unconnected = |block: &Block| Block { nodes: [NO_BLOCK; 27], detours: Vec::new(), ..block.clone() };
+    let blocks = layout.blocks.iter().map(unconnected).collect();
+    assert_eq!(format!("{layout:?}"), format!("{:?}", connected(model, bodies, blocks)));
+}
+
+/// Of two particles that have changed places across the plate, each comes to the other's block: nobody else moves, and nothing is connected
+/// anew.
+fn sorts_what_is_swapped(model: &Model<f64>, bodies: &Bodies<f64>, sorted: &State<f64>) {
+    let mut state = sorted.clone();
+    let parted = state.layout.blocks.windows(2).find(|two| two[0].coord == two[1].coord);
+    let [a, b] = [0, 1].map(|k| parted.expect("some are above the plate, some below")[k].first_group);
+    let groups = &mut state.particles.groups;
+    let [of_a, of_b] = [a, b].map(|g| groups[g]);
+    groups[a].copy_lane(0, &of_b, 0);
+    groups[b].copy_lane(0, &of_a, 0);
+    let layout = sorts_by_faces(model, bodies, &state, &vec![true; state.layout.blocks.len()]);
+    assert_eq!(format!("{layout:?}"), format!("{:?}", state.layout));
+}
+
+/// A sort by faces brings all particles to blocks that are before what they are before.
+fn sorts_by_faces(model: &Model<f64>, bodies: &Bodies<f64>, state: &State<f64>, is_wrong: &[bool]) -> Layout {
+    let old = Particles { groups: state.particles.groups.clone(), ids: Arc::clone(&state.particles.ids) };
+    let sorted = sort_by_faces(model, bodies, (old, &state.layout), is_wrong, &mut BufferPool::empty());
+    let (new, layout, order) = &sorted;
+    is_as_if_connected_first(model, bodies, layout);
+    let awake = all_awake(layout);
+    assert!(!before_other_faces(model, bodies, layout, &new.groups, &awake).contains(&true));
+    let mut seen = vec![false; state.particles.groups.len() * LANES];
+    let groups = layout.blocks.iter().flat_map(|block| (0..block.groups()).map(move |g| (block, g)));
+    for (g, (block, in_block)) in groups.enumerate() {
+        let (particles, resting) = (block.occupied(in_block), [EMPTY_LANE; LANES]);
+        assert_eq!(g, block.first_group + in_block);
+        assert_eq!(order[g * LANES + particles..(g + 1) * LANES], resting[particles..]);
+        assert_eq!(new.ids[g][particles..], resting[particles..]);
+        for l in 0..particles {
+            let from = order[g * LANES + l] as usize;
+            let (old_group, old_lane) = (from / LANES, from % LANES);
+            assert!(!std::mem::replace(&mut seen[from], true));
+            assert_eq!(new.ids[g][l], state.particles.ids[old_group][old_lane]);
+            let [mut new, mut old] = [Group::ZERO; 2];
+            new.copy_lane(0, &sorted.0.groups[g], l);
+            old.copy_lane(0, &state.particles.groups[old_group], old_lane);
+            assert_eq!(format!("{new:?}"), format!("{old:?}"));
+        }
+    }
+    assert_eq!(seen.iter().filter(|seen| **seen).count(), state.particles.occupied().count());
+    sorted.1
 }
 
 /// Who asks for the nodes of one neighbour gets them all, those in other layers too.
