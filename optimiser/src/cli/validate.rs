@@ -24,7 +24,7 @@ pub(super) struct ValidateArgs {
     /// What can be measured within a minute on two cores: coarse grids, one seed (the default)
     #[arg(long, conflicts_with = "full")]
     pub short: bool,
-    /// Everything, stochastic lines with three seeds; about ten minutes on two cores
+    /// Everything, stochastic lines with three seeds; about a quarter of an hour on two cores
     #[arg(long)]
     pub full: bool,
     /// Threads; results are the same for any number [default: one per processor]

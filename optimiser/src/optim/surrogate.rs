@@ -70,8 +70,13 @@ impl Known {
 
     /// The place with the lowest loss, and that.
     pub(super) fn best(&self, edge: &Edge) -> Option<(&Vec<f64>, f64)> {
+        let (at, loss) = self.lowest(edge)?;
+        Some((&self.places[at], loss))
+    }
+
+    fn lowest(&self, edge: &Edge) -> Option<(usize, f64)> {
         let losses = self.parts.iter().map(|parts| edge.loss(*parts));
-        self.places.iter().zip(losses).min_by(|a, b| a.1.total_cmp(&b.1))
+        losses.enumerate().min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
     pub(super) fn is_empty(&self) -> bool {
@@ -85,9 +90,8 @@ impl Known {
 
     /// Whether what arrives is off what is wanted by more than `part` of it, in the one with the lowest loss. Never where there is no edge.
     pub(super) fn is_off(&self, edge: &Edge, part: f64) -> bool {
-        let loss = |parts: &&Parts| edge.loss(**parts);
-        let best = self.parts.iter().min_by(|a, b| loss(a).total_cmp(&loss(b)));
-        edge.unit_m > 0.0 && best.is_some_and(|best| (best.amount - 1.0).abs() > part)
+        let off = |(at, _): (usize, f64)| (self.parts[at].amount - 1.0).abs() > part;
+        edge.unit_m > 0.0 && self.lowest(edge).is_some_and(off)
     }
 
     /// So many of them, those with the lowest losses, in the order in which they came.

@@ -81,6 +81,9 @@ fn set_up(law: &SceneSpec, spoon: &Spoon, cells: f64) -> Scene {
     scene.unchecked()
 }
 
+/// Powder in the pipe, m^3.
+const POURED_M3: f64 = core::f64::consts::PI * PIPE_M * PIPE_M * COLUMN_M;
+
 fn seconds() -> f64 {
     SETTLE_S + TRAVEL_M / SPEED_M_S + REST_S
 }
@@ -111,11 +114,10 @@ fn case(law: &SceneSpec, spoon: &'static Spoon, (name, cells): (&str, f64)) -> C
         wrong: ["The spoon holds {} less than by geometry", "The spoon holds {} more than by geometry"],
         control: false,
     };
-    let volume = core::f64::consts::PI * PIPE_M * PIPE_M * COLUMN_M;
     Case {
         claims: vec![claim.within_share(if cells < 8.0 { 0.05 } else { 0.03 })],
         seeds: 1,
-        work: volume / scene.particle_volume_m3() * seconds() / scene.time.substep_s(),
+        work: POURED_M3 / scene.particle_volume_m3() * seconds() / scene.time.substep_s(),
         measure: Box::new(move |seed, meter| Ok(vec![1e3 * held_kg(&scene, spoon.leans_deg, seed, meter)?])),
     }
 }
@@ -139,7 +141,7 @@ mod tests {
             let geometry = scene.tool_capacity();
             let held = held_kg(&scene, spoon.leans_deg, 1, &Meter::unwatched()).unwrap();
             // More was there to run over.
-            let there = core::f64::consts::PI * PIPE_M * PIPE_M * COLUMN_M * scene.powder.density_kg_m3;
+            let there = POURED_M3 * scene.powder.density_kg_m3;
             assert!(
                 there > 1.2 * held && geometry.heaped_kg > 1.2 * geometry.level_kg,
                 "{there} {geometry:?}"
