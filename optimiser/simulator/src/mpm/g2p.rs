@@ -72,7 +72,7 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticles<'_, T> {
             let residue =
                 unforced.as_ref().map(|(residue, _)| residue.of_group(&taken.unforced, &state.v, occupied));
             if self.holds_volume {
-                hold_volume(&tile, &taken.density, &places, &weights, occupied, state);
+                hold_volume(&tile, &taken.density, &places, &weights, occupied, &model.loosening, state);
             }
             let gathered = &taken.velocity;
             let mut rates = Lanes::ZERO;
@@ -116,7 +116,8 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticles<'_, T> {
 /// Adjoint of [`TileToParticles`] for one block: scatters the cotangent of the nodes' velocities into a tile.
 /// On return `bar.x` is the cotangent of the input positions as far as this stage goes; `bar.v` and `bar.c`
 /// are used up, but for `bar.v` where the residue is given back: that is the cotangent of the input velocities as far as this stage
-/// goes. Where volume is held to the grid's density, `bar.c[0]` is the cotangent of the logarithmic volume.
+/// goes. Where volume is held to the grid's density, `bar.c[0]` is the cotangent of the logarithmic volume,
+/// `bar.c[1]` that of the velocity gradient over twice its shear.
 pub(crate) struct TileToParticlesAdjoint<'a, T> {
     pub(crate) model: &'a Model<T>,
     pub(crate) bodies: &'a Bodies<T>,
@@ -182,10 +183,10 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
                 set_vec(&mut sent.base, l, at_base(vec_of(&bar.v, l), &scaled, places.f(l)));
             }
             let stencils = places.stencils(&weights);
-            let (q_bar, dt) = (bar.q[0], model.dt);
+            let (q_bar, law) = (bar.q[0], (model.dt, &model.loosening));
             // Not by a closure: one that is not inlined is compiled for the baseline instruction set.
             let held = if self.holds_volume {
-                Some(hold_volume_adjoint(&tile, &places, &weights, occupied, dt, input, &q_bar))
+                Some(hold_volume_adjoint(&tile, &places, &weights, occupied, law, input, &q_bar))
             } else {
                 None
             };
@@ -218,7 +219,8 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticlesAdjoint<'_, T> {
                 }
             }
             if let Some(held) = held {
-                bar.c[0] = held.map_or(Lanes::ZERO, |held| held.volume);
+                (bar.c[0], bar.c[1]) =
+                    held.map_or((Lanes::ZERO, Lanes::ZERO), |held| (held.volume, held.shear));
             }
             if let (Some((residue, tile)), Some(tile_bar)) = (&unforced, &mut self.unforced_bar) {
                 let back = residue.adjoint(tile, &places, &weights, occupied, &v_bar, &mut rows);

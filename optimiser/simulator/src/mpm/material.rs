@@ -70,6 +70,16 @@ pub(crate) struct Material<T> {
     inverse_opening: T,
 }
 
+/// `2 D'` of a velocity gradient: twice its symmetric part without its trace.
+#[inline(always)]
+pub(crate) fn twice_shear<T: Real>(c: &Mat3<T>) -> Mat3<T> {
+    let spread = T::from_f64(2.0 / 3.0) * (c[0][0] + c[1][1] + c[2][2]);
+    three!(i => three!(j => {
+        let sum = c[i][j] + c[j][i];
+        if i == j { sum - spread } else { sum }
+    }))
+}
+
 impl<T: Real> Material<T> {
     /// The powder of a scene.
     pub(crate) fn of(powder: &Powder) -> Self {
@@ -101,11 +111,7 @@ impl<T: Real> Material<T> {
     /// With one angle as well, where it is 0: a branch here keeps the whole loop over the lanes from being vectors, and costs four times as much.
     #[inline(always)]
     pub(crate) fn shear(&self, c: &Mat3<T>) -> (T, Mat3<T>) {
-        let spread = T::from_f64(2.0 / 3.0) * (c[0][0] + c[1][1] + c[2][2]);
-        let twice = three!(i => three!(j => {
-            let sum = c[i][j] + c[j][i];
-            if i == j { sum - spread } else { sum }
-        }));
+        let twice = twice_shear(c);
         let square = dot(twice[0], twice[0]) + dot(twice[1], twice[1]) + dot(twice[2], twice[2]);
         (T::from_f64(0.5) * self.shear_scale * square, twice)
     }

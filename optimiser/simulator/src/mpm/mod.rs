@@ -90,6 +90,8 @@ pub(crate) struct Model<T> {
     pub(crate) viscous_loss: T,
     /// Whether volume is held to the density that the grid sees, see [`density`].
     pub(crate) holds_volume: bool,
+    /// How powder that is looser than it believes is loosened; none: at once.
+    pub(crate) loosening: Option<density::Loosening<T>>,
     /// What is given back of the velocity that the grid cannot hold; none if nothing is.
     pub(crate) residue: Option<residue::Residue<T>>,
     /// Density over the mass of a node whose spline is all room: `1/(rho_0 dx^3)`, 1/kg.
@@ -134,6 +136,10 @@ impl<T: Real> Model<T> {
             stress_dx: T::from_f64(dt * volume * 4.0 / dx),
             viscous_loss: T::from_f64(scene.viscous_loss()),
             holds_volume: scene.powder.volume_correction == VolumeCorrection::Grid,
+            loosening: scene
+                .powder
+                .loosening_strain
+                .map(|strain| density::Loosening::new(strain, f64::from(substep::HOLD_EVERY) * dt)),
             residue: scene.powder.transfer.map(|transfer| residue::Residue::of(transfer, dt)),
             density_per_mass: T::from_f64(1.0 / (scene.powder.density_kg_m3 * dx * dx * dx)),
             sleep: sleep::SleepLaw::of(scene, dt),

@@ -50,7 +50,7 @@ impl<T: Real> Sent<T> {
 }
 
 /// Scatters one block's particles into its tile and writes their new strain and volume correction; and their positions, if
-/// they come from elsewhere (and their velocities, if those are still asked for).
+/// they come from elsewhere (and their velocities and velocity gradients, if those are still asked for).
 pub(crate) struct ParticlesToTile<'a, T> {
     pub(crate) model: &'a Model<T>,
     pub(crate) block: &'a Block,
@@ -83,11 +83,14 @@ impl<T: Real> pulp::NullaryFnOnce for ParticlesToTile<'_, T> {
             let mut returned = Returned::ZERO;
             stress(self.model, input, &TrialStrains::new(self.model, input), &places, &mut returned);
             let unforced = self.unforced.as_mut().map(|tile| (tile, unforced(self.model, input, &places)));
-            let (x, v, sent, state) = (input.x, input.v, &returned.sent, &mut self.state[g]);
+            let (x, v, c, sent, state) = (input.x, input.v, input.c, &returned.sent, &mut self.state[g]);
             state.strain = returned.strain;
             state.q = returned.q;
             if self.from.is_some() {
                 state.x = x;
+                if self.model.loosening.is_some() {
+                    state.c = c;
+                }
             }
             let stencils = places.stencils(&places.weights());
             let occupied = self.block.occupied(g);
@@ -226,7 +229,7 @@ fn dt_times<T: Real>(dt: T, c: &Mat3<T>) -> Mat3<T> {
 
 /// Adjoint of [`ParticlesToTile`] for one block. On entry `bar` holds the cotangent of the new strain and
 /// volume correction, what is already known of the positions' (and, where the velocity residue is given back, of the velocities'), and, where volume is held to the grid's density, in `bar.c[0]` the
-/// cotangent of the logarithmic volume; on return, the cotangent of the input.
+/// cotangent of the logarithmic volume and in `bar.c[1]` that of the velocity gradient over twice its shear; on return, the cotangent of the input.
 pub(crate) struct ParticlesToTileAdjoint<'a, T> {
     pub(crate) model: &'a Model<T>,
     pub(crate) block: &'a Block,
@@ -285,7 +288,7 @@ impl<T: Real> pulp::NullaryFnOnce for ParticlesToTileAdjoint<'_, T> {
                 }
             }
             if !self.holds_volume {
-                bar.c[0] = Lanes::ZERO;
+                (bar.c[0], bar.c[1]) = (Lanes::ZERO, Lanes::ZERO);
             }
             let through_unforced = unforced.as_ref().map(|tile| {
                 unforced_adjoint(model, tile, &places, &weights, (input, occupied), &mut rows, bar)
@@ -349,7 +352,7 @@ fn send_adjoint<T: Real, const MILD: bool>(
         let strain = input.strain_of(l);
         let (trial, beside) = (trial.of(l), [input.q[0][l], shear]);
         // Where [`super::g2p::TileToParticlesAdjoint`] leaves it.
-        let volume = bar.c[0][l];
+        let (volume, by_shear) = (bar.c[0][l], bar.c[1][l]);
         let returned = ReturnBar { tau: tau_bar, strain: bar.strain_of(l), q: bar.q[0][l], volume };
         let (trial_bar, [q_bar, shear_bar]) = if MILD {
             material::return_map_adjoint(&model.material, trial, beside, &returned)
@@ -369,6 +372,9 @@ fn send_adjoint<T: Real, const MILD: bool>(
                 c_bar[i][j] = model.mass_dx * a_bar[i][j] + model.dt * l_bar[i][j];
                 if model.material.has_two_angles() {
                     c_bar[i][j] += through_shear[i][j];
+                }
+                if model.loosening.is_some() {
+                    c_bar[i][j] += by_shear * twice_rate[i][j];
                 }
             }
         }

@@ -45,7 +45,7 @@ pub(crate) struct State<T> {
 const SORT_EVERY: u32 = 100;
 
 /// Volumes are held to the grid's density in one of so many substeps: in 2 ms powder comes together by a fiftieth at most.
-const HOLD_EVERY: u32 = 4;
+pub(crate) const HOLD_EVERY: u32 = 4;
 
 impl<T: Real> State<T> {
     /// Whether volumes are held in the substep that begins here.

@@ -42,6 +42,7 @@ fn benches() -> [Scene; 5] {
     };
     let [of_simple, mut of_all] = [two_sided(&scene), two_sided(&gets_back)];
     of_all.domain.sleep_by = SleepBy::MeanSquare;
+    of_all.powder.loosening_strain = Some(1.0);
     [scene, other, gets_back, of_simple, of_all]
 }
 

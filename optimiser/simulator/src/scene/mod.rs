@@ -206,6 +206,11 @@ pub struct Powder {
     pub yield_surface: YieldSurface,
     /// What holds the powder's volume together.
     pub volume_correction: VolumeCorrection,
+    /// Shear strain over which powder near a surface comes to be as loose as the grid sees it, dimensionless; 0.001 to 100, typically 1; less is
+    /// enough inside. None if the file has none: at once, even at rest, and heaps that are awake slowly flatten. Needs
+    /// [`VolumeCorrection::Grid`]. The source has the equations, in `mpm/density.rs`.
+    #[serde(default)]
+    pub loosening_strain: Option<f64>,
     /// What of the particles' velocities survives the grid; none if the file has none: nothing that is finer than the grid (APIC).
     #[serde(default)]
     pub transfer: Option<Transfer>,

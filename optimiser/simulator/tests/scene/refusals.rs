@@ -34,7 +34,7 @@ const STRUCTURE: &[Case] = &[
     (
         "youngs_modulus_pa = 1.0e4",
         "youngs_modulus = 1.0e4",
-        ": powder.youngs_modulus at line 18: unknown field `youngs_modulus`; did you mean `youngs_modulus_pa`? Possible are `fill_min_m`, `fill_max_m`, `fill_shape`, `particles_per_cell`, `seed`, `youngs_modulus_pa`, `poissons_ratio`, `density_kg_m3`, `friction_angle_deg`, `flow`, `yield`, `volume_correction`, `transfer`, `cohesion_pa`, `tensile_strength_pa`, `viscosity_pa_s`",
+        ": powder.youngs_modulus at line 18: unknown field `youngs_modulus`; did you mean `youngs_modulus_pa`? Possible are `fill_min_m`, `fill_max_m`, `fill_shape`, `particles_per_cell`, `seed`, `youngs_modulus_pa`, `poissons_ratio`, `density_kg_m3`, `friction_angle_deg`, `flow`, `yield`, `volume_correction`, `loosening_strain`, `transfer`, `cohesion_pa`, `tensile_strength_pa`, `viscosity_pa_s`",
     ),
     (
         "yield = \"drucker_prager\"",
@@ -361,6 +361,16 @@ const SINGLE_FIELDS: &[Case] = &[
         "friction_angle_deg = 35.0",
         "friction_angle_deg = 36.0\nflow = { grain_diameter_m = 0.0005, grain_density_kg_m3 = 1667.0 }",
         ": powder.friction_angle_deg is 36, but a Drucker-Prager cone that steep, and with powder.flow steeper at rest, carries tension in triaxial extension; at most 35.2 would be right, or powder.yield = \"matsuoka_nakai\"",
+    ),
+    (
+        "cohesion_pa = 0.0",
+        "cohesion_pa = 0.0\nloosening_strain = 0.0",
+        ": powder.loosening_strain is 0, but it must be from 0.001 to 100",
+    ),
+    (
+        "cohesion_pa = 0.0",
+        "cohesion_pa = 0.0\nloosening_strain = 1.0",
+        ": powder.loosening_strain is 1, but with powder.volume_correction = \"strain\" nothing is loosened; powder.volume_correction = \"grid\" would be right, or no such key",
     ),
     (
         "cohesion_pa = 0.0",

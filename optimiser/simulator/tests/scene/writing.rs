@@ -25,6 +25,7 @@ fn arbitrary_scene() -> impl Strategy<Value = Scene> {
                 scene.powder.volume_correction = VolumeCorrection::Grid;
                 scene.powder.flow =
                     Some(Flow { grain_diameter_m: 5e-4 + 1e-4 * small, grain_density_kg_m3: 1600.0 });
+                scene.powder.loosening_strain = column.then_some(1.0 + small);
                 scene.powder.transfer = Some(Transfer { residue_time_s: 0.05 + 0.1 * small });
             }
             if column {

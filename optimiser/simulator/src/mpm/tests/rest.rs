@@ -118,3 +118,17 @@ fn by_its_fastest_grain_a_heap_never_comes_to_rest() {
     println!("{:.2} mm, {:+.3} %; awake {awake:?} of {blocks} blocks", 1e3 * height_m, 1e2 * sunk);
     assert!(sunk < -0.005 && awake[1] > 0);
 }
+
+/// A heap that never sleeps, as on a tool.
+#[test]
+fn powder_that_is_loosened_by_shear_alone_stays_a_heap_when_awake() {
+    let sunk = [None, Some(1.0)].map(|loosening_strain| {
+        let (mut scene, points) = at_rest(Powder::Heap, 0.0, SleepBy::MeanSquare);
+        scene.domain.sleep_speed_m_s = 0.0;
+        scene.powder.loosening_strain = loosening_strain;
+        let Watched { height_m, sunk, .. } = watch(&scene, &points, 4.0);
+        println!("loosening strain {loosening_strain:?}: {:.2} mm, {:+.3} %", 1e3 * height_m, 1e2 * sunk);
+        sunk
+    });
+    assert!(sunk[1].abs() < 0.5 * sunk[0].abs() && sunk[0] < -0.01);
+}

@@ -10,9 +10,9 @@ use crate::mpm::gather::{Gathered, Rows, Sent, gather_all, gather_fourth};
 use crate::mpm::gather::{gather_gradient, gather_sum, gather_with_gradient};
 use crate::mpm::grid_update::UpdateNodesAdjoint;
 use crate::mpm::layout::{BLOCK_NODES, NodeBlock, Nodes, empty_tile, load_tile};
-use crate::mpm::material::Material;
+use crate::mpm::material::{Material, twice_shear};
 use crate::mpm::p2g::{ParticlesToTileAdjoint, affine, at_base};
-use crate::mpm::particles::{Group, LANES, Lanes, Particles};
+use crate::mpm::particles::{Group, LANES, Lanes, Particles, mat_of, set_mat};
 use crate::mpm::residue::{unforced_velocity, unforced_velocity_adjoint};
 use crate::mpm::sort::{sort, sort_adjoint};
 use crate::mpm::spare::BufferPool;
@@ -27,7 +27,7 @@ use crate::mpm::tiles::Tiles;
 use crate::real::Real;
 use crate::scene::{Flow, Transfer, VolumeCorrection, Walls, YieldSurface};
 use crate::shape::SignedDistance;
-use crate::small::{Mat3, Vec3, mul_vec, sub, tr_mul_vec};
+use crate::small::{Mat3, Vec3, mul_vec, sub, three, tr_mul_vec};
 
 /// Typical cell size (m), speed (m/s), affine velocity (1/s), strain.
 const CELL: f64 = 0.004;
@@ -135,35 +135,42 @@ fn stir(state: &mut State<f64>, dice: &mut Dice) {
     }
 }
 
-/// What can be another in a powder: its yield surface, its volume correction, whether it gets its velocity residue back, whether it
-/// has two angles; and its walls.
-type Law = (YieldSurface, VolumeCorrection, Option<Transfer>, Option<Flow>, Walls);
+/// What can be another in a powder: its yield surface, its volume correction and the strain over which it is loosened, whether it gets its
+/// velocity residue back, whether it has two angles; and its walls.
+type Law = (YieldSurface, (VolumeCorrection, Option<f64>), Option<Transfer>, Option<Flow>, Walls);
+
+const BY_STRAIN: (VolumeCorrection, Option<f64>) = (VolumeCorrection::Strain, None);
+const BY_GRID: (VolumeCorrection, Option<f64>) = (VolumeCorrection::Grid, None);
+/// A strain such that at the rates here powder is loosened by a part.
+const BY_SHEAR: (VolumeCorrection, Option<f64>) = (VolumeCorrection::Grid, Some(0.5));
 
 const GIVEN_BACK: Option<Transfer> = Some(Transfer { residue_time_s: 0.01 });
 /// Grains so large that at the rates here the slope is between both.
 const TWO_ANGLES: Option<Flow> = Some(Flow { grain_diameter_m: 2e-2, grain_density_kg_m3: 1667.0 });
 
 /// Powders of every law.
-const POWDERS: [Law; 8] = [
-    (YieldSurface::DruckerPrager, VolumeCorrection::Strain, None, None, Walls::Shared),
-    (YieldSurface::MatsuokaNakai, VolumeCorrection::Strain, None, None, Walls::Shared),
-    (YieldSurface::DruckerPrager, VolumeCorrection::Grid, None, None, Walls::Shared),
-    (YieldSurface::DruckerPrager, VolumeCorrection::Strain, GIVEN_BACK, None, Walls::Shared),
-    (YieldSurface::MatsuokaNakai, VolumeCorrection::Strain, None, TWO_ANGLES, Walls::Shared),
-    (YieldSurface::MatsuokaNakai, VolumeCorrection::Grid, GIVEN_BACK, TWO_ANGLES, Walls::Shared),
-    (YieldSurface::DruckerPrager, VolumeCorrection::Strain, None, None, Walls::TwoSided),
-    (YieldSurface::MatsuokaNakai, VolumeCorrection::Grid, GIVEN_BACK, TWO_ANGLES, Walls::TwoSided),
+const POWDERS: [Law; 9] = [
+    (YieldSurface::DruckerPrager, BY_STRAIN, None, None, Walls::Shared),
+    (YieldSurface::MatsuokaNakai, BY_STRAIN, None, None, Walls::Shared),
+    (YieldSurface::DruckerPrager, BY_GRID, None, None, Walls::Shared),
+    (YieldSurface::DruckerPrager, BY_STRAIN, GIVEN_BACK, None, Walls::Shared),
+    (YieldSurface::MatsuokaNakai, BY_STRAIN, None, TWO_ANGLES, Walls::Shared),
+    (YieldSurface::MatsuokaNakai, BY_GRID, GIVEN_BACK, TWO_ANGLES, Walls::Shared),
+    (YieldSurface::DruckerPrager, BY_STRAIN, None, None, Walls::TwoSided),
+    (YieldSurface::MatsuokaNakai, BY_SHEAR, GIVEN_BACK, TWO_ANGLES, Walls::TwoSided),
+    (YieldSurface::DruckerPrager, BY_SHEAR, None, None, Walls::Shared),
 ];
 
 /// A bowl that pushes down and forward into stirred powder on the floor, tilted, turning. Where volume is held to the grid's density,
 /// every seventh particle believes to be looser than it is; the others lie looser than they believe.
 fn scooping_of(
-    (yield_surface, volume_correction, transfer, flow, walls): Law,
+    (yield_surface, (volume_correction, loosening_strain), transfer, flow, walls): Law,
 ) -> (Model<f64>, State<f64>, Bodies<f64>) {
     let mut dice = Dice::new(71);
     let mut scene = empty_bench([0.064; 3]);
     scene.powder.yield_surface = yield_surface;
     scene.powder.volume_correction = volume_correction;
+    scene.powder.loosening_strain = loosening_strain;
     scene.powder.transfer = transfer;
     scene.powder.flow = flow;
     scene.domain.walls = walls;
@@ -603,7 +610,11 @@ fn grid_to_particle_gradient(powder: Law) {
             nodes.iter_mut().for_each(|node| node[3] = [0.65, 1.2][n % 2] + 0.01 * dice.roll());
         }
         measure.0.iter_mut().for_each(|weights| weights[21] = dice.roll() / SIZES[21]);
-        state.particles.groups.iter_mut().for_each(|group| group.c = [Lanes::ZERO; 9]);
+        // They shear, and do not grow.
+        for group in &mut state.particles.groups {
+            group.c = [Lanes::ZERO; 9];
+            (0..LANES).for_each(|l| group.c[1][l] = 100.0 + 60.0 * dice.roll());
+        }
         let (above, below) = bounds_met(&model, &bodies, &state, &velocity);
         assert!(above > 50 && below > 50, "{above} too loose, {below} too dense");
     }
@@ -644,15 +655,20 @@ fn grid_to_particle_gradient(powder: Law) {
         });
         tool_bar.add(&of_tool);
     }
-    // Only the cotangents of positions, of volume where it is held, and of velocities where they get something back are results of
-    // this stage.
+    // Only the cotangents of positions, of volume where it is held, of shear where that loosens, and of velocities where they get something
+    // back are results of this stage.
     for (g, input) in bar.iter_mut().zip(&state.particles.groups) {
         let v = if model.residue.is_some() { g.v } else { [Lanes::ZERO; 3] };
+        let mut c = [Lanes::ZERO; 9];
+        for l in (0..LANES).filter(|_| model.loosening.is_some()) {
+            let twice = twice_shear(&mat_of(&input.c, l));
+            set_mat(&mut c, l, three!(i => three!(j => g.c[1][l] * twice[i][j])));
+        }
         *g = Group { x: g.x, v, c: g.c, q: g.q, ..Group::ZERO };
         if model.holds_volume {
             through_volume(input, g);
         }
-        *g = Group { x: g.x, v, strain: g.strain, q: g.q, ..Group::ZERO };
+        *g = Group { x: g.x, v, c, strain: g.strain, q: g.q, ..Group::ZERO };
     }
     let mut gradient = simulate_with_gradient(&state.particles, &bar);
     for tiles in [&tiles, &unforced_tiles] {

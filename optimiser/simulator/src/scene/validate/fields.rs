@@ -58,6 +58,9 @@ fn powder(found: &mut Found<'_>, powder: &Powder) {
         found.number("powder.flow.grain_diameter_m", grain_diameter_m, Range::closed(1e-6, 0.01));
         found.number("powder.flow.grain_density_kg_m3", grain_density_kg_m3, Range::closed(10.0, 25_000.0));
     }
+    if let Some(strain) = powder.loosening_strain {
+        found.number("powder.loosening_strain", strain, Range::closed(0.001, 100.0));
+    }
     if let Some(Transfer { residue_time_s }) = powder.transfer {
         found.number("powder.transfer.residue_time_s", residue_time_s, Range::closed(1e-4, 10.0));
     }

@@ -7,7 +7,7 @@ use crate::scene::figures::{about, above, at_most, list, plain};
 use crate::scene::solid::{Hull, TOUCH_M, Vec3};
 use crate::scene::{
     BLOCK_CELLS, FillShape, MAX_CELLS, MAX_CFL, MAX_PARTICLES, MAX_SUBSTEPS, MAX_VISCOUS_LOSS, PlacedTool,
-    Scene, YieldSurface,
+    Scene, VolumeCorrection, YieldSurface,
 };
 
 /// World directions with the name of their coordinate and their sign.
@@ -174,6 +174,16 @@ pub(super) fn check_powder_law(checker: &Checker<'_>, scene: &Scene) -> Checked 
                 "cohesion needs a friction angle of at least 1 and powder.friction_angle_deg is {}",
                 plain(powder.friction_angle_deg)
             ),
+        ));
+    }
+    if let Some(strain) =
+        powder.loosening_strain.filter(|_| powder.volume_correction != VolumeCorrection::Grid)
+    {
+        return Err(checker.invalid(
+            "powder.loosening_strain",
+            plain(strain),
+            "with powder.volume_correction = \"strain\" nothing is loosened; powder.volume_correction = \"grid\" would be right, or no \
+             such key",
         ));
     }
     let apex_pa = powder.apex_tension_pa();
