@@ -4,7 +4,7 @@ use super::{Best, Comparison, Count, summary::spread};
 use crate::optim::Method;
 use crate::report::ink::{self, Axis, COLOURS, Chart, Drawn, FONT, INK};
 use crate::report::words::count;
-use plotters::{backend::DrawingBackend, coord::Shift, prelude::*};
+use plotters::{backend::DrawingBackend, coord::Shift, element::DashedPathElement, prelude::*};
 use thiserror::Error;
 
 /// Width and height, pixels.
@@ -12,6 +12,10 @@ const SIZE: (u32, u32) = (1120, 460);
 
 /// Width of a curve, pixels.
 const WIDTH: u32 = 3;
+
+/// Of a curve that is dashed, pixels.
+const DASH_PX: u32 = 7;
+const GAP_PX: u32 = 5;
 
 /// Height of the legend's lines.
 const LEGEND_LINE: i32 = 20;
@@ -25,6 +29,8 @@ pub struct FigureError(String);
 pub(crate) struct Band {
     pub(crate) name: String,
     colour: RGBColor,
+    /// The colours come round again.
+    dashed: bool,
     /// Place on the axis, mean, spread.
     pub(crate) points: Vec<[f64; 3]>,
 }
@@ -122,6 +128,7 @@ impl Comparison {
             Band {
                 name: method.name().into(),
                 colour: COLOURS[place % COLOURS.len()],
+                dashed: place >= COLOURS.len(),
                 points: points(&tracks, count, value),
             }
         };
@@ -180,7 +187,12 @@ fn draw_band<B: DrawingBackend>(chart: &mut Chart<'_, B>, band: &Band) -> Drawn<
     let below = band.points.iter().rev().map(|[x, mean, spread]| (*x, mean - spread));
     chart.draw_series([Polygon::new(above.chain(below).collect::<Vec<_>>(), band.colour.mix(0.15))])?;
     let line = band.points.iter().map(|[x, mean, _]| (*x, *mean));
-    chart.draw_series(LineSeries::new(line, band.colour.stroke_width(WIDTH)))?;
+    let style = band.colour.stroke_width(WIDTH);
+    if band.dashed {
+        chart.draw_series(DashedLineSeries::new(line, DASH_PX, GAP_PX, style))?;
+    } else {
+        chart.draw_series(LineSeries::new(line, style))?;
+    }
     Ok(())
 }
 
@@ -189,7 +201,12 @@ fn draw_legend<B: DrawingBackend>(area: &DrawingArea<B, Shift>, bands: &[Band]) 
     for (index, band) in (0..).zip(bands) {
         let (x, y) = (80 + column * (index % 3), LEGEND_LINE * (index / 3) + 8);
         let style = band.colour.stroke_width(WIDTH);
-        area.draw(&PathElement::new([(x, y + 7), (x + 26, y + 7)], style))?;
+        let line = [(x, y + 7), (x + 26, y + 7)];
+        if band.dashed {
+            area.draw(&DashedPathElement::new(line, DASH_PX, GAP_PX, style))?;
+        } else {
+            area.draw(&PathElement::new(line, style))?;
+        }
         area.draw(&Text::new(band.name.clone(), (x + 34, y), (FONT, 14).into_font().color(&INK)))?;
     }
     Ok(())
@@ -197,7 +214,9 @@ fn draw_legend<B: DrawingBackend>(area: &DrawingArea<B, Shift>, bands: &[Band]) 
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::comparison;
+    use clap::ValueEnum;
+
+    use super::super::tests::{comparison, track};
     use super::*;
 
     #[test]
@@ -209,6 +228,18 @@ mod tests {
         }
         assert!(svg.trim_end().ends_with("</svg>") && !svg.contains("NaN"));
         assert_eq!(svg, comparison().to_svg().unwrap());
+    }
+
+    #[test]
+    fn no_two_methods_look_alike() {
+        let methods = Method::value_variants();
+        let tracks = methods.iter().map(|method| track(*method, 1, &[50.0, 40.0])).collect();
+        let comparison = Comparison { tracks, ..comparison() };
+        let bands = comparison.by_number().bands;
+        let mut looks: Vec<_> = bands.iter().map(|band| (band.colour.rgb(), band.dashed)).collect();
+        looks.sort_unstable();
+        looks.dedup();
+        assert_eq!(looks.len(), methods.len());
     }
 
     #[test]

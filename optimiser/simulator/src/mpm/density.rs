@@ -30,7 +30,7 @@
 //! flattens, whatever its friction angle and the time step: one of 25 degrees sinks by 3.7 % in 5.5 s, more than half of what lies within a
 //! cell of its surface bearing nothing. By `b` powder near a surface that does not deform stays as it is, as in critical state theory, where
 //! density changes with shear strain; inside, where `low` is sure, a little shear is enough. A column that has collapsed sinks by 1.2 instead
-//! of 2.8 % in 4 s with `g_0 = 1`. With 3 powder without friction would stand at 15 degrees.
+//! of 2.8 % in 4 s with `g_0 = 1`.
 //!
 //! Dunatunga and Kamrin 2015, "Continuum modelling and simulation of granular flows through their many phases", track density so
 //! that separated powder bears nothing; here density is not tracked but seen, since a tracked one drifts like `q`.
