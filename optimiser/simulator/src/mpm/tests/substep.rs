@@ -668,7 +668,7 @@ fn grid_to_particle_gradient(powder: Law) {
         if model.holds_volume {
             through_volume(input, g);
         }
-        *g = Group { x: g.x, v, c, strain: g.strain, q: g.q, ..Group::ZERO };
+        *g = Group { x: g.x, v, c, strain: g.strain, q: g.q };
     }
     let mut gradient = simulate_with_gradient(&state.particles, &bar);
     for tiles in [&tiles, &unforced_tiles] {
