@@ -27,6 +27,15 @@ pub(super) struct ValidateArgs {
     /// Everything, stochastic lines with three seeds; about a quarter of an hour on two cores
     #[arg(long)]
     pub full: bool,
+    /// Only lines that have these words in their name or that of their group, as `spoon` with --full
+    #[arg(
+        long,
+        value_name = "WORDS",
+        default_value = "",
+        hide_default_value = true,
+        conflicts_with = "write"
+    )]
+    pub only: String,
     /// Threads; results are the same for any number [default: one per processor]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
     pub threads: Option<u16>,
@@ -68,9 +77,12 @@ pub(super) fn execute(arguments: &ValidateArgs, context: &mut Context<'_>) -> Re
         fs::create_dir_all(folder).map_err(|error| unwritable(folder, &error))?;
     }
     let table = measure(arguments, &scene, scope, context)?;
+    if table.wanted == 0 {
+        return Err(no_line_has(&arguments.only, scope));
+    }
     // What another powder did before, nobody knows.
     let is_default = Scene::load(DEFAULT_SCENE).is_ok_and(|default| default == scene);
-    let before = is_default.then(|| Record::committed(scope).table);
+    let before = is_default.then(|| Record::committed(scope).table.only(&arguments.only));
     let no_longer = before.map_or_else(Vec::new, |before| table.no_longer_good(&before));
     let loose: Vec<String> = table.with(Verdict::DoesNotFail).map(|line| line.name.clone()).collect();
     let judged = judged(&no_longer, &loose);
@@ -107,12 +119,29 @@ fn measure(
         .map_or_else(|| std::thread::available_parallelism().map_or(1, usize::from), usize::from);
     let progress = Progress::new(&context.err, context.live);
     progress.begin(&format!("{} table of {}", scope.name(), scene.name), 0, &[]);
-    let table = run(scene, scope, threads, &mut |done, total| {
+    let table = run(scene, scope, &arguments.only, threads, &mut |done, total| {
         progress.tick(done as f64 / total.max(1) as f64);
         interrupt.flow()
     });
     progress.clear();
     Ok(table?)
+}
+
+fn no_line_has(words: &str, scope: Scope) -> CliError {
+    let full = Record::committed(Scope::Full).table;
+    let more = match full.clone().only(words).lines.len() {
+        0 => {
+            let mut groups: Vec<&str> = full.lines.iter().map(|line| line.group.as_str()).collect();
+            groups.dedup();
+            format!("the groups are: {}", groups.join("; "))
+        }
+        1 => "one with --full has".into(),
+        count => format!("{count} with --full have"),
+    };
+    CliError::Input(format!(
+        "--only is `{words}`, but no line of the {} table has that in its name; {more}",
+        scope.name()
+    ))
 }
 
 fn unwritable(path: &Path, error: &std::io::Error) -> CliError {

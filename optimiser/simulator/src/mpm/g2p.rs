@@ -117,7 +117,7 @@ impl<T: Real> pulp::NullaryFnOnce for TileToParticles<'_, T> {
 /// On return `bar.x` is the cotangent of the input positions as far as this stage goes; `bar.v` and `bar.c`
 /// are used up, but for `bar.v` where the residue is given back: that is the cotangent of the input velocities as far as this stage
 /// goes. Where volume is held to the grid's density, `bar.c[0]` is the cotangent of the logarithmic volume,
-/// `bar.c[1]` that of the velocity gradient over twice its shear.
+/// `bar.c[1]` is `k`, that of the velocity gradient being `k 2 dev D`.
 pub(crate) struct TileToParticlesAdjoint<'a, T> {
     pub(crate) model: &'a Model<T>,
     pub(crate) bodies: &'a Bodies<T>,

@@ -70,14 +70,15 @@ pub(crate) struct Material<T> {
     inverse_opening: T,
 }
 
-/// `2 D'` of a velocity gradient: twice its symmetric part without its trace.
+/// `2 dev D` of a velocity gradient, twice its symmetric part without its trace, and the square of its norm.
 #[inline(always)]
-pub(crate) fn twice_shear<T: Real>(c: &Mat3<T>) -> Mat3<T> {
+pub(crate) fn twice_shear<T: Real>(c: &Mat3<T>) -> (Mat3<T>, T) {
     let spread = T::from_f64(2.0 / 3.0) * (c[0][0] + c[1][1] + c[2][2]);
-    three!(i => three!(j => {
+    let twice = three!(i => three!(j => {
         let sum = c[i][j] + c[j][i];
         if i == j { sum - spread } else { sum }
-    }))
+    }));
+    (twice, dot(twice[0], twice[0]) + dot(twice[1], twice[1]) + dot(twice[2], twice[2]))
 }
 
 impl<T: Real> Material<T> {
@@ -111,8 +112,7 @@ impl<T: Real> Material<T> {
     /// With one angle as well, where it is 0: a branch here keeps the whole loop over the lanes from being vectors, and costs four times as much.
     #[inline(always)]
     pub(crate) fn shear(&self, c: &Mat3<T>) -> (T, Mat3<T>) {
-        let twice = twice_shear(c);
-        let square = dot(twice[0], twice[0]) + dot(twice[1], twice[1]) + dot(twice[2], twice[2]);
+        let (twice, square) = twice_shear(c);
         (T::from_f64(0.5) * self.shear_scale * square, twice)
     }
 

@@ -90,7 +90,7 @@ pub(crate) struct Model<T> {
     pub(crate) viscous_loss: T,
     /// Whether volume is held to the density that the grid sees, see [`density`].
     pub(crate) holds_volume: bool,
-    /// How powder that is looser than it believes is loosened; none: at once.
+    /// How powder that is looser than it believes is loosened; none: by all of it in each hold, at rest too.
     pub(crate) loosening: Option<density::Loosening<T>>,
     /// What is given back of the velocity that the grid cannot hold; none if nothing is.
     pub(crate) residue: Option<residue::Residue<T>>,

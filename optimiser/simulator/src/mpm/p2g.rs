@@ -229,7 +229,7 @@ fn dt_times<T: Real>(dt: T, c: &Mat3<T>) -> Mat3<T> {
 
 /// Adjoint of [`ParticlesToTile`] for one block. On entry `bar` holds the cotangent of the new strain and
 /// volume correction, what is already known of the positions' (and, where the velocity residue is given back, of the velocities'), and, where volume is held to the grid's density, in `bar.c[0]` the
-/// cotangent of the logarithmic volume and in `bar.c[1]` that of the velocity gradient over twice its shear; on return, the cotangent of the input.
+/// cotangent of the logarithmic volume and in `bar.c[1]` `k`, that of the velocity gradient being `k 2 dev D`; on return, the cotangent of the input.
 pub(crate) struct ParticlesToTileAdjoint<'a, T> {
     pub(crate) model: &'a Model<T>,
     pub(crate) block: &'a Block,

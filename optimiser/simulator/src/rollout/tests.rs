@@ -22,8 +22,8 @@ use crate::scene::{
 use crate::skill::{SkillMap, SkillParameter, Theta};
 
 /// The small bench with the paper's powder, which is viscous, and with every part of it that can be another; and with walls of two sides,
-/// the last one's powder sleeping by the mean of its speeds.
-fn benches() -> [Scene; 5] {
+/// the last ones' powder sleeping by the mean of its speeds, and the last one's loosened by shear.
+fn benches() -> [Scene; 6] {
     let mut scene = Scene::load("bench-small").expect("shipped");
     scene.powder.yield_surface = YieldSurface::DruckerPrager;
     scene.powder.volume_correction = VolumeCorrection::Strain;
@@ -42,8 +42,9 @@ fn benches() -> [Scene; 5] {
     };
     let [of_simple, mut of_all] = [two_sided(&scene), two_sided(&gets_back)];
     of_all.domain.sleep_by = SleepBy::MeanSquare;
-    of_all.powder.loosening_strain = Some(1.0);
-    [scene, other, gets_back, of_simple, of_all]
+    let mut by_shear = of_all.clone();
+    by_shear.powder.loosening_strain = Some(1.0);
+    [scene, other, gets_back, of_simple, of_all, by_shear]
 }
 
 #[test]

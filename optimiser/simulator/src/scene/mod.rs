@@ -206,8 +206,8 @@ pub struct Powder {
     pub yield_surface: YieldSurface,
     /// What holds the powder's volume together.
     pub volume_correction: VolumeCorrection,
-    /// Shear strain over which powder near a surface comes to be as loose as the grid sees it, dimensionless; 0.001 to 100, typically 1; less is
-    /// enough inside. None if the file has none: at once, even at rest, and heaps that are awake slowly flatten. Needs
+    /// Shear strain over which powder comes to be as loose as the grid sees it, where density falls by itself within a cell (`R = 1`), and
+    /// `R^2` of that elsewhere; dimensionless; 0.001 to 100, typically 1. None if the file has none: at once, even at rest, and heaps that are awake slowly flatten. Needs
     /// [`VolumeCorrection::Grid`]. The source has the equations, in `mpm/density.rs`.
     #[serde(default)]
     pub loosening_strain: Option<f64>,

@@ -174,6 +174,11 @@ fn arrange(lines: &mut [Line]) {
     });
 }
 
+/// Whether one of these names has these words in it, capital letters or not.
+pub(super) fn has(words: &str, names: [&str; 2]) -> bool {
+    names.iter().any(|name| name.to_lowercase().contains(&words.to_lowercase()))
+}
+
 /// All lines of one scene's powder.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[non_exhaustive]
@@ -242,6 +247,14 @@ impl Table {
         self.lines.iter().find(|line| line.name == name)
     }
 
+    /// The table of those lines that have these words in their name or that of their group.
+    #[must_use]
+    pub fn only(mut self, words: &str) -> Self {
+        self.lines.retain(|line| has(words, [&line.group, &line.name]));
+        self.wanted = self.lines.len();
+        self
+    }
+
     /// Names of the lines that were as they should be in another table and are not so here; in a whole table
     /// those that are not there count, too.
     pub fn no_longer_good(&self, before: &Self) -> Vec<String> {
@@ -281,6 +294,16 @@ mod tests {
     fn line(control: bool, found: &[f64]) -> Line {
         let found: Vec<_> = found.iter().map(|number| Ok(*number)).collect();
         Line::new(&claim("line", control), &found).unwrap()
+    }
+
+    #[test]
+    fn lines_are_named_by_their_group_or_themselves() {
+        let names = ["what a spoon holds", "heaped Bowl"];
+        for (words, want) in
+            [("spoon", true), ("bowl", true), ("SPOON H", true), ("", true), ("scoop", false)]
+        {
+            assert_eq!(has(words, names), want, "{words}");
+        }
     }
 
     #[test]

@@ -369,6 +369,11 @@ const SINGLE_FIELDS: &[Case] = &[
     ),
     (
         "cohesion_pa = 0.0",
+        "cohesion_pa = 0.0\nloosening_strain = 101.0",
+        ": powder.loosening_strain is 101, but it must be from 0.001 to 100",
+    ),
+    (
+        "cohesion_pa = 0.0",
         "cohesion_pa = 0.0\nloosening_strain = 1.0",
         ": powder.loosening_strain is 1, but with powder.volume_correction = \"strain\" nothing is loosened; powder.volume_correction = \"grid\" would be right, or no such key",
     ),

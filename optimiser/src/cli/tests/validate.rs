@@ -102,3 +102,22 @@ fn what_cannot_be_written_or_read_is_refused_before_anything_is_measured() {
     assert_sentence(&done, 1, "cannot be written");
     assert_sentence(&optimise(&["validate", "bnch"]), 2, "did you mean `bench`?");
 }
+
+#[test]
+fn some_lines_can_be_measured_without_the_others() {
+    let done = optimise(&["validate", "--only", "Triaxial Compression, key 2", "--threads", "1"]);
+    assert_eq!(done.code, 0, "{}", done.err);
+    let (out, ends) = (&done.out, "key 20 deg");
+    assert!(out.contains(ends) && out.contains("key 25 deg") && !out.contains("key 30 deg"), "{out}");
+    let whole =
+        "The powder of bench. Of 3 lines 0 fall short, 2 hold, and of 1 control 1 fails, as it must.\n";
+    assert!(out.starts_with(whole), "{out}");
+    for (words, scope, more) in [
+        ("spoon", "--short", "6 with --full have"),
+        ("sponn", "--full", "the groups are: friction angle of one particle; "),
+    ] {
+        let done = optimise(&["validate", scope, "--only", words]);
+        assert_sentence(&done, 2, &format!("--only is `{words}`, but no line"));
+        assert!(done.err.contains(more), "{}", done.err);
+    }
+}

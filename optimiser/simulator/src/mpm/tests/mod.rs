@@ -97,7 +97,13 @@ fn second_difference_slope(
 }
 
 /// Taylor slope two of `gradient`, at a place that is first shown to be away from kinks.
-fn assert_gradient(name: &str, scale: f64, f: &dyn Fn(&[f64]) -> f64, x: &[f64], gradient: &[f64]) {
+pub(crate) fn assert_gradient(
+    name: &str,
+    scale: f64,
+    f: &dyn Fn(&[f64]) -> f64,
+    x: &[f64],
+    gradient: &[f64],
+) {
     assert_eq!(x.len(), gradient.len(), "{name}");
     let smooth = second_difference_slope(x.len(), 3, scale, f, x);
     let slope = taylor_slope(x.len(), 3, scale, f, x, gradient);
