@@ -139,7 +139,6 @@ impl<T: Real> State<T> {
     }
 
     /// Which blocks sleep.
-    #[cfg(test)]
     pub(crate) fn sleepers(&self) -> impl Iterator<Item = bool> {
         self.rest.iter().map(SleepState::is_asleep)
     }

@@ -147,6 +147,12 @@ impl<T: Real> Rig<T> {
         self.state.particles.occupied().count()
     }
 
+    /// Share of the blocks that do not sleep.
+    pub(super) fn awake(&self) -> f64 {
+        let awake = self.state.sleepers().filter(|asleep| !asleep).count();
+        awake as f64 / self.state.layout.blocks.len() as f64
+    }
+
     /// Goes on for about so long, in whole substeps.
     pub(super) fn run(&mut self, seconds: f64, meter: &Meter<'_>) -> Result<(), Halt> {
         let particles = self.len() as u64;
