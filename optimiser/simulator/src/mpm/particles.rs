@@ -62,6 +62,11 @@ impl<T: Real> Group<T> {
         q: [Lanes::ZERO; 1],
     };
 
+    /// The same with nothing in motion.
+    pub(crate) fn at_rest(&self) -> Self {
+        Self { v: [Lanes::ZERO; 3], c: [Lanes::ZERO; 9], ..*self }
+    }
+
     /// The 22 rows of numbers, in a fixed order.
     pub(crate) fn rows(&self) -> impl Iterator<Item = &Lanes<T>> {
         self.x.iter().chain(&self.v).chain(&self.c).chain(&self.strain).chain(&self.q)

@@ -139,6 +139,22 @@ pub struct Domain {
     /// Which speed of a block that is, and which nodes wake it; [`SleepBy::Largest`] if the file does not say.
     #[serde(default)]
     pub sleep_by: SleepBy,
+    /// What neighbours feel of powder that sleeps; [`Sleepers::Moving`] if the file does not say.
+    #[serde(default)]
+    pub sleepers: Sleepers,
+}
+
+/// With which velocity powder sleeps.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+#[non_exhaustive]
+pub enum Sleepers {
+    /// With that with which it fell asleep: it stays where it is, but goes on giving its momentum to its neighbours, and what lies on an
+    /// incline beside it creeps by up to the speed below which powder falls asleep.
+    #[default]
+    Moving,
+    /// With none.
+    Still,
 }
 
 /// By what powder at rest is known.

@@ -100,6 +100,7 @@ fn bench(law: &SceneSpec, finer: u32) -> Scene {
     scene.domain.contact_band_cells = domain.contact_band_cells;
     scene.domain.sleep_speed_m_s = domain.sleep_speed_m_s;
     scene.domain.sleep_by = domain.sleep_by;
+    scene.domain.sleepers = domain.sleepers;
     scene.domain.walls = domain.walls;
     scene.domain.cell_m /= f64::from(finer);
     // A powder that is lighter or more viscous than the scene's own may need more.

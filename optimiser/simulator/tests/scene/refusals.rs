@@ -287,6 +287,11 @@ const SINGLE_FIELDS: &[Case] = &[
         ": domain.sleep_by at line 12: unknown variant `mean`; did you mean `mean_square`? Possible are `largest`, `mean_square`",
     ),
     (
+        "sleep_speed_m_s = 0.0002",
+        "sleep_speed_m_s = 0.0002\nsleepers = \"sitll\"",
+        ": domain.sleepers at line 12: unknown variant `sitll`; did you mean `still`? Possible are `moving`, `still`",
+    ),
+    (
         "particles_per_cell = 8",
         "particles_per_cell = 0",
         ": powder.particles_per_cell is 0, but it must be from 1 to 64",

@@ -2,7 +2,7 @@
 
 use powderline_simulator::scene::{
     Aim, Amount, ContainerShape, EMBEDDED_SCENES, FillShape, Flow, Gate, GateOpening, GateShape, Observation,
-    Quantity, Scene, SleepBy, ToolShape, Transfer, VolumeCorrection, Walls, YieldSurface,
+    Quantity, Scene, SleepBy, Sleepers, ToolShape, Transfer, VolumeCorrection, Walls, YieldSurface,
 };
 use proptest::prelude::*;
 
@@ -31,6 +31,7 @@ fn arbitrary_scene() -> impl Strategy<Value = Scene> {
             if column {
                 scene.domain.walls = Walls::TwoSided;
                 scene.domain.sleep_by = SleepBy::MeanSquare;
+                scene.domain.sleepers = Sleepers::Still;
             }
             if scoop {
                 scene.powder.cohesion_pa = 7.0;

@@ -7,7 +7,7 @@ use crate::mpm::sort::sort;
 use crate::mpm::spare::BufferPool;
 use crate::mpm::substep::{State, Workspace};
 use crate::mpm::tests::{Dice, advance, empty_bench, even_lattice, far_away, standing};
-use crate::scene::{SleepBy, Transfer};
+use crate::scene::{SleepBy, Sleepers, Transfer};
 
 const SLEEP_SPEED: f64 = 5e-4;
 /// The bed: a box of powder on the floor of an empty volume, between its walls.
@@ -167,6 +167,29 @@ fn cotangents_of_sleepers_stay(sleep_by: SleepBy) {
         }
     }
     assert!(of_lump > 0 && kept > 0, "{of_lump} {kept}");
+}
+
+/// A lump that drifts, slowly, in weightlessness.
+#[test]
+fn who_sleeps_still_gives_no_momentum() {
+    for (sleepers, share) in [(Sleepers::Moving, 1.0), (Sleepers::Still, 0.0)] {
+        let mut scene = empty_bench(SIZE_M);
+        scene.domain.gravity_m_s2 = [0.0; 3];
+        scene.domain.sleep_speed_m_s = SLEEP_SPEED;
+        scene.domain.sleepers = sleepers;
+        let model = Model::<f64>::new(&scene);
+        let mut particles = Particles::at_rest(&even_lattice([0.016, 0.012, 0.08], [0.032, 0.020, 0.096]));
+        let drift = 0.5 * SLEEP_SPEED;
+        particles.groups.iter_mut().for_each(|group| group.v[2] = Lanes([drift; LANES]));
+        let count = particles.occupied().count() as f64;
+        let mut state = State::new(&model, &far_away(), &particles).unwrap();
+        advance(&model, &far_away(), &mut state, (0.1 / scene.time.substep_s()) as usize);
+        let tiles = state.rest().iter().map(|rest| rest.sent().expect("all sleep").0);
+        let sent = tiles.flatten().fold([0.0; 4], |sum, node| std::array::from_fn(|k| sum[k] + node[k]));
+        let mass = count * scene.particle_mass_kg();
+        assert!((sent[3] / mass - 1.0).abs() < 1e-12, "{sleepers:?} {sent:?}");
+        assert!((sent[2] / (mass * drift) - share).abs() < 1e-9, "{sleepers:?} {sent:?}");
+    }
 }
 
 /// One that is quiet but for a single grain is asleep by the mean, and the grain with it; of a grain that is faster it is not.
