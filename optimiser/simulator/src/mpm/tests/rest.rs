@@ -4,7 +4,7 @@ use crate::mpm::Model;
 use crate::mpm::particles::Particles;
 use crate::mpm::substep::State;
 use crate::mpm::tests::{Dice, advance, far_away, lattice};
-use crate::scene::{ContainerShape, Scene, SleepBy, Walls};
+use crate::scene::{ContainerShape, Scene, SleepBy, Sleepers, Walls};
 
 /// What is left alone.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -110,10 +110,26 @@ fn heaps_stay_where_they_are() {
     stays(Powder::Heap, 0.003, 0.1);
 }
 
+/// What sleeps gives no momentum: it stays to the last digit, and all of it sleeps.
+#[test]
+fn heaps_whose_sleepers_are_still_stay_exactly() {
+    for shift_cells in [0.0, 0.25, 0.5] {
+        let (mut scene, points) = at_rest(Powder::Heap, shift_cells, SleepBy::MeanSquare);
+        scene.domain.sleepers = Sleepers::Still;
+        let Watched { height_m, sunk, awake, blocks } = watch(&scene, &points, 10.0);
+        println!(
+            "{shift_cells} cells off the nodes: {:.2} mm, {sunk:e}; awake {awake:?} of {blocks}",
+            1e3 * height_m
+        );
+        assert!(sunk.abs() < 1e-4 && awake == [0, 0]);
+    }
+}
+
 /// What there is to cure.
 #[test]
 fn by_its_fastest_grain_a_heap_never_comes_to_rest() {
-    let (scene, points) = at_rest(Powder::Heap, 0.25, SleepBy::Largest);
+    let (mut scene, points) = at_rest(Powder::Heap, 0.25, SleepBy::Largest);
+    scene.domain.sleepers = Sleepers::Moving;
     let Watched { height_m, sunk, awake, blocks } = watch(&scene, &points, 5.0);
     println!("{:.2} mm, {:+.3} %; awake {awake:?} of {blocks} blocks", 1e3 * height_m, 1e2 * sunk);
     assert!(sunk < -0.005 && awake[1] > 0);
