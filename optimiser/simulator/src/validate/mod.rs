@@ -102,9 +102,8 @@ impl Scope {
     }
 }
 
-/// Measures the powder of a scene: the lines that have `only` in their name or that of their group, and those that are measured together
-/// with them; all lines if it is empty. `progress` is told work done and in total, from any of the threads; where
-/// it breaks off, lines that are not done are missing in the table.
+/// Measures the powder of a scene: the lines that have `only` in their name or that of their group, all lines if it is empty. `progress`
+/// is told work done and in total, from any of the threads; where it breaks off, lines that are not done are missing in the table.
 ///
 /// # Errors
 /// [`RolloutError::Threads`]
@@ -115,11 +114,14 @@ pub fn run(
     threads: usize,
     progress: Tick<'_>,
 ) -> Result<Table, RolloutError> {
+    let is_asked_for = |claim: &case::Claim| table::has(only, [claim.group, &claim.name]);
     let mut cases = cases(scene, scope);
-    cases.retain(|case| case.claims.iter().any(|claim| table::has(only, [claim.group, &claim.name])));
+    cases.retain(|case| case.claims.iter().any(is_asked_for));
+    let wanted = cases.iter().flat_map(|case| &case.claims).filter(|claim| is_asked_for(claim)).count();
     let found = case::run(&cases, threads, progress)?;
     let measured: Vec<_> = cases.into_iter().map(|case| case.claims).zip(found).collect();
-    Ok(Table::new(&scene.name, scope, &measured))
+    // Some are measured together with others.
+    Ok(Table { wanted, ..Table::new(&scene.name, scope, &measured).only(only) })
 }
 
 /// Everything that is claimed and how it is measured.
