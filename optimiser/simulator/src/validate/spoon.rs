@@ -88,8 +88,14 @@ const POURED_M3: f64 = core::f64::consts::PI * PIPE_M * PIPE_M * COLUMN_M;
 /// When the pipe is up, s.
 const POURED_S: f64 = SETTLE_S + TRAVEL_M / SPEED_M_S;
 
-/// What stays on it, kg, at each of [`REST_S`].
-fn held_kg(scene: &Scene, leans_deg: f64, seed: u64, meter: &Meter<'_>) -> Result<Vec<f64>, Halt> {
+/// What stays on it, kg, so many seconds after the pipe is up.
+fn held_kg(
+    scene: &Scene,
+    leans_deg: f64,
+    after_s: &[f64],
+    seed: u64,
+    meter: &Meter<'_>,
+) -> Result<Vec<f64>, Halt> {
     let [x, y, z] = PLACE_M;
     let powder = packed_cylinder(scene, [x, y, z + GAP_M], PIPE_M, COLUMN_M, seed);
     let turned = exp_so3(&[0.0, -leans_deg.to_radians(), 0.0].into());
@@ -97,13 +103,13 @@ fn held_kg(scene: &Scene, leans_deg: f64, seed: u64, meter: &Meter<'_>) -> Resul
     let mut rig = Rig::<f32>::with_tool((**scene).clone(), &powder, resting(&pose))?;
     rig.run(POURED_S, meter)?;
     let mut since_s = 0.0;
-    let looks = REST_S.map(|rest_s| {
-        rig.run(rest_s - since_s, meter)?;
-        since_s = rest_s;
+    let looks = after_s.iter().map(|after_s| {
+        rig.run(after_s - since_s, meter)?;
+        since_s = *after_s;
         let on_it = rig.positions().iter().filter(|p| p[2] > z - ON_IT_M).count();
         Ok(scene.particle_mass_kg() * on_it as f64)
     });
-    looks.into_iter().collect()
+    looks.collect()
 }
 
 fn case(law: &SceneSpec, spoon: &'static Spoon, (name, cells): (&str, f64)) -> Case<'static> {
@@ -127,7 +133,7 @@ fn case(law: &SceneSpec, spoon: &'static Spoon, (name, cells): (&str, f64)) -> C
         seeds: 1,
         work: POURED_M3 / scene.particle_volume_m3() * seconds / scene.time.substep_s(),
         measure: Box::new(move |seed, meter| {
-            let held = held_kg(&scene, spoon.leans_deg, seed, meter)?;
+            let held = held_kg(&scene, spoon.leans_deg, &REST_S, seed, meter)?;
             Ok(held.into_iter().map(|held_kg| 1e3 * held_kg).collect())
         }),
     }
@@ -150,9 +156,8 @@ mod tests {
         for spoon in &SPOONS {
             let scene = set_up(&law, spoon, spoon.cells[0].1);
             let geometry = scene.tool_capacity();
-            let [held, _] = *held_kg(&scene, spoon.leans_deg, 1, &Meter::unwatched()).unwrap() else {
-                panic!()
-            };
+            let [first_s, _] = REST_S;
+            let held = held_kg(&scene, spoon.leans_deg, &[first_s], 1, &Meter::unwatched()).unwrap()[0];
             // More was there to run over.
             let there = POURED_M3 * scene.powder.density_kg_m3;
             assert!(

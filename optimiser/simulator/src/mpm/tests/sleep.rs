@@ -169,6 +169,18 @@ fn cotangents_of_sleepers_stay(sleep_by: SleepBy) {
     assert!(of_lump > 0 && kept > 0, "{of_lump} {kept}");
 }
 
+#[test]
+fn at_rest_nothing_of_a_group_moves_and_all_else_is_as_it_was() {
+    let mut group = Group::<f64>::ZERO;
+    let rows = group.x.iter_mut().chain(&mut group.v).chain(&mut group.c);
+    let rows = rows.chain(&mut group.strain).chain(&mut group.q);
+    rows.zip(1..).for_each(|(row, k)| *row = Lanes([f64::from(k); LANES]));
+    // Positions, velocities, velocity gradient, strain, volume correction.
+    let left: Vec<f64> = group.at_rest().rows().map(|row| row[3]).collect();
+    let moves = |k: &i32| (4..=15).contains(k);
+    assert_eq!(left, (1..=22).map(|k| if moves(&k) { 0.0 } else { f64::from(k) }).collect::<Vec<_>>());
+}
+
 /// A lump that drifts, slowly, in weightlessness.
 #[test]
 fn who_sleeps_still_gives_no_momentum() {
