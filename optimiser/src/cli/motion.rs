@@ -243,7 +243,10 @@ fn scene_found(plan: &Path, header: &PlanHeader) -> Result<Scene, CliError> {
     let (plan, scene) = (plan.display(), folder::SCENE);
     Err(match beside {
         Some(Err(error)) => {
-            error.with_remark("nor is it an embedded one; the scene.toml of its run would be right")
+            error.with_remark(
+                "nor is it an embedded one; the scene.toml of its run would be right, and if it is that, the plan is of a \
+                 version whose digests have another form, and has to be made anew",
+            )
         }
         _ => CliError::Input(format!(
             "the scene that {plan} was made for (digest {wanted}) is not beside it, nor is it an embedded one; the {scene} of \

@@ -38,7 +38,10 @@ pub enum RecordError {
         source: StateError,
     },
     /// The scene was changed.
-    #[error("{path} is no longer the scene that the run was started with")]
+    #[error(
+        "{path} is no longer the scene that the run was started with, or a version did that whose digests have another form: a \
+         new run would be right then"
+    )]
     OtherScene {
         /// The file.
         path: PathBuf,
