@@ -101,7 +101,9 @@ impl View {
         )?;
         for container in &scene.containers {
             let (half, height) = match container.shape {
-                ContainerShape::Box { inner_size_m } => (0.5 * inner_size_m[0], inner_size_m[2]),
+                ContainerShape::Box { inner_size_m } | ContainerShape::SlottedBox { inner_size_m, .. } => {
+                    (0.5 * inner_size_m[0], inner_size_m[2])
+                }
                 ContainerShape::Cylinder { inner_radius_m, inner_height_m }
                 | ContainerShape::Silo { inner_radius_m, inner_height_m, .. }
                 | ContainerShape::Hopper { inner_radius_m, inner_height_m, .. } => {

@@ -1,6 +1,6 @@
 //! What the guide has a reader write.
 
-use powderline_simulator::scene::{ContainerShape, FillShape, Scene, embedded_scene};
+use powderline_simulator::scene::{ContainerShape, FillShape, GateOpening, GateShape, Scene, embedded_scene};
 use powderline_simulator::skill::{SkillMap, Theta, collision};
 
 const GUIDE: &str = include_str!("../../optimiser/guide/scenes.md");
@@ -40,6 +40,34 @@ fn the_silo_of_the_guide_is_a_scene() {
     assert!(matches!(scene.containers[2].shape, ContainerShape::Hopper { .. }));
     let heights_m = [scene.gates[0].position_m[2], scene.powder.fill_min_m[2]];
     assert!((heights_m[0] - 0.120).abs() < 1e-12 && (heights_m[1] - 0.140).abs() < 1e-12, "{heights_m:?}");
+}
+
+#[test]
+fn the_slotted_box_of_the_guide_is_a_scene() {
+    let silo = blocks()[2];
+    let (_, after) = GUIDE.split_once("A box has a slot").unwrap();
+    let mut shapes = after.split('`').filter(|code| code.starts_with("shape = "));
+    let opening = after.split('`').find(|code| code.starts_with("opening = ")).unwrap();
+    let mut changed = |line: &'static str| match line.split(" =").next() {
+        Some("shape") => shapes.next().unwrap(),
+        Some("opening") => opening,
+        _ => line,
+    };
+    let slotted: Vec<&str> = silo.lines().map(&mut changed).collect();
+    let text = format!("{}\n{}", embedded_scene("bench").unwrap(), slotted.join("\n"));
+    let scene = Scene::from_toml("slotted.toml", &text).unwrap();
+    let Some(ContainerShape::SlottedBox { inner_size_m, slot_width_m }) =
+        scene.containers.get(2).map(|c| &c.shape)
+    else {
+        panic!("{:?}", scene.containers)
+    };
+    let GateShape::Box { size_m } = scene.gates[0].shape else { panic!("{:?}", scene.gates) };
+    assert!(size_m[0] > *slot_width_m && size_m[1] > inner_size_m[1], "{size_m:?}");
+    // Open, it leaves the slot free.
+    let GateOpening::Slide { velocity_m_s, travel_m } = scene.gates[0].opening else {
+        panic!("{:?}", scene.gates)
+    };
+    assert!(velocity_m_s[0] > 0.0 && travel_m > 0.5 * (size_m[0] + slot_width_m), "{travel_m}");
 }
 
 #[test]

@@ -41,6 +41,9 @@ fn drawn(scene: &Scene, container: &Container) -> powderline_view::Container {
     let Container { name, position_m, yaw_deg, wall_thickness_m, .. } = container;
     let mesh = match container.shape {
         ContainerShape::Box { inner_size_m } => Mesh::open_box(inner_size_m, *wall_thickness_m),
+        ContainerShape::SlottedBox { inner_size_m, slot_width_m } => {
+            Mesh::slotted_box(inner_size_m, slot_width_m, *wall_thickness_m)
+        }
         ContainerShape::Cylinder { inner_radius_m, inner_height_m } => {
             Mesh::open_cylinder(inner_radius_m, inner_height_m, *wall_thickness_m)
         }
@@ -105,6 +108,19 @@ mod tests {
         let silo = volume_m3(ContainerShape::Silo { inner_radius_m, inner_height_m, outlet_radius_m });
         let hole = std::f64::consts::PI * outlet_radius_m.powi(2) * scene.containers[1].wall_thickness_m;
         assert!(((whole - silo) / hole - 1.0).abs() < 0.01, "{whole} {silo} {hole}");
+    }
+
+    #[test]
+    fn a_slotted_box_is_drawn_with_its_slot() {
+        let scene = Scene::load("bench").unwrap();
+        let volume_m3 = |shape: ContainerShape| {
+            drawn(&scene, &Container { shape, ..scene.containers[1].clone() }).mesh.volume_m3()
+        };
+        let (inner_size_m, slot_width_m) = ([0.06, 0.04, 0.03], 0.01);
+        let whole = volume_m3(ContainerShape::Box { inner_size_m });
+        let slotted = volume_m3(ContainerShape::SlottedBox { inner_size_m, slot_width_m });
+        let slot = slot_width_m * inner_size_m[1] * scene.containers[1].wall_thickness_m;
+        assert!(((whole - slotted) / slot - 1.0).abs() < 1e-9, "{whole} {slotted} {slot}");
     }
 
     #[test]

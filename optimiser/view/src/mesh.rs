@@ -57,12 +57,28 @@ impl Mesh {
     #[must_use]
     pub fn open_box(inner_size_m: [f64; 3], wall_m: f64) -> Self {
         let [x, y, z] = [0.5 * inner_size_m[0], 0.5 * inner_size_m[1], inner_size_m[2]];
-        let wall = |low, high| Self::block(low, high);
-        wall([-x - wall_m, -y - wall_m, -wall_m], [x + wall_m, y + wall_m, 0.0])
-            .and(wall([-x - wall_m, -y - wall_m, 0.0], [-x, y + wall_m, z]))
-            .and(wall([x, -y - wall_m, 0.0], [x + wall_m, y + wall_m, z]))
-            .and(wall([-x, -y - wall_m, 0.0], [x, -y, z]))
-            .and(wall([-x, y, 0.0], [x, y + wall_m, z]))
+        Self::block([-x - wall_m, -y - wall_m, -wall_m], [x + wall_m, y + wall_m, 0.0])
+            .and(Self::box_walls([x, y, z], wall_m))
+    }
+
+    /// The same with a slot across the whole of its floor, in the middle and along y.
+    #[must_use]
+    pub fn slotted_box(inner_size_m: [f64; 3], slot_width_m: f64, wall_m: f64) -> Self {
+        let [x, y, z] = [0.5 * inner_size_m[0], 0.5 * inner_size_m[1], inner_size_m[2]];
+        let slot = 0.5 * slot_width_m;
+        Self::block([-x - wall_m, -y - wall_m, -wall_m], [-slot, y + wall_m, 0.0])
+            .and(Self::block([slot, -y - wall_m, -wall_m], [x + wall_m, y + wall_m, 0.0]))
+            .and(Self::block([-slot, -y - wall_m, -wall_m], [slot, -y, 0.0]))
+            .and(Self::block([-slot, y, -wall_m], [slot, y + wall_m, 0.0]))
+            .and(Self::box_walls([x, y, z], wall_m))
+    }
+
+    /// Walls of a box by half its length and width and its height, on its floor.
+    fn box_walls([x, y, z]: [f64; 3], wall_m: f64) -> Self {
+        Self::block([-x - wall_m, -y - wall_m, 0.0], [-x, y + wall_m, z])
+            .and(Self::block([x, -y - wall_m, 0.0], [x + wall_m, y + wall_m, z]))
+            .and(Self::block([-x, -y - wall_m, 0.0], [x, -y, z]))
+            .and(Self::block([-x, y, 0.0], [x, y + wall_m, z]))
     }
 
     /// Round container without a lid: inner dimensions, origin at the centre of the inner floor.
@@ -250,6 +266,7 @@ mod tests {
             (Mesh::open_box([1.0, 2.0, 3.0], 0.1), 1.2 * 2.2 * 3.1 - 6.0, 1.0),
             (Mesh::box_scoop([1.0, 2.0, 3.0], 0.1), 1.1 * 2.2 * 3.1 - 6.0, 1.0),
             (Mesh::open_cylinder(1.0, 2.0, 0.1), PI * (1.21 * 2.1 - 2.0), round),
+            (Mesh::slotted_box([1.0, 2.0, 3.0], 0.4, 0.1), 1.2 * 2.2 * 3.1 - 6.0 - 0.4 * 2.0 * 0.1, 1.0),
             (Mesh::silo(1.0, 2.0, 0.5, 0.1), PI * (1.21 * 2.1 - 2.0 - 0.25 * 0.1), round),
             (Mesh::hopper(1.0, 0.5, 0.5, FRAC_PI_4, 0.1), cone, round),
             (Mesh::hopper(1.0, 1.5, 0.5, FRAC_PI_4, 0.1), cone + PI * 0.21 * 1.0 + corner, round),

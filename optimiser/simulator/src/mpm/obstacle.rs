@@ -442,18 +442,17 @@ impl Builder {
 pub(crate) fn container_shapes(c: &Container) -> Vec<Shape<f64>> {
     let t = c.wall_thickness_m;
     match c.shape {
-        ContainerShape::Box { inner_size_m: [lx, ly, h] } => {
-            let wall = |centre, half| Shape::AlignedBox(AlignedBox { centre, half });
-            let (hx, hy) = (0.5 * lx, 0.5 * ly);
-            let middle = 0.5 * (h - t);
-            let half_height = 0.5 * (h + t);
-            vec![
-                wall([0.0, 0.0, -0.5 * t], [hx + t, hy + t, 0.5 * t]),
-                wall([hx + 0.5 * t, 0.0, middle], [0.5 * t, hy + t, half_height]),
-                wall([-hx - 0.5 * t, 0.0, middle], [0.5 * t, hy + t, half_height]),
-                wall([0.0, hy + 0.5 * t, middle], [hx + t, 0.5 * t, half_height]),
-                wall([0.0, -hy - 0.5 * t, middle], [hx + t, 0.5 * t, half_height]),
-            ]
+        ContainerShape::Box { inner_size_m } => {
+            let [lx, ly, _] = inner_size_m;
+            let floor = block([0.0, 0.0, -0.5 * t], [0.5 * lx + t, 0.5 * ly + t, 0.5 * t]);
+            std::iter::once(floor).chain(box_walls(inner_size_m, t)).collect()
+        }
+        ContainerShape::SlottedBox { inner_size_m, slot_width_m: slot } => {
+            let [lx, ly, _] = inner_size_m;
+            // From the slot to the outside of the wall.
+            let (middle, half) = (0.5 * (0.5 * (slot + lx) + t), 0.5 * (0.5 * (lx - slot) + t));
+            let floor = |x: f64| block([x, 0.0, -0.5 * t], [half, 0.5 * ly + t, 0.5 * t]);
+            [floor(middle), floor(-middle)].into_iter().chain(box_walls(inner_size_m, t)).collect()
         }
         ContainerShape::Cylinder { inner_radius_m: r, inner_height_m: h } => vec![
             ring(0.0, r + t, -0.5 * t, 0.5 * t),
@@ -484,6 +483,18 @@ pub(crate) fn container_shapes(c: &Container) -> Vec<Shape<f64>> {
     }
 }
 
+/// Walls of a box in its own frame, down to the floor's underside.
+fn box_walls([lx, ly, h]: [f64; 3], t: f64) -> [Shape<f64>; 4] {
+    let (hx, hy) = (0.5 * lx, 0.5 * ly);
+    let (middle, half_height) = (0.5 * (h - t), 0.5 * (h + t));
+    [
+        block([hx + 0.5 * t, 0.0, middle], [0.5 * t, hy + t, half_height]),
+        block([-hx - 0.5 * t, 0.0, middle], [0.5 * t, hy + t, half_height]),
+        block([0.0, hy + 0.5 * t, middle], [hx + t, 0.5 * t, half_height]),
+        block([0.0, -hy - 0.5 * t, middle], [hx + t, 0.5 * t, half_height]),
+    ]
+}
+
 /// A gate in its own frame.
 pub(crate) fn gate_shape(gate: &Gate) -> Shape<f64> {
     match gate.shape {
@@ -495,6 +506,10 @@ pub(crate) fn gate_shape(gate: &Gate) -> Shape<f64> {
             ring(r + 0.5 * t, 0.5 * t, 0.5 * h, 0.5 * h)
         }
     }
+}
+
+fn block(centre: [f64; 3], half: [f64; 3]) -> Shape<f64> {
+    Shape::AlignedBox(AlignedBox { centre, half })
 }
 
 /// A tube about the vertical, or a disc, by the middle of its profile and half of its extents.

@@ -108,7 +108,10 @@ fn place(c: &Container, p: &[f64; 3]) -> Place {
     let ([x, y, z], wall) = (c.local_m(p), c.wall_thickness_m);
     // From the inner face outwards.
     let gap = match c.shape {
-        ContainerShape::Box { inner_size_m: [lx, ly, _] } => (x.abs() - 0.5 * lx).max(y.abs() - 0.5 * ly),
+        ContainerShape::Box { inner_size_m: [lx, ly, _] }
+        | ContainerShape::SlottedBox { inner_size_m: [lx, ly, _], .. } => {
+            (x.abs() - 0.5 * lx).max(y.abs() - 0.5 * ly)
+        }
         ContainerShape::Cylinder { inner_radius_m, .. } | ContainerShape::Silo { inner_radius_m, .. } => {
             libm::hypot(x, y) - inner_radius_m
         }
@@ -187,6 +190,23 @@ mod tests {
         ] {
             let found = place(&hopper, &[0.0, -1e-3 * x_mm, 1e-3 * z_mm]);
             assert_eq!(found, expected, "{x_mm} mm from the axis, {z_mm} mm above the hole");
+        }
+    }
+
+    #[test]
+    fn a_slotted_box_sees_what_has_come_through_outside() {
+        let shape = ContainerShape::SlottedBox { inner_size_m: [0.02, 0.03, 0.04], slot_width_m: 0.008 };
+        let container = Container { shape, ..vial() };
+        for (p_mm, expected) in [
+            ([0.0, 0.0, 1.0], Place::Inside),
+            ([9.9, 14.9, 39.9], Place::Inside),
+            ([3.9, 0.0, -1.9], Place::Inside),
+            ([3.9, 0.0, -2.1], Place::Outside),
+            ([9.9, 14.9, 40.1], Place::Above),
+            ([11.0, 0.0, 20.0], Place::Wall),
+            ([0.0, 17.6, 20.0], Place::Outside),
+        ] {
+            assert_eq!(place(&container, &p_mm.map(|mm| 1e-3 * mm)), expected, "{p_mm:?}");
         }
     }
 

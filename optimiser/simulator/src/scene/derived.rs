@@ -156,7 +156,8 @@ impl Container {
     fn nearest_from_above_m(&self, p: &[f64; 3]) -> [f64; 2] {
         let [x, y, _] = self.local_m(p);
         let [x, y] = match self.shape {
-            ContainerShape::Box { inner_size_m: [lx, ly, _] } => {
+            ContainerShape::Box { inner_size_m: [lx, ly, _] }
+            | ContainerShape::SlottedBox { inner_size_m: [lx, ly, _], .. } => {
                 [x.clamp(-0.5 * lx, 0.5 * lx), y.clamp(-0.5 * ly, 0.5 * ly)]
             }
             ContainerShape::Cylinder { inner_radius_m, .. }

@@ -387,6 +387,15 @@ pub enum ContainerShape {
         /// From the vertical to the cone's wall, degrees; 5 to 85.
         half_angle_deg: f64,
     },
+    /// Rectangular box with a slot across the whole of its floor, in the middle and along its y axis, through which powder flows out. A
+    /// gate may shut it; what has come through is no longer in the container.
+    SlottedBox {
+        /// Inner length (x), width (y) and height (z) in the container's own frame, metres; each
+        /// one cell to 10.
+        inner_size_m: [f64; 3],
+        /// Width of the slot, along x, metres; one cell to the inner length.
+        slot_width_m: f64,
+    },
 }
 
 impl ContainerShape {
@@ -414,7 +423,7 @@ impl ContainerShape {
     /// How far the inside of a round one goes from its axis, so high above its place, metres; none of a box.
     pub(crate) fn inner_radius_at_m(&self, height_m: f64) -> Option<f64> {
         match *self {
-            Self::Box { .. } => None,
+            Self::Box { .. } | Self::SlottedBox { .. } => None,
             Self::Cylinder { inner_radius_m, .. } | Self::Silo { inner_radius_m, .. } => Some(inner_radius_m),
             Self::Hopper { inner_radius_m, outlet_radius_m, half_angle_deg, .. } => {
                 let widened = height_m.max(0.0) * libm::tan(half_angle_deg.to_radians());

@@ -180,7 +180,10 @@ impl Container {
         let quarters = self.yaw_deg / 90.0;
         let square = (quarters - quarters.round()).abs() < 1e-9;
         match self.shape {
-            ContainerShape::Box { inner_size_m: [length, width, _] } if square => {
+            ContainerShape::Box { inner_size_m: [length, width, _] }
+            | ContainerShape::SlottedBox { inner_size_m: [length, width, _], .. }
+                if square =>
+            {
                 let turned = quarters.round().rem_euclid(2.0) > 0.5;
                 let (hx, hy) = if turned { (0.5 * width, 0.5 * length) } else { (0.5 * length, 0.5 * width) };
                 vec![z, x - hx, x + hx, y - hy, y + hy]

@@ -224,7 +224,7 @@ impl Container {
         let sides = [("-x", opposite(x)), ("+x", x), ("-y", opposite(y)), ("+y", y)];
         let walls = self.pieces().into_iter().skip(1).enumerate().map(|(index, hull)| {
             let (name, outwards) = match self.shape {
-                ContainerShape::Box { .. } => {
+                ContainerShape::Box { .. } | ContainerShape::SlottedBox { .. } => {
                     let (side, outwards) = sides[index];
                     (format!("{side} wall of container {:?}{turned}", self.name), outwards)
                 }
@@ -251,7 +251,9 @@ impl Container {
     /// Inner height, metres.
     pub fn inner_height_m(&self) -> f64 {
         match self.shape {
-            ContainerShape::Box { inner_size_m } => inner_size_m[2],
+            ContainerShape::Box { inner_size_m } | ContainerShape::SlottedBox { inner_size_m, .. } => {
+                inner_size_m[2]
+            }
             ContainerShape::Cylinder { inner_height_m, .. }
             | ContainerShape::Silo { inner_height_m, .. }
             | ContainerShape::Hopper { inner_height_m, .. } => inner_height_m,
@@ -262,7 +264,8 @@ impl Container {
     pub(super) fn outer(&self) -> Hull {
         let (wall, frame) = (self.wall_thickness_m, self.frame());
         match self.shape {
-            ContainerShape::Box { inner_size_m: [x, y, z] } => {
+            ContainerShape::Box { inner_size_m: [x, y, z] }
+            | ContainerShape::SlottedBox { inner_size_m: [x, y, z], .. } => {
                 frame.block([-0.5 * x - wall, -0.5 * y - wall, -wall], [0.5 * x + wall, 0.5 * y + wall, z])
             }
             ContainerShape::Cylinder { inner_radius_m, inner_height_m }
@@ -278,7 +281,8 @@ impl Container {
     pub(super) fn pieces(&self) -> Vec<Hull> {
         let (wall, frame) = (self.wall_thickness_m, self.frame());
         match self.shape {
-            ContainerShape::Box { inner_size_m: [x, y, z] } => {
+            ContainerShape::Box { inner_size_m: [x, y, z] }
+            | ContainerShape::SlottedBox { inner_size_m: [x, y, z], .. } => {
                 let (x, y) = (0.5 * x, 0.5 * y);
                 vec![
                     frame.block([-x - wall, -y - wall, -wall], [x + wall, y + wall, 0.0]),
@@ -424,7 +428,7 @@ impl Container {
         let from_centre = [x - self.position_m[0], y - self.position_m[1], 0.0];
         let [along, across, _] = self.frame().axes.map(|axis| dot(axis, from_centre));
         match self.shape {
-            ContainerShape::Box { inner_size_m } => {
+            ContainerShape::Box { inner_size_m } | ContainerShape::SlottedBox { inner_size_m, .. } => {
                 along.abs() + radius_m <= 0.5 * inner_size_m[0] + TOUCH_M
                     && across.abs() + radius_m <= 0.5 * inner_size_m[1] + TOUCH_M
             }

@@ -188,6 +188,28 @@ mod tests {
             prop_assert!(!is_open(beside), "through the floor");
         }
 
+        /// The same of a box and its slot.
+        #[test]
+        fn a_slotted_box_is_open_where_its_slot_is(
+            size in [0.02..0.1f64, 0.02..0.1f64], slot in 0.2..0.8f64, t in 0.001..0.02f64, away in 0.0..1.0f64, across in -0.99..0.99f64,
+            above in 0.01..1.0f64, below in 1.01..2.0f64, left in any::<bool>(),
+        ) {
+            let slot_width_m = slot * size[0];
+            let shape = ContainerShape::SlottedBox { inner_size_m: [size[0], size[1], 0.1], slot_width_m };
+            let container = Container {
+                name: String::new(), position_m: [0.0; 3], yaw_deg: 0.0, wall_thickness_m: t, friction: 0.4, shape,
+            };
+            let pieces = container_shapes(&container);
+            let at = |x: f64, z: f64| [if left { -x } else { x }, 0.5 * across * size[1], z];
+            let is_open = |x: f64| {
+                let (from, to) = (at(x, above * t), at(x, -below * t));
+                pieces.iter().all(|piece| !crosses(piece, from, to) && !piece.hides(piece.face_at(from), to))
+            };
+            let (edge, wall) = (0.5 * slot_width_m, 0.5 * size[0]);
+            prop_assert!(is_open(edge * 0.99 * away), "through the slot");
+            prop_assert!(!is_open(edge * 1.01 + away * (wall - edge * 1.01)), "through the floor");
+        }
+
         /// Who is in a hopper's cone sees nothing of what is outside of it at the same height, but what is below the hole.
         #[test]
         fn a_hoppers_cone_parts_inside_and_outside(

@@ -34,7 +34,7 @@ struct Spoon {
     /// Half its width, m.
     half_m: f64,
     /// Cells of each line: in words, and per half the width.
-    cells: [(&'static str, f64); 3],
+    cells: &'static [(&'static str, f64)],
     /// It leans back by so much, degrees.
     leans_deg: f64,
 }
@@ -44,14 +44,19 @@ static SPOONS: [Spoon; 2] = [
         name: "bowl",
         shape: ToolShape::Bowl { inner_radius_m: 0.016 },
         half_m: 0.016,
-        cells: [("4 cells per radius", 4.0), ("6 cells per radius", 6.0), ("8 cells per radius", 8.0)],
+        cells: &[
+            ("4 cells per radius", 4.0),
+            ("6 cells per radius", 6.0),
+            ("8 cells per radius", 8.0),
+            ("12 cells per radius", 12.0),
+        ],
         leans_deg: 0.0,
     },
     Spoon {
         name: "scoop",
         shape: ToolShape::BoxScoop { inner_size_m: [0.024, 0.024, 0.014] },
         half_m: 0.012,
-        cells: [("6 cells across", 3.0), ("9 cells across", 4.5), ("12 cells across", 6.0)],
+        cells: &[("6 cells across", 3.0), ("9 cells across", 4.5), ("12 cells across", 6.0)],
         leans_deg: 20.0,
     },
 ];
@@ -139,10 +144,10 @@ fn case(law: &SceneSpec, spoon: &'static Spoon, (name, cells): (&str, f64)) -> C
     }
 }
 
-/// Both spoons on cells of three sizes.
+/// Both spoons on cells of several sizes.
 pub(super) fn cases(law: &SceneSpec, scope: Scope) -> Vec<Case<'static>> {
     let spoons: &[Spoon] = if scope == Scope::Full { &SPOONS } else { &[] };
-    spoons.iter().flat_map(|spoon| spoon.cells.map(|cells| case(law, spoon, cells))).collect()
+    spoons.iter().flat_map(|spoon| spoon.cells.iter().map(|cells| case(law, spoon, *cells))).collect()
 }
 
 #[cfg(test)]

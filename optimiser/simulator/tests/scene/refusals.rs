@@ -104,7 +104,7 @@ const STRUCTURE: &[Case] = &[
     (
         r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
         r#"shape = { kind = "sphere" }"#,
-        r#": container "source".shape.kind at line 39: unknown variant `sphere`, expected one of `box`, `cylinder`, `silo`, `hopper`"#,
+        r#": container "source".shape.kind at line 39: unknown variant `sphere`, expected one of `box`, `cylinder`, `silo`, `hopper`, `slotted_box`"#,
     ),
     (
         r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
@@ -476,6 +476,11 @@ const SINGLE_FIELDS: &[Case] = &[
         r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
         r#"shape = { kind = "hopper", inner_radius_m = 0.032, inner_height_m = 0.019, outlet_radius_m = 0.012, half_angle_deg = 45 }"#,
         r#": container "source".shape.inner_height_m is 0.019, but it must be from 0.02 to 10"#,
+    ),
+    (
+        r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,
+        r#"shape = { kind = "slotted_box", inner_size_m = [0.064, 0.064, 0.030], slot_width_m = 0.065 }"#,
+        r#": container "source".shape.slot_width_m is 0.065, but it must be from 0.004 to 0.064"#,
     ),
     (
         r#"shape = { kind = "box", inner_size_m = [0.064, 0.064, 0.030] }"#,

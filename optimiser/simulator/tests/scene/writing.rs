@@ -41,6 +41,12 @@ fn arbitrary_scene() -> impl Strategy<Value = Scene> {
                 scene.containers[1].shape =
                     ContainerShape::Cylinder { inner_radius_m: 0.03 + 1e-3 * small, inner_height_m: 0.04 };
             }
+            if scoop && !round {
+                scene.containers[1].shape = ContainerShape::SlottedBox {
+                    inner_size_m: [0.06, 0.06, 0.04],
+                    slot_width_m: 0.01 + 1e-3 * small,
+                };
+            }
             if round && scoop {
                 let (inner_radius_m, inner_height_m) = (0.03, 0.04);
                 scene.containers[1].shape = ContainerShape::Silo {

@@ -102,6 +102,11 @@ fn container(found: &mut Found<'_>, path: &str, container: &Container, cell_m: f
         ContainerShape::Box { inner_size_m } => {
             found.vector(&field("shape.inner_size_m"), inner_size_m, inner);
         }
+        ContainerShape::SlottedBox { inner_size_m, slot_width_m } => {
+            found.vector(&field("shape.inner_size_m"), inner_size_m, inner);
+            let slot = Range::closed(cell_m, inner_size_m[0]);
+            found.number(&field("shape.slot_width_m"), *slot_width_m, slot);
+        }
         ContainerShape::Cylinder { inner_radius_m, inner_height_m } => {
             found.number(&field("shape.inner_radius_m"), *inner_radius_m, inner);
             found.number(&field("shape.inner_height_m"), *inner_height_m, inner);
