@@ -44,7 +44,7 @@ pub(crate) mod timings;
 pub(crate) mod walls;
 
 /// Raised with every change of what a substep or a gradient computes: a run is not resumed by another physics.
-pub const PHYSICS_VERSION: u32 = 7;
+pub const PHYSICS_VERSION: u32 = 8;
 
 use std::marker::PhantomData;
 

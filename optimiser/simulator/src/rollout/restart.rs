@@ -134,7 +134,7 @@ const DEEP: f64 = 0.5;
 
 /// Speed below which powder falls asleep while the body is moved, over that at which it does otherwise. What creeps on in the source or
 /// the target differs by nothing between two branches.
-const SLEEP_RATIO: f64 = 25.0;
+const SLEEP_RATIO: f64 = 50.0;
 
 /// Looks along a line between two grains.
 const LOOKS: usize = 7;
