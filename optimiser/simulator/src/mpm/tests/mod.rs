@@ -3,7 +3,6 @@
 mod bulk;
 mod conservation;
 mod gates;
-mod rest;
 mod sleep;
 mod stages;
 mod substep;
