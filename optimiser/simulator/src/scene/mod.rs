@@ -134,7 +134,7 @@ pub struct Domain {
     /// Blocks of powder (4 x 4 x 4 cells) that stay slower than this for 0.03 s fall asleep: their
     /// particles stay as they are, at rest to within this speed, and cost nothing. They wake when
     /// the tool, or a gate that moves, comes within two cells, a gate as near vanishes, a node of
-    /// theirs moves or a particle arrives. m/s; 0 to 0.01, typically 0.002; 0: never.
+    /// theirs moves or a particle arrives. m/s; 0 to 0.01, typically 0.001; 0: never.
     pub sleep_speed_m_s: f64,
     /// Which speed of a block that is, and which nodes wake it; [`SleepBy::Largest`] if the file does not say.
     #[serde(default)]
