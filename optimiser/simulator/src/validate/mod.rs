@@ -32,7 +32,7 @@
 //! | collapse, energy | `column.rs` | a cylinder, free of stress and without a tube, that begins to fall at once; looked at after 0.8 s |
 //! | heaps | `heap.rs` | a stream from just above the top that the heap should have, on a plate of friction 1 |
 //! | packing | `packing.rs` | a stream into a box; the heap that a skill leaves in the target of the default scene; particles counted in balls that have powder on all sides |
-//! | silos | `silo.rs` | a cylinder full of powder with a hole in its floor, or at the end of a cone; what flows through from 3 to 7 times `sqrt(D/g)` on |
+//! | silos | `silo.rs` | a cylinder full of powder with a hole in its floor, or at the end of a cone; what flows through from 3 to 7 times `sqrt(D/g)` on; or a box with a slot in its floor, from 2 to 4 times `sqrt(B/g)` on |
 //! | silo filled slowly | `janssen.rs` | a stream into a cylinder; mean of the vertical stress in layers one cell thick |
 //! | walls | `walls.rs` | a bed that gravity presses on a thin wall, and a layer behind it with and without that bed; a layer that falls off a wall |
 //! | rest | `rest.rs` | beds and a collapsed column for 10.6 s |
