@@ -19,12 +19,18 @@ HALF_M = 0.001
 NEAR_M = 0.001
 
 
+#: How powder sleeps beside walls with two sides, and beside shared ones, as of a scene that does not say.
+SLEEP = {
+    "two_sided": {},
+    "shared": {"sleep_by": "largest", "sleepers": "moving", "sleep_speed_m_s": 0.002},
+}
+
+
 def scene(walls, parts):
     """`bench` with these walls, its cells divided by so much."""
     bench = pl.Scene.load("bench")
-    sleep_by = "mean_square" if walls == "two_sided" else "largest"
     substeps = parts * bench.to_dict()["time"]["substeps"]
-    return bench.replace(domain={"walls": walls, "sleep_by": sleep_by, "cell_m": bench.cell_m / parts}, time={"substeps": substeps})
+    return bench.replace(domain={"walls": walls, "cell_m": bench.cell_m / parts, **SLEEP[walls]}, time={"substeps": substeps})
 
 
 def rotation(quaternion):
