@@ -204,6 +204,8 @@ impl Restarts {
             }
         }
         steps.dedup();
+        // With an overlap the pour may begin before the lift ends.
+        let from = from.min(pour.start);
         Self {
             steps,
             radius_m: RADIUS_CELLS * scene.domain.cell_m,

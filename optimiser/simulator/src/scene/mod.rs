@@ -469,6 +469,10 @@ pub struct Skill {
     /// Mean angular speed of the scoop and pour segments, rad/s; 0.01 to 50, typically 1.5. With
     /// `minimum_jerk` the peak is 1.875 times as high.
     pub angular_speed_rad_s: f64,
+    /// How far the transport begins before the lift ends, and the pour before the transport does: this share of `T1 T2 / (T1 + T2)`
+    /// of their times, which is half of each where both take as long; 0 to 1. Not at all if the file does not say.
+    #[serde(default)]
+    pub overlap: f64,
     /// How segment lengths become segment times.
     pub timing: Timing,
     /// How the speed runs within a segment.

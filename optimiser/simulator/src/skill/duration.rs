@@ -24,10 +24,15 @@
 //! which is never below it and, with n terms, exceeds it by at most n^(1/16): 4.4 % where a scoop's sweep and
 //! rotation take equally long, next to nothing where one term leads. In the two roots D is replaced by
 //! `sqrt(D^2 + D_0^2)`, D_0 being the travel of one control period, because their slope at D = 0 is infinite.
+//! Where the transport begins before the lift ends, two such segments move the tool at once, at right angles. With any durations and
+//! any overlap the root of the sum of both squares is at most 1.0051 times the peak of the velocity, and sqrt(2) times those of
+//! acceleration and jerk, so each has so much less of the limits ([`Pace::of_two_at_once`]).
+//!
 //! With `constant_speed` only D/v counts; its accelerations are jumps, which no duration brings within a limit.
 
 use super::{profile::MINIMUM_JERK, real::SkillScalar};
 use crate::scene::{Limits, Profile};
+use std::f64::consts::FRAC_1_SQRT_2;
 
 /// Limits that a segment's durations are made for: of translation (metres) or of rotation (radians).
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -65,6 +70,22 @@ pub(super) struct Pace {
     pub(super) caps: Caps,
     /// Travel of one control period at the mean speed.
     pub(super) floor: f64,
+}
+
+/// Velocity of two minimum-jerk segments at right angles, over the larger one's peak, at most; a little above what a test finds.
+const TWO_VELOCITIES: f64 = 1.006;
+
+impl Pace {
+    /// For a segment that moves the tool at once with another one, at right angles.
+    pub(super) fn of_two_at_once(self) -> Self {
+        let Caps { velocity, acceleration, jerk } = self.caps;
+        let caps = Caps {
+            velocity: velocity / TWO_VELOCITIES,
+            acceleration: acceleration * FRAC_1_SQRT_2,
+            jerk: jerk * FRAC_1_SQRT_2,
+        };
+        Self { caps, ..self }
+    }
 }
 
 /// A travel together with its pace.
@@ -208,6 +229,33 @@ mod tests {
                 prop_assert!(MINIMUM_JERK.acceleration * travel / duration.powi(2) <= PACE.caps.acceleration * slack);
                 prop_assert!(MINIMUM_JERK.jerk * travel / duration.powi(3) <= PACE.caps.jerk * slack);
             }
+        }
+    }
+
+    /// Any two durations, any overlap: at most what the limits are divided by, and hardly less.
+    #[test]
+    fn two_segments_at_right_angles_share_the_limits() {
+        let velocity = |r: f64| 30.0 * r * r * (1.0 - r) * (1.0 - r);
+        let acceleration = |r: f64| 60.0 * r * (1.0 - r) * (1.0 - 2.0 * r);
+        let jerk = |r: f64| 60.0 * (1.0 - 6.0 * r + 6.0 * r * r);
+        let largest = |of: &dyn Fn(f64) -> f64, peak: f64| {
+            let (first, overlap) =
+                ((1..60).map(|k| f64::from(k) / 60.0), (1..=10).map(|k| f64::from(k) / 10.0));
+            let cases = first.flat_map(|first| overlap.clone().map(move |overlap| (first, overlap)));
+            let at = |(first, overlap): (f64, f64), share: f64| {
+                let (second, early) = (1.0 - first, overlap * first * (1.0 - first));
+                libm::hypot(of(1.0 + (share - 1.0) * early / first), of(share * early / second)) / peak
+            };
+            let shares = (0..=100).map(|k| f64::from(k) / 100.0);
+            cases.flat_map(|case| shares.clone().map(move |share| at(case, share))).fold(0.0, f64::max)
+        };
+        let both = [
+            (largest(&velocity, MINIMUM_JERK.velocity), TWO_VELOCITIES),
+            (largest(&acceleration, MINIMUM_JERK.acceleration), std::f64::consts::SQRT_2),
+            (largest(&jerk, MINIMUM_JERK.jerk), std::f64::consts::SQRT_2),
+        ];
+        for (found, bound) in both {
+            assert!(found <= bound && found > 0.99 * bound, "{found} of {bound}");
         }
     }
 

@@ -2,7 +2,7 @@
 //!
 //! `g` of the paper: theta in `[-1, 1]^5` maps affinely to scooping depth, scooping angle, lift height, transport
 //! displacement and pouring angle; these set the travels of six segments (approach, insert, scoop, lift,
-//! transport, pour); the segments, laid end to end at fixed mean speeds, are a motion of the tool; the motion
+//! transport, pour); the segments, laid end to end at fixed mean speeds (or the last three a little over each other), are a motion of the tool; the motion
 //! sampled at the control ticks is the control sequence: one six-dimensional displacement per control step, in
 //! the world frame, translation (metres) before rotation vector (radians). After the pour the tool rests to the end of the horizon.
 //!
@@ -324,6 +324,7 @@ fn clock(skill: &Skill, time: &Time, limits: &Limits) -> TimeParametrisation {
         angular: pace(skill.angular_speed_rad_s, Caps::angular(limits, 1.0)),
         timing: skill.timing,
         profile: skill.profile,
+        overlap: skill.overlap,
         period_s,
         horizon_steps: time.horizon_steps,
     }

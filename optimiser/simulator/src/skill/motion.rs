@@ -3,6 +3,14 @@
 //! The whole motion lives in three coordinates of the tool's origin: forward along the heading, up, and pitch
 //! about the horizontal axis perpendicular to the heading (positive: the opening tilts towards the heading). The
 //! pitch axis never turns, so rotations about it add: that is composition on SO(3) without rounding.
+//!
+//! With an overlap o the transport begins before the lift ends, and the pour before the transport does, by
+//!
+//! ```text
+//! o T1 T2 / (T1 + T2)
+//! ```
+//!
+//! of the durations T1 and T2 of the two: less than either, and smooth in both. What they travel adds up.
 
 use super::{
     duration::{Leg, Pace, continuous_s, rounded_steps},
@@ -32,6 +40,13 @@ pub enum SegmentKind {
     Pour,
 }
 
+impl SegmentKind {
+    /// Whether it may begin before the one before it ends: not as long as the tool is in the bed.
+    fn begins_early(self) -> bool {
+        matches!(self, Self::Transport | Self::Pour)
+    }
+}
+
 /// Travel of one segment: translation along one direction, rotation, or both.
 #[derive(Clone, Copy)]
 pub(super) struct Travel<S> {
@@ -54,6 +69,8 @@ pub(super) struct TimeParametrisation {
     pub(super) angular: Pace,
     pub(super) timing: Timing,
     pub(super) profile: Profile,
+    /// 0 to 1; see the module.
+    pub(super) overlap: f64,
     pub(super) period_s: f64,
     pub(super) horizon_steps: u32,
 }
@@ -86,31 +103,50 @@ impl<S: SkillScalar> Segment<S> {
 }
 
 impl TimeParametrisation {
-    /// Lays travels end to end from time zero.
+    /// Lays travels end to end from time zero, or a little over each other.
     pub(super) fn schedule<S: SkillScalar>(&self, travels: &[Travel<S>]) -> Vec<Segment<S>> {
-        let mut start_s = S::constant(0.0);
         let mut steps = 0;
-        let mut segments = Vec::with_capacity(travels.len());
+        let mut segments: Vec<Segment<S>> = Vec::with_capacity(travels.len());
         for travel in travels {
-            let duration_s = match self.timing {
-                Timing::Continuous => continuous_s(self.profile, &self.legs(travel)),
+            let before = segments.last().filter(|_| travel.kind.begins_early());
+            let end_s = segments.last().map_or(S::constant(0.0), Segment::end_s);
+            let (start_s, duration_s) = match self.timing {
+                Timing::Continuous => {
+                    let duration_s = continuous_s(self.profile, &self.legs(travel));
+                    let early_s = before.map(|before| self.early(before.duration_s, duration_s));
+                    (early_s.map_or(end_s, |early_s| end_s - early_s), duration_s)
+                }
                 Timing::Rounded => {
                     let n = rounded_steps(self.profile, &self.legs(travel), self.period_s);
+                    let duration_s = S::constant(n as f64 * self.period_s);
+                    let early_s = before.map(|before| self.early(before.duration_s, duration_s).value());
+                    let early = libm::round(early_s.unwrap_or_default() / self.period_s) as u64;
                     // Counted from zero: sums of rounded products would drift off the control ticks.
-                    start_s = S::constant(steps as f64 * self.period_s);
-                    steps += n;
-                    S::constant(n as f64 * self.period_s)
+                    let start = steps - early;
+                    steps = start + n;
+                    (S::constant(start as f64 * self.period_s), duration_s)
                 }
             };
             segments.push(Segment { kind: travel.kind, start_s, duration_s, travel: travel.coordinates() });
-            start_s = start_s + duration_s;
         }
         segments
     }
 
+    /// How far one segment begins before the one before it ends, of their durations.
+    fn early<S: SkillScalar>(&self, before: S, duration: S) -> S {
+        let both = before + duration;
+        // Neither takes any time.
+        if both.value() <= 0.0 {
+            return S::constant(0.0);
+        }
+        S::constant(self.overlap) * before * duration / both
+    }
+
     fn legs<S: SkillScalar>(&self, travel: &Travel<S>) -> Vec<Leg<S>> {
         let leg = |travel: Option<S>, pace| travel.map(|travel| Leg { travel, pace });
-        [leg(travel.forward, self.linear), leg(travel.up, self.linear), leg(travel.pitch, self.angular)]
+        let shares = matches!(travel.kind, SegmentKind::Lift | SegmentKind::Transport) && self.overlap > 0.0;
+        let linear = if shares { self.linear.of_two_at_once() } else { self.linear };
+        [leg(travel.forward, linear), leg(travel.up, linear), leg(travel.pitch, self.angular)]
             .into_iter()
             .flatten()
             .collect()

@@ -23,6 +23,7 @@ fn skill(timing: Timing, profile: Profile) -> Skill {
         sweep_m: 0.03,
         linear_speed_m_s: 0.1,
         angular_speed_rad_s: 1.5,
+        overlap: 0.0,
         timing,
         profile,
     }
@@ -55,6 +56,11 @@ fn tool() -> Tool {
 
 fn map(timing: Timing, profile: Profile) -> SkillMap {
     SkillMap::from_parts(&skill(timing, profile), &time(), &limits(), &tool())
+}
+
+fn overlapping(timing: Timing, overlap: f64) -> SkillMap {
+    let skill = Skill { overlap, ..skill(timing, Profile::MinimumJerk) };
+    SkillMap::from_parts(&skill, &time(), &limits(), &tool())
 }
 
 fn any_theta() -> impl Strategy<Value = Theta> {
@@ -174,6 +180,28 @@ fn minimum_jerk_segment_follows_the_quintic() {
     }
 }
 
+/// Transport and pour begin early, everything else and all durations stay; the lift and the transport are a little slower where
+/// their accelerations count.
+#[test]
+fn with_an_overlap_transport_and_pour_begin_before_what_is_before_them_ends() {
+    let theta = theta([0.1, 0.2, -0.3, 0.4, 0.5]);
+    for (timing, tolerance_s) in [(Timing::Continuous, 1e-12), (Timing::Rounded, 0.005 + 1e-12)] {
+        let [one_by_one, overlapping] = [1e-12, 0.7].map(|overlap| overlapping(timing, overlap));
+        let [before, after] = [&one_by_one, &overlapping].map(|map| map.segments(&theta));
+        let duration_s = |span: &SegmentSpan| span.end_s - span.start_s;
+        for (k, span) in after.iter().enumerate() {
+            assert!(close(duration_s(span), duration_s(&before[k]), 1e-12), "{span:?}");
+            let early_s = if k == 0 { 0.0 } else { after[k - 1].end_s - span.start_s };
+            let wanted_s = match k {
+                4 | 5 => 0.7 / (1.0 / duration_s(&after[k - 1]) + 1.0 / duration_s(span)),
+                _ => 0.0,
+            };
+            assert!(close(early_s, wanted_s, tolerance_s), "{timing:?} {span:?} {early_s} {wanted_s}");
+        }
+        assert!(after[5].end_s < before[5].end_s - 0.3);
+    }
+}
+
 #[test]
 fn motion_longer_than_the_horizon_is_refused_with_both_times() {
     for (timing, profile) in KINDS {
@@ -287,8 +315,11 @@ fn taylor_remainder_of_the_piecewise_linear_mappings_is_second_order_or_rounding
 
 proptest! {
     #[test]
-    fn jacobian_agrees_with_central_differences(from in prop::array::uniform5(-0.99..0.99f64)) {
-        let map = map(Timing::Continuous, Profile::MinimumJerk);
+    fn jacobian_agrees_with_central_differences(
+        from in prop::array::uniform5(-0.99..0.99f64),
+        overlap in 0.0..=1.0f64,
+    ) {
+        let map = overlapping(Timing::Continuous, overlap);
         let at = map.linearise(&theta(from)).unwrap();
         let h = 1e-5;
         for parameter in SkillParameter::ALL {
@@ -313,9 +344,13 @@ proptest! {
     }
 
     #[test]
-    fn ends_where_the_parameters_say(theta in any_theta(), heading_deg in -180.0..180.0f64) {
+    fn ends_where_the_parameters_say(
+        theta in any_theta(),
+        heading_deg in -180.0..180.0f64,
+        overlap in 0.0..=1.0f64,
+    ) {
         for (timing, profile) in KINDS {
-            let skill = Skill { heading_deg, ..skill(timing, profile) };
+            let skill = Skill { heading_deg, overlap, ..skill(timing, profile) };
             let map = SkillMap::from_parts(&skill, &time(), &limits(), &tool());
             let [depth, scoop, lift, transport, pour] = map.parameters(&theta);
             let (sin, cos) = heading_deg.to_radians().sin_cos();
@@ -380,9 +415,13 @@ proptest! {
     }
 
     #[test]
-    fn minimum_jerk_keeps_the_limits_by_construction(theta in any_theta(), speed in 0.02..0.24f64) {
+    fn minimum_jerk_keeps_the_limits_by_construction(
+        theta in any_theta(),
+        speed in 0.02..0.24f64,
+        overlap in 0.0..=1.0f64,
+    ) {
         for timing in [Timing::Continuous, Timing::Rounded] {
-            let skill = Skill { linear_speed_m_s: speed, ..skill(timing, Profile::MinimumJerk) };
+            let skill = Skill { linear_speed_m_s: speed, overlap, ..skill(timing, Profile::MinimumJerk) };
             let slow = Time { horizon_steps: 4000, ..time() };
             let map = SkillMap::from_parts(&skill, &slow, &limits(), &tool());
             let controls = map.control_vectors(&theta).unwrap();

@@ -693,6 +693,11 @@ const RULES_BETWEEN_FIELDS: &[Case] = &[
         ": objective.amount.mass_kg is nan, but it must be above 0 and at most 1000000",
     ),
     (
+        r#"timing = "continuous""#,
+        "timing = \"continuous\"\noverlap = 1.5",
+        ": skill.overlap is 1.5, but it must be from 0 to 1",
+    ),
+    (
         r#"observation = { kind = "all" }"#,
         "observation = { kind = \"all\" }\nlost_weight = -1.0",
         ": objective.lost_weight is -1, but it must be from 0 to 100",
@@ -1046,6 +1051,18 @@ fn constant_speed_above_the_limit_is_refused() {
         scene.validate_as("bad.toml").unwrap_err().to_string(),
         "bad.toml: skill.linear_speed_m_s is 0.14, but limits.linear_velocity_m_s = 0.1 allows no more with \
          profile = \"constant_speed\""
+    );
+}
+
+#[test]
+fn constant_speed_that_overlaps_is_refused() {
+    let mut scene = base();
+    scene.skill.profile = Profile::ConstantSpeed;
+    scene.skill.overlap = 0.5;
+    assert_eq!(
+        scene.validate_as("bad.toml").unwrap_err().to_string(),
+        "bad.toml: skill.overlap is 0.5, but with profile = \"constant_speed\" both speeds would add up; 0, or \
+         profile = \"minimum_jerk\", would be right"
     );
 }
 

@@ -81,6 +81,7 @@ fn arbitrary_scene() -> impl Strategy<Value = Scene> {
                 Observation::VisibleFromAbove { pixel_m: 0.004 },
             ][observation];
             scene.objective.lost_weight = if by_mass { 0.0 } else { small };
+            scene.skill.overlap = if column { small } else { 0.0 };
             // A view from above goes with this one only.
             scene.objective.aim = [Aim::Amount, Aim::Amount, Aim::All][observation];
             scene.validate().expect("no rule is broken")

@@ -192,6 +192,7 @@ fn skill(found: &mut Found<'_>, skill: &Skill) {
     found.number("skill.sweep_m", skill.sweep_m, Range::closed(0.0, 1.0));
     found.number("skill.linear_speed_m_s", skill.linear_speed_m_s, Range::closed(0.001, 5.0));
     found.number("skill.angular_speed_rad_s", skill.angular_speed_rad_s, Range::closed(0.01, 50.0));
+    found.number("skill.overlap", skill.overlap, Range::closed(0.0, 1.0));
 }
 
 fn limits(found: &mut Found<'_>, limits: &Limits) {

@@ -147,6 +147,13 @@ fn deepest<'w>(
 /// Minimum-jerk segments are stretched until the limits hold; constant-speed ones are not.
 fn check_speed(checker: &Checker<'_>, scene: &Scene) -> Checked {
     let (skill, limits) = (&scene.skill, &scene.limits);
+    if skill.profile == Profile::ConstantSpeed && skill.overlap > 0.0 {
+        return Err(checker.invalid(
+            "skill.overlap",
+            plain(skill.overlap),
+            "with profile = \"constant_speed\" both speeds would add up; 0, or profile = \"minimum_jerk\", would be right",
+        ));
+    }
     let too_fast = |field: &str, speed: f64, limit_field: &str, limit: f64| {
         if skill.profile == Profile::MinimumJerk || speed <= limit {
             return Ok(());
