@@ -9,6 +9,7 @@ pub mod optim;
 pub mod refine;
 pub mod report;
 pub mod run;
+pub mod shorten;
 
 /// The guide, as it stands in `optimiser/guide/`.
 #[cfg(doc)]

@@ -18,6 +18,7 @@ mod film;
 mod gradcheck;
 mod inspect;
 mod interrupt;
+mod kept;
 mod motion;
 mod new;
 mod next;
@@ -29,6 +30,7 @@ mod report;
 mod run;
 mod scenes;
 mod shell;
+mod shorten;
 mod simulate;
 mod size;
 mod slopes;
@@ -100,6 +102,8 @@ enum Command {
     Simulate(simulate::SimulateArgs),
     /// Correct a plan until what it brings on smaller cells is what is wanted
     Refine(refine::RefineArgs),
+    /// Make a plan's motion faster, as long as no more powder is lost by that
+    Shorten(shorten::ShortenArgs),
     /// Draw pictures and animations of a motion
     Render(render::RenderArgs),
     /// Write the motion of a plan for a robot, ROS 2 or pandas, or the powder for ParaView and MeshLab
@@ -222,6 +226,7 @@ fn run_command(cli: Cli, context: &mut Context<'_>) -> Result<(), CliError> {
         Some(Command::Inspect(arguments)) => inspect::execute(&arguments, context),
         Some(Command::Simulate(arguments)) => simulate::execute(&arguments, context),
         Some(Command::Refine(arguments)) => refine::execute(&arguments, context),
+        Some(Command::Shorten(arguments)) => shorten::execute(&arguments, context),
         Some(Command::Render(arguments)) => render::execute(&arguments, context),
         Some(Command::Export(arguments)) => export::execute(&arguments, context),
         Some(Command::Compare(arguments)) => compare::execute(&arguments, context),

@@ -52,6 +52,14 @@ pub(super) struct MotionArgs {
     pub resources: Resources,
 }
 
+impl MotionArgs {
+    /// Of a plan, in the scene that it was made for.
+    pub(super) fn of_plan(plan: &Path, resources: Resources) -> Self {
+        let plan = Some(plan.to_owned());
+        Self { scene: None, theta: None, plan, executed: None, seed: None, precision: None, resources }
+    }
+}
+
 /// What is to be simulated.
 pub(super) struct Task {
     /// The bench.

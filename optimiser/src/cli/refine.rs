@@ -1,7 +1,8 @@
 //! `optimise refine`: a plan corrected until what it brings on smaller cells is what is wanted.
 
 use super::{
-    CliError, Context, Progress, Resources,
+    CliError, Context, Progress, Resources, Setup,
+    kept::{GO_ON, Kept},
     motion::{Motion, MotionArgs, Task},
     next,
     run::{Teller, watched},
@@ -57,40 +58,13 @@ pub(super) struct RefineArgs {
 }
 
 /// What was simulated so far, in the folder.
-const LOOKS: &str = "looks.json";
-
-#[derive(Serialize, Deserialize)]
-struct Looks {
-    #[serde(flatten)]
-    of: Subject,
-    looks: Vec<Seen>,
-}
-
-/// What the looks are of: those of something else are not gone on with.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-struct Subject {
-    plan: String,
-    by: u32,
-    physics: u32,
-}
-
-impl Subject {
-    /// What another one is not of: the field, what this has and what that has.
-    fn other_than(&self, that: &Self) -> Option<(&'static str, [String; 2])> {
-        let fields = [
-            ("plan", [self.plan.clone(), that.plan.clone()]),
-            ("--by", [self.by, that.by].map(|by| by.to_string())),
-            ("physics", [self.physics, that.physics].map(|physics| physics.to_string())),
-        ];
-        fields.into_iter().find(|(_, [a, b])| a != b)
-    }
-}
+pub(super) const LOOKS: &str = "looks.json";
 
 /// What is said.
 #[derive(Serialize)]
-struct Report {
+pub(super) struct Report {
     folder: PathBuf,
-    plan: PathBuf,
+    pub(super) plan: PathBuf,
     /// Whether the finer grid brings what is wanted; null where as much as can be had is.
     met: Option<bool>,
     cell_m: f64,
@@ -119,55 +93,100 @@ struct Line {
 /// # Errors
 /// One sentence; what was simulated before is saved.
 pub(super) fn execute(arguments: &RefineArgs, context: &mut Context<'_>) -> Result<(), CliError> {
-    let task = MotionArgs {
-        scene: None,
-        theta: None,
-        plan: Some(arguments.plan.clone()),
-        executed: None,
-        seed: None,
-        precision: None,
-        resources: arguments.resources,
-    }
-    .task()?;
-    let Motion::Plan { header, content_hash, controls } = &task.motion else {
-        unreachable!("a plan was given")
-    };
+    let task = MotionArgs::of_plan(&arguments.plan, arguments.resources).task()?;
+    let plan = PlanToChange::of(&arguments.plan, &task)?;
     let finer = task.scene.refined(arguments.by)?;
     task.setup.check_memory(&finer, Workload::Single, 0)?;
-    let splines = splines_of(&arguments.plan, &task, header, controls)?;
-    let of = Subject { plan: format!("{content_hash:016x}"), by: arguments.by, physics: PHYSICS_VERSION };
-    let out = match &arguments.out {
-        Some(out) => out.clone(),
-        None => arguments.plan.with_file_name("refined"),
-    };
-    let folder = RunFolder::take(&out)?;
-    let mut looks = begun(of, &folder)?;
-    let scenes = [task.scene.clone(), finer];
-    let progress = Progress::new(&context.err, context.live);
-    let found = {
-        let simulators = watched(context, &task.setup, &progress);
-        let teller = Teller { progress: &progress, interrupt: &context.interrupt, on_epoch: &|_| {} };
-        let mut grids = Grids::new(scenes.clone(), splines.clone(), looks.looks.clone(), &simulators);
-        grids.corrected(&Theta::new(header.theta)?, &teller, &mut |seen| {
-            looks.looks = seen.to_vec();
-            let text = serde_json::to_vec(&looks).map_err(std::io::Error::from)?;
-            Ok(folder.replace(LOOKS, &text)?)
-        })
-    };
-    progress.clear();
-    let found = found.map_err(|error| {
-        error.with_remark("what was simulated is saved, and the same command goes on from there")
-    })?;
-    let refined = Refined { folder: &folder, scenes: &scenes, map: SkillMap::new(&task.scene), splines };
-    refined.write_plan(&found, header)?;
-    let report = refined.report(&found, &looks.looks);
+    let folder =
+        RunFolder::take(&arguments.out.clone().unwrap_or_else(|| arguments.plan.with_file_name("refined")))?;
+    let of = Subject { plan: plan.name.clone(), by: arguments.by, physics: PHYSICS_VERSION };
+    let looks = Kept::begun(&folder, LOOKS, of)?;
+    let grids = [task.scene.clone(), finer];
+    let (report, map) = plan.corrected(grids, &task.setup, &folder, looks, context)?;
     if arguments.json {
         context.json(&report)?;
     } else {
-        write!(context.out, "{}", report.text(&refined.map))?;
+        write!(context.out, "{}", report.text(&map))?;
         write!(context.out, "{}", next::play(&report.plan))?;
     }
     report.shortfall().map_or(Ok(()), |shortfall| Err(CliError::Missed(shortfall)))
+}
+
+/// What the looks are of.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Subject {
+    plan: String,
+    #[serde(rename = "--by")]
+    by: u32,
+    physics: u32,
+}
+
+/// A plan whose skill is to be changed.
+pub(super) struct PlanToChange {
+    /// Its content's hash.
+    pub(super) name: String,
+    header: PlanHeader,
+    pub(super) theta: Theta,
+    pub(super) splines: Option<Splines>,
+}
+
+impl PlanToChange {
+    /// The plan of a task.
+    ///
+    /// # Errors
+    /// Nobody knows what is added to its skill's motion.
+    pub(super) fn of(path: &Path, task: &Task) -> Result<Self, CliError> {
+        let Motion::Plan { header, content_hash, controls } = &task.motion else {
+            unreachable!("a plan was given")
+        };
+        Ok(Self {
+            name: format!("{content_hash:016x}"),
+            header: **header,
+            theta: Theta::new(header.theta)?,
+            splines: splines_of(path, task, header, controls)?,
+        })
+    }
+
+    /// By how much smaller the cells are on which it was looked at; 1 if it was not.
+    pub(super) fn looked_at_by(&self, scene: &Scene) -> u32 {
+        self.header.finer.map_or(1, |finer| (scene.domain.cell_m / finer.cell_m).round() as u32)
+    }
+
+    /// What it brings, where the most is known of it.
+    pub(super) fn outcome(&self, scene: &Scene) -> Outcome {
+        Outcome::finest_of_plan(&Amounts::from(scene), &self.header).1
+    }
+
+    /// Corrects its skill until the second grid brings what is wanted, and writes the plan, which is one of the first grid's scene.
+    ///
+    /// # Errors
+    /// One sentence; what was simulated before is saved.
+    pub(super) fn corrected<S: Serialize>(
+        &self,
+        scenes: [Scene; 2],
+        setup: &Setup,
+        folder: &RunFolder,
+        mut looks: Kept<S, Seen>,
+        context: &mut Context<'_>,
+    ) -> Result<(Report, SkillMap), CliError> {
+        let progress = Progress::new(&context.err, context.live);
+        let found = {
+            let simulators = watched(context, setup, &progress);
+            let teller = Teller { progress: &progress, interrupt: &context.interrupt, on_epoch: &|_| {} };
+            let mut grids =
+                Grids::new(scenes.clone(), self.splines.clone(), looks.looks.clone(), &simulators);
+            grids.corrected(&self.theta, &teller, &mut |seen| {
+                looks.looks = seen.to_vec();
+                Ok(looks.keep(folder, LOOKS)?)
+            })
+        };
+        progress.clear();
+        let found = found.map_err(|error| error.with_remark(GO_ON))?;
+        let map = SkillMap::new(&scenes[0]);
+        let refined = Refined { folder, scenes: &scenes, map: &map, splines: self.splines.as_ref() };
+        refined.write_plan(&found, &self.header)?;
+        Ok((refined.report(&found, &looks.looks), map))
+    }
 }
 
 /// What is added to the skill's motion; as the run has it beside which the plan lies.
@@ -198,56 +217,38 @@ fn splines_of(
     }
 }
 
-/// What the folder has of the same.
-fn begun(of: Subject, folder: &RunFolder) -> Result<Looks, CliError> {
-    let file = folder.file(LOOKS);
-    if !file.exists() {
-        if folder.file(PLAN).exists() {
-            return Err(CliError::Input(format!(
-                "{} holds a plan of something else; another --out would be right",
-                folder.path().display()
-            )));
-        }
-        return Ok(Looks { of, looks: Vec::new() });
-    }
-    let name = file.display();
-    let looks: Looks = serde_json::from_slice(&folder.read(LOOKS)?)
-        .map_err(|error| CliError::Input(format!("{name} is nothing to go on from: {error}")))?;
-    if let Some((field, [found, asked])) = looks.of.other_than(&of) {
-        return Err(CliError::Input(format!(
-            "{name} was begun with {field} {found}, and {asked} is asked for; another --out would be right"
-        )));
-    }
-    Ok(looks)
-}
-
 /// What came of it, in its folder.
 struct Refined<'a> {
     folder: &'a RunFolder,
     /// The scene, and its finer copy.
     scenes: &'a [Scene; 2],
-    map: SkillMap,
-    splines: Option<Splines>,
+    map: &'a SkillMap,
+    splines: Option<&'a Splines>,
 }
 
 impl Refined<'_> {
+    /// Whether the second grid is one.
+    fn is_finer(&self) -> bool {
+        self.scenes[1].domain.cell_m < self.scenes[0].domain.cell_m
+    }
+
     /// The best of what was tried.
     fn write_plan(&self, found: &Corrected, header: &PlanHeader) -> Result<(), CliError> {
         let (own, finer) = (&found.own[1], found.best());
         let [scene, fine] = self.scenes;
         let unfit = |error: String| CliError::Failed(format!("no plan can be made: {error}"));
-        let quantised = QuantisedControls::new(&self.map.motion(&own.theta, self.splines.as_ref())?)?;
-        let arm = arm_motion(scene, &self.map, &quantised).map_err(|refusal| unfit(refusal.to_string()))?;
+        let quantised = QuantisedControls::new(&self.map.motion(&own.theta, self.splines)?)?;
+        let arm = arm_motion(scene, self.map, &quantised).map_err(|refusal| unfit(refusal.to_string()))?;
         let parts = PlanParts {
             scene,
-            map: &self.map,
+            map: self.map,
             seed: header.seed,
             precision: header.precision,
             theta: &own.theta,
-            path_coefficients: self.splines.as_ref().map_or(0, |added| added.coefficients.len()),
+            path_coefficients: self.splines.map_or(0, |added| added.coefficients.len()),
             quantised: &quantised,
             evaluation: &own.evaluation,
-            finer: Some(on_finer(fine, &finer.evaluation)),
+            finer: self.is_finer().then(|| on_finer(fine, &finer.evaluation)),
             arm: arm.as_ref().map(|arm| Mounting::from(&arm.model)),
         };
         let plan = parts.to_bytes().map_err(|error| unfit(error.to_string()))?;
@@ -289,23 +290,36 @@ impl Report {
         self.finer_amounts.off(line.outcome.census.target)
     }
 
-    fn text(&self, map: &SkillMap) -> String {
+    /// The skill that the plan has now.
+    pub(super) fn theta(&self) -> Theta {
+        self.tried[self.best].theta
+    }
+
+    fn is_finer(&self) -> bool {
+        self.finer_cell_m < self.cell_m
+    }
+
+    pub(super) fn text(&self, map: &SkillMap) -> String {
         let Self { tried, best, .. } = self;
         let (first, line) = (&tried[0], &tried[*best]);
-        let mut text = format!(
-            "On {} the plan brings {}; on the scene's own of {} mm it brings {}.\n",
-            cells(self.finer_cell_m),
-            arrival(&self.finer_amounts, &line.outcome),
-            about(1e3 * self.cell_m, 3),
-            mass(self.own[1].mass_kg),
-        );
+        let arrives = arrival(&self.finer_amounts, &line.outcome);
+        let mut text = match self.is_finer() {
+            true => format!(
+                "On {} the plan brings {arrives}; on the scene's own of {} mm it brings {}.\n",
+                cells(self.finer_cell_m),
+                about(1e3 * self.cell_m, 3),
+                mass(self.own[1].mass_kg),
+            ),
+            false => format!("The plan brings {arrives}.\n"),
+        };
+        let on_own =
+            if self.is_finer() { format!(" and {}", mass(self.own[0].mass_kg)) } else { String::new() };
         text += &match best {
             0 => "It is the plan as it came".to_owned(),
             _ => format!(
-                "As it came, it brought {} ({}) and {}",
+                "As it came, it brought {} ({}){on_own}",
                 mass(first.outcome.mass_kg),
-                self.off(first),
-                mass(self.own[0].mass_kg)
+                self.off(first)
             ),
         };
         text += &format!(
@@ -322,7 +336,7 @@ impl Report {
         text
     }
 
-    fn shortfall(&self) -> Option<String> {
+    pub(super) fn shortfall(&self) -> Option<String> {
         (self.met == Some(false)).then(|| {
             format!(
                 "on {} the plan brings {}, and the tolerance is {}",

@@ -3,6 +3,7 @@
 use super::{
     CliError, Context, Progress, Setup,
     gradcheck::GradcheckArgs,
+    kept::difference,
     motion::{collision_words, parse_theta},
     options::DEFAULT_PRECISION,
 };
@@ -137,7 +138,7 @@ fn begun(of: Subject, folder: Option<&RunFolder>) -> Result<Report, CliError> {
     let file = folder.file(TABLE).display().to_string();
     let report: Report = serde_json::from_slice(&folder.read(TABLE)?)
         .map_err(|error| CliError::Input(format!("{file} is no table of gradcheck: {error}")))?;
-    if let Some((field, [found, asked])) = report.of.other_than(&of) {
+    if let Some((field, [found, asked])) = difference(&report.of, &of) {
         return Err(CliError::Input(format!(
             "{file} was begun with {field} {found}, and {asked} is asked for; another --out begins a new table"
         )));
@@ -349,17 +350,6 @@ impl Table {
 }
 
 impl Subject {
-    /// What another table is not of: the field, what this has and what that has.
-    fn other_than(&self, that: &Self) -> Option<(String, [serde_json::Value; 2])> {
-        let fields = |subject: &Self| match serde_json::to_value(subject) {
-            Ok(serde_json::Value::Object(fields)) => fields,
-            _ => serde_json::Map::new(),
-        };
-        let those = fields(that);
-        let mut both = fields(self).into_iter().zip(those);
-        both.find_map(|((name, a), (_, b))| (a != b).then_some((name, [a, b])))
-    }
-
     fn text(&self) -> String {
         let seeds: Vec<String> = self.packing_seeds.iter().map(u64::to_string).collect();
         format!(

@@ -38,6 +38,7 @@ mod motion;
 mod pages;
 mod path;
 mod refine;
+mod shorten;
 mod validate;
 
 /// Exit code of a run whose plan misses the wanted amount, as after few epochs with this stand-in.
@@ -45,6 +46,9 @@ const MISSED: u8 = 3;
 
 /// What arrives on cells of half the size over what arrives on the scene's own, with this stand-in.
 const ON_FINER_CELLS: f64 = 0.8;
+
+/// Speed at which the tool turns that is too much for the powder on it, with this stand-in, rad/s.
+const TOO_FAST_RAD_S: f64 = 4.28;
 
 /// Ticks of one evaluation.
 const TICKS: u64 = 3;
@@ -84,12 +88,17 @@ impl Ends {
     }
 
     fn judge(&self, controls: impl Iterator<Item = Control>) -> (Evaluation, Control) {
-        let end = controls.fold([0.0; 6], |sum, control| std::array::from_fn(|k| sum[k] + control[k]));
+        let mut fastest: f64 = 0.0;
+        let end = controls.fold([0.0; 6], |sum, control| {
+            fastest = fastest.max(control[4].abs());
+            std::array::from_fn(|k| sum[k] + control[k])
+        });
+        let spilled = if fastest > TOO_FAST_RAD_S * 0.01 { 70 } else { 7 };
         let error: Control = std::array::from_fn(|k| end[k] - Self::WISH[k]);
         let loss = 1.0 + error.iter().map(|x| x * x).sum::<f64>();
         let transported = (200.0 * self.share / loss / self.heavier) as u32;
         let indicator = 200 - i64::from(transported);
-        let census = Census { target: transported, spilled: 7, ..Census::default() };
+        let census = Census { target: transported, spilled, ..Census::default() };
         (Evaluation::new(loss / self.heavier, indicator, census), error.map(|x| 2.0 * x / self.heavier))
     }
 }
@@ -380,6 +389,7 @@ fn arguments_are_consistent() {
         "simulate --plan p --executed e",
         "simulate --plan p --refine 2",
         "refine p --by 3 --out d --json",
+        "shorten p --threads 2 --out d --json",
         "scenes --json",
         "new mine.toml --from bench-small",
         "completions fish",
@@ -404,6 +414,7 @@ fn arguments_are_consistent() {
         "simulate --plan p --refine 1",
         "refine",
         "refine p --by 5",
+        "shorten",
         "simulate --theta 0,0,0,0,0 --executed e",
         "validate --short --full",
         "validate --only spoon --write kept",

@@ -1,0 +1,155 @@
+//! A plan's motion made faster, as long as no more powder is lost by that.
+//!
+//! One number says how much, the haste, from 0 to 1: mean speeds rise from the scene's to those whose peaks are the arm's limits, each by the
+//! same power, and the overlap of lift, transport and pour from the scene's to 1. Minimum-jerk segments keep the arm's limits whatever it is. Scooping is faster
+//! as well, but nothing overlaps as long as the tool is in the bed, so what the tool holds changes little; that is put right afterwards
+//! ([`crate::refine`]).
+
+use crate::{failure::Failure, report::amounts::Amounts};
+use powderline_simulator::{
+    rollout::Census,
+    scene::{Profile, Scene},
+    skill::{SkillMap, Theta},
+};
+
+/// Peak of the velocity over the mean in minimum jerk.
+const PEAK_OF_MINIMUM_JERK: f64 = 1.875;
+
+/// How often the haste is halved between one that is well and one that is not.
+const HALVINGS: u32 = 3;
+
+/// Of what is wanted, what may be lost more than before, over the tolerance.
+const LOST_MORE: f64 = 0.25;
+/// The tolerance of a scene that wants as much as can be had.
+const USUAL_TOLERANCE: f64 = 0.02;
+/// Of what arrived, what may arrive less or more before that is put right.
+const WITHIN_REACH: f64 = 0.2;
+
+/// The scene with a skill that is made in so much haste, and a horizon as much shorter as this skill's motion is.
+///
+/// # Errors
+/// One sentence; of a valid scene there is none.
+pub fn hastened(scene: &Scene, theta: &Theta, haste: f64) -> Result<Scene, Failure> {
+    let peak = match scene.skill.profile {
+        Profile::MinimumJerk => PEAK_OF_MINIMUM_JERK,
+        _ => 1.0,
+    };
+    let faster = |speed: f64, limit: f64| speed * libm::pow((limit / peak / speed).max(1.0), haste);
+    let unfit = |error: powderline_simulator::scene::SceneError| Failure::Input(error.to_string());
+    let quick = scene
+        .with(|spec| {
+            let (skill, limits) = (&mut spec.skill, &spec.limits);
+            skill.linear_speed_m_s = faster(skill.linear_speed_m_s, limits.linear_velocity_m_s);
+            skill.angular_speed_rad_s = faster(skill.angular_speed_rad_s, limits.angular_velocity_rad_s);
+            if skill.profile == Profile::MinimumJerk {
+                skill.overlap += haste * (1.0 - skill.overlap);
+            }
+        })
+        .map_err(unfit)?;
+    let period_s = scene.time.control_period_s();
+    let saved = ((duration_s(scene, theta) - duration_s(&quick, theta)) / period_s + 1e-6).max(0.0) as u32;
+    let longest = (quick.longest_skill_s() / period_s).ceil() as u32;
+    let horizon_steps =
+        scene.time.horizon_steps.saturating_sub(saved).max(longest).min(scene.time.horizon_steps);
+    quick.with(|spec| spec.time.horizon_steps = horizon_steps).map_err(unfit)
+}
+
+/// How long a skill's motion takes, without the rest after it, seconds.
+pub fn duration_s(scene: &Scene, theta: &Theta) -> f64 {
+    SkillMap::new(scene).segments(theta).last().map_or(0.0, |segment| segment.end_s)
+}
+
+/// Whether a faster motion is as good as before: hardly more is lost, and so much arrives that a change of the skill puts it right.
+pub fn holds(amounts: &Amounts, before: &Census, now: &Census) -> bool {
+    let [before_kg, now_kg] = [before, now].map(|census| amounts.kg(census.target));
+    let more_kg = amounts.kg(now.lost()) - amounts.kg(before.lost());
+    let tolerance = amounts.tolerance.unwrap_or(USUAL_TOLERANCE);
+    (now_kg - before_kg).abs() <= WITHIN_REACH * before_kg
+        && more_kg <= LOST_MORE * tolerance * amounts.wanted_kg * (1.0 + 1e-9)
+}
+
+/// The most haste that is well, as far as a few looks tell; none if the least that is looked at is not.
+///
+/// # Errors
+/// What a look ends with.
+pub fn most_haste(is_well: &mut dyn FnMut(f64) -> Result<bool, Failure>) -> Result<Option<f64>, Failure> {
+    let [mut well, mut too_much] = [0.0, 1.0];
+    if is_well(too_much)? {
+        return Ok(Some(too_much));
+    }
+    for _ in 0..HALVINGS {
+        let haste = 0.5 * (well + too_much);
+        *(if is_well(haste)? { &mut well } else { &mut too_much }) = haste;
+    }
+    Ok((well > 0.0).then_some(well))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn haste_takes_the_arm_to_its_limits_and_keeps_them() {
+        let scene = Scene::load("bench").unwrap();
+        let theta = Theta::clamped([0.3, 0.0, 0.0, 0.0, 0.3]);
+        let mut last_s = duration_s(&scene, &theta);
+        let rest = |scene: &Scene| scene.time.horizon_s() - duration_s(scene, &theta);
+        for haste in [0.25, 0.5, 0.75, 1.0] {
+            let quick = hastened(&scene, &theta, haste).unwrap();
+            let map = SkillMap::new(&quick);
+            map.check_all_corners().unwrap();
+            let now_s = duration_s(&quick, &theta);
+            assert!(now_s < last_s - 0.1, "{haste}: {last_s} {now_s}");
+            last_s = now_s;
+            // The powder has as long to come to rest, to a control step; or all that the longest skill leaves.
+            let horizon = quick.time.horizon_steps;
+            let is_longest = horizon == (100.0 * quick.longest_skill_s()).ceil() as u32;
+            assert!(
+                (rest(&quick) - rest(&scene)).abs() < 0.0101 || is_longest && rest(&quick) > rest(&scene)
+            );
+        }
+        let quick = hastened(&scene, &theta, 1.0).unwrap().into_spec().skill;
+        assert!((quick.linear_speed_m_s - 0.3 / 1.875).abs() < 1e-12 && (quick.overlap - 1.0).abs() < 1e-12);
+        assert_eq!(hastened(&scene, &theta, 0.0).unwrap(), scene);
+    }
+
+    #[test]
+    fn what_is_faster_than_the_limits_already_stays() {
+        let fast = Scene::load("bench").unwrap().with(|spec| spec.skill.linear_speed_m_s = 0.25).unwrap();
+        let quick = hastened(&fast, &Theta::MIDDLE, 1.0).unwrap();
+        assert!((quick.skill.linear_speed_m_s - 0.25).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_most_haste_that_is_well_is_found_in_four_looks() {
+        for (limit, found) in
+            [(2.0, Some(1.0)), (0.8, Some(0.75)), (0.3, Some(0.25)), (0.13, Some(0.125)), (0.1, None)]
+        {
+            let mut looks = 0;
+            let mut is_well = |haste: f64| {
+                looks += 1;
+                Ok(haste <= limit)
+            };
+            assert_eq!(most_haste(&mut is_well), Ok(found));
+            assert!(looks <= 4);
+        }
+        let stopped = || Failure::Interrupted("stopped".into());
+        assert_eq!(most_haste(&mut |_| Err(stopped())), Err(stopped()));
+    }
+
+    #[test]
+    fn more_that_is_lost_does_not_hold_and_neither_does_what_is_out_of_reach() {
+        let amounts = Amounts::from(&Scene::load("bench").unwrap());
+        // Of 1,200 particles a quarter of two per cent is six.
+        let census = |target, spilled| Census { target, spilled, ..Census::default() };
+        let before = census(1200, 10);
+        for (now, well) in [
+            (census(1210, 16), true),
+            (census(1210, 17), false),
+            (census(950, 0), false),
+            (census(1000, 0), true),
+        ] {
+            assert_eq!(holds(&amounts, &before, &now), well, "{now:?}");
+        }
+    }
+}
