@@ -177,7 +177,7 @@ impl PlanToChange {
                 Grids::new(scenes.clone(), self.splines.clone(), looks.looks.clone(), &simulators);
             grids.corrected(&self.theta, &teller, &mut |seen| {
                 looks.looks = seen.to_vec();
-                Ok(looks.keep(folder, LOOKS)?)
+                looks.keep(folder, LOOKS)
             })
         };
         progress.clear();
