@@ -1,16 +1,17 @@
 //! A plan's motion made faster, as long as no more powder is lost by that.
 //!
-//! One number says how much, the haste, from 0 to 1: mean speeds rise from the scene's to those whose peaks are the arm's limits, each by the
-//! same power, and the overlap of lift, transport and pour from the scene's to 1. Minimum-jerk segments keep the arm's limits whatever it is. Scooping is faster
-//! as well, but nothing overlaps as long as the tool is in the bed, so what the tool holds changes little; that is put right afterwards
-//! ([`crate::refine`]).
+//! Three numbers say how much, each from 0 to 1: lift, transport and pour overlap more, from as the scene has it to 1, and the mean speeds
+//! rise, linear and angular, from the scene's to those whose peaks are the arm's limits. One after the other is taken as far as all is well, by halving. Minimum-jerk
+//! segments keep the limits whatever they are. Scooping is faster as well, but nothing overlaps as long as the tool is in the bed, so what the tool holds changes
+//! little; that is put right afterwards ([`crate::refine`]).
 
 use crate::{failure::Failure, report::amounts::Amounts};
 use powderline_simulator::{
     rollout::Census,
-    scene::{Profile, Scene},
+    scene::{Profile, Scene, SceneError},
     skill::{SkillMap, Theta},
 };
+use serde::{Deserialize, Serialize};
 
 /// Peak of the velocity over the mean in minimum jerk.
 const PEAK_OF_MINIMUM_JERK: f64 = 1.875;
@@ -25,33 +26,53 @@ const USUAL_TOLERANCE: f64 = 0.02;
 /// Of what arrived, what may arrive less or more before that is put right.
 const WITHIN_REACH: f64 = 0.2;
 
-/// The scene with a skill that is made in so much haste, and a horizon as much shorter as this skill's motion is.
+/// How much faster a motion is, each from 0 to 1.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Haste {
+    /// Of the overlap, up to 1.
+    pub overlap: f64,
+    /// Of the linear speed, up to the arm's limit.
+    pub linear: f64,
+    /// Of the angular speed.
+    pub angular: f64,
+}
+
+impl Haste {
+    /// In the order in which they are taken: what saves most first.
+    fn parts(&mut self) -> [&mut f64; 3] {
+        [&mut self.overlap, &mut self.linear, &mut self.angular]
+    }
+}
+
+/// The scene with a skill that is made in haste, and a horizon as much shorter as this skill's motion is.
 ///
 /// # Errors
 /// One sentence; of a valid scene there is none.
-pub fn hastened(scene: &Scene, theta: &Theta, haste: f64) -> Result<Scene, Failure> {
+pub fn hastened(scene: &Scene, theta: &Theta, haste: &Haste) -> Result<Scene, Failure> {
     let peak = match scene.skill.profile {
         Profile::MinimumJerk => PEAK_OF_MINIMUM_JERK,
         _ => 1.0,
     };
-    let faster = |speed: f64, limit: f64| speed * libm::pow((limit / peak / speed).max(1.0), haste);
-    let unfit = |error: powderline_simulator::scene::SceneError| Failure::Input(error.to_string());
+    let faster = |speed: f64, limit: f64, haste| speed * libm::pow((limit / peak / speed).max(1.0), haste);
+    let unfit = |error: SceneError| Failure::Input(error.to_string());
     let quick = scene
         .with(|spec| {
             let (skill, limits) = (&mut spec.skill, &spec.limits);
-            skill.linear_speed_m_s = faster(skill.linear_speed_m_s, limits.linear_velocity_m_s);
-            skill.angular_speed_rad_s = faster(skill.angular_speed_rad_s, limits.angular_velocity_rad_s);
+            skill.linear_speed_m_s = faster(skill.linear_speed_m_s, limits.linear_velocity_m_s, haste.linear);
+            skill.angular_speed_rad_s =
+                faster(skill.angular_speed_rad_s, limits.angular_velocity_rad_s, haste.angular);
             if skill.profile == Profile::MinimumJerk {
-                skill.overlap += haste * (1.0 - skill.overlap);
+                skill.overlap += haste.overlap * (1.0 - skill.overlap);
             }
         })
         .map_err(unfit)?;
     let period_s = scene.time.control_period_s();
     let saved = ((duration_s(scene, theta) - duration_s(&quick, theta)) / period_s + 1e-6).max(0.0) as u32;
     let longest = (quick.longest_skill_s() / period_s).ceil() as u32;
-    let horizon_steps =
-        scene.time.horizon_steps.saturating_sub(saved).max(longest).min(scene.time.horizon_steps);
-    quick.with(|spec| spec.time.horizon_steps = horizon_steps).map_err(unfit)
+    let steps = scene.time.horizon_steps;
+    quick
+        .with(|spec| spec.time.horizon_steps = steps.saturating_sub(saved).max(longest).min(steps))
+        .map_err(unfit)
 }
 
 /// How long a skill's motion takes, without the rest after it, seconds.
@@ -68,25 +89,43 @@ pub fn holds(amounts: &Amounts, before: &Census, now: &Census) -> bool {
         && more_kg <= LOST_MORE * tolerance * amounts.wanted_kg * (1.0 + 1e-9)
 }
 
-/// The most haste that is well, as far as a few looks tell; none if the least that is looked at is not.
+/// The most haste that is well, as far as a few looks tell; none if no haste at all is.
 ///
 /// # Errors
 /// What a look ends with.
-pub fn most_haste(is_well: &mut dyn FnMut(f64) -> Result<bool, Failure>) -> Result<Option<f64>, Failure> {
-    let [mut well, mut too_much] = [0.0, 1.0];
-    if is_well(too_much)? {
-        return Ok(Some(too_much));
+pub fn most_haste(
+    is_well: &mut dyn FnMut(&Haste) -> Result<bool, Failure>,
+) -> Result<Option<Haste>, Failure> {
+    let mut well = Haste::default();
+    for part in 0..well.parts().len() {
+        let mut with = |value: f64| {
+            let mut haste = well;
+            *haste.parts()[part] = value;
+            Ok::<_, Failure>(is_well(&haste)?.then_some(haste))
+        };
+        let (mut best, mut too_much) = (None, 1.0);
+        let mut next = too_much;
+        for _ in 0..=HALVINGS {
+            match with(next)? {
+                Some(haste) => best = Some((next, haste)),
+                None => too_much = next,
+            }
+            let reached = best.map_or(0.0, |(value, _)| value);
+            if reached >= too_much {
+                break;
+            }
+            next = 0.5 * (reached + too_much);
+        }
+        well = best.map_or(well, |(_, haste)| haste);
     }
-    for _ in 0..HALVINGS {
-        let haste = 0.5 * (well + too_much);
-        *(if is_well(haste)? { &mut well } else { &mut too_much }) = haste;
-    }
-    Ok((well > 0.0).then_some(well))
+    Ok((well != Haste::default()).then_some(well))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    const ALL: Haste = Haste { overlap: 1.0, linear: 1.0, angular: 1.0 };
 
     #[test]
     fn haste_takes_the_arm_to_its_limits_and_keeps_them() {
@@ -94,12 +133,13 @@ mod tests {
         let theta = Theta::clamped([0.3, 0.0, 0.0, 0.0, 0.3]);
         let mut last_s = duration_s(&scene, &theta);
         let rest = |scene: &Scene| scene.time.horizon_s() - duration_s(scene, &theta);
-        for haste in [0.25, 0.5, 0.75, 1.0] {
-            let quick = hastened(&scene, &theta, haste).unwrap();
+        for share in [0.25, 0.5, 0.75, 1.0] {
+            let haste = Haste { overlap: share, linear: share, angular: share };
+            let quick = hastened(&scene, &theta, &haste).unwrap();
             let map = SkillMap::new(&quick);
             map.check_all_corners().unwrap();
             let now_s = duration_s(&quick, &theta);
-            assert!(now_s < last_s - 0.1, "{haste}: {last_s} {now_s}");
+            assert!(now_s < last_s - 0.1, "{haste:?}: {last_s} {now_s}");
             last_s = now_s;
             // The powder has as long to come to rest, to a control step; or all that the longest skill leaves.
             let horizon = quick.time.horizon_steps;
@@ -108,30 +148,38 @@ mod tests {
                 (rest(&quick) - rest(&scene)).abs() < 0.0101 || is_longest && rest(&quick) > rest(&scene)
             );
         }
-        let quick = hastened(&scene, &theta, 1.0).unwrap().into_spec().skill;
+        let quick = hastened(&scene, &theta, &ALL).unwrap().into_spec().skill;
         assert!((quick.linear_speed_m_s - 0.3 / 1.875).abs() < 1e-12 && (quick.overlap - 1.0).abs() < 1e-12);
-        assert_eq!(hastened(&scene, &theta, 0.0).unwrap(), scene);
+        assert_eq!(hastened(&scene, &theta, &Haste::default()).unwrap(), scene);
     }
 
     #[test]
     fn what_is_faster_than_the_limits_already_stays() {
         let fast = Scene::load("bench").unwrap().with(|spec| spec.skill.linear_speed_m_s = 0.25).unwrap();
-        let quick = hastened(&fast, &Theta::MIDDLE, 1.0).unwrap();
+        let quick = hastened(&fast, &Theta::MIDDLE, &ALL).unwrap();
         assert!((quick.skill.linear_speed_m_s - 0.25).abs() < 1e-12);
     }
 
     #[test]
-    fn the_most_haste_that_is_well_is_found_in_four_looks() {
-        for (limit, found) in
-            [(2.0, Some(1.0)), (0.8, Some(0.75)), (0.3, Some(0.25)), (0.13, Some(0.125)), (0.1, None)]
-        {
+    fn each_kind_of_haste_is_taken_as_far_as_all_is_well() {
+        // How much of each is well, and what is found of it.
+        for (limits, found) in [
+            ([2.0, 2.0, 2.0], Some([1.0, 1.0, 1.0])),
+            ([0.8, 0.3, 0.13], Some([0.75, 0.25, 0.125])),
+            ([0.95, 0.1, 0.5], Some([0.875, 0.0, 0.5])),
+            ([0.1, 0.0, 0.12], None),
+        ] {
             let mut looks = 0;
-            let mut is_well = |haste: f64| {
+            let mut is_well = |haste: &Haste| {
                 looks += 1;
-                Ok(haste <= limit)
+                Ok([haste.overlap, haste.linear, haste.angular]
+                    .iter()
+                    .zip(limits)
+                    .all(|(x, limit)| *x <= limit))
             };
-            assert_eq!(most_haste(&mut is_well), Ok(found));
-            assert!(looks <= 4);
+            let most = most_haste(&mut is_well).unwrap();
+            assert_eq!(most.map(|haste| [haste.overlap, haste.linear, haste.angular]), found);
+            assert!(looks <= 12, "{looks}");
         }
         let stopped = || Failure::Interrupted("stopped".into());
         assert_eq!(most_haste(&mut |_| Err(stopped())), Err(stopped()));

@@ -29,7 +29,7 @@ use powderline_simulator::{
     rollout::{Displacement, Workload},
     scene::{
         Scene,
-        figures::{about, mass},
+        figures::{about, count, mass},
     },
     skill::{QuantisedControls, SkillMap, Splines, Theta},
 };
@@ -290,6 +290,11 @@ impl Report {
         self.finer_amounts.off(line.outcome.census.target)
     }
 
+    /// What the plan brings, where the most is known of it.
+    pub(super) fn outcome(&self) -> &Outcome {
+        &self.tried[self.best].outcome
+    }
+
     /// The skill that the plan has now.
     pub(super) fn theta(&self) -> Theta {
         self.tried[self.best].theta
@@ -315,7 +320,7 @@ impl Report {
         let on_own =
             if self.is_finer() { format!(" and {}", mass(self.own[0].mass_kg)) } else { String::new() };
         text += &match best {
-            0 => "It is the plan as it came".to_owned(),
+            0 => "The skill is as it came".to_owned(),
             _ => format!(
                 "As it came, it brought {} ({}){on_own}",
                 mass(first.outcome.mass_kg),
@@ -323,8 +328,9 @@ impl Report {
             ),
         };
         text += &format!(
-            ". Simulated: {} motions on the scene's own cells, {} on the smaller ones, {:.0} s of processor time.\n",
-            self.rollouts[0], self.rollouts[1], self.cpu_seconds
+            ". Simulated: {}, {:.0} s of processor time.\n",
+            motions(self.rollouts, self.is_finer()),
+            self.cpu_seconds
         );
         let [from, to] = [first, line].map(|line| map.parameters(&line.theta));
         for which in SkillParameter::ALL {
@@ -345,5 +351,14 @@ impl Report {
                 self.amounts.tolerance()
             )
         })
+    }
+}
+
+/// Such as `12 motions on the scene's own cells, 2 motions on the smaller ones`.
+fn motions(rollouts: [usize; 2], is_finer: bool) -> String {
+    let [own, there] = rollouts.map(|motions| count(motions as i64, "motion"));
+    match is_finer {
+        true => format!("{own} on the scene's own cells, {there} on the smaller ones"),
+        false => count((rollouts[0] + rollouts[1]) as i64, "motion"),
     }
 }

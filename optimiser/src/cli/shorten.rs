@@ -15,7 +15,7 @@ use crate::{
         finding::Outcome,
         folder::RunFolder,
     },
-    shorten::{duration_s, hastened, holds, most_haste},
+    shorten::{Haste, duration_s, hastened, holds, most_haste},
 };
 use clap::Args;
 use powderline_simulator::{
@@ -51,6 +51,9 @@ pub(super) struct ShortenArgs {
 /// What was simulated in haste so far, in the folder.
 const HASTE: &str = "haste.json";
 
+/// By less than this nobody makes a motion faster, seconds.
+const WORTH_A_LOOK_S: f64 = 1e-3;
+
 /// What the looks are of.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 struct Subject {
@@ -61,7 +64,7 @@ struct Subject {
 /// The motion in so much haste.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Hurried {
-    haste: f64,
+    haste: Haste,
     /// Why the arm may not perform it.
     obstacle: Option<String>,
     census: Census,
@@ -76,7 +79,7 @@ struct Report {
     /// The whole plan's.
     plan_s: f64,
     plan_before_s: f64,
-    haste: f64,
+    haste: Haste,
     linear_speed_m_s: f64,
     angular_speed_rad_s: f64,
     overlap: f64,
@@ -106,7 +109,7 @@ pub(super) fn execute(arguments: &ShortenArgs, context: &mut Context<'_>) -> Res
         CliError::Interrupted(_) => error.with_remark(GO_ON),
         error => error,
     })?;
-    let quick = hastened(&task.scene, &plan.theta, haste)?;
+    let quick = hastened(&task.scene, &plan.theta, &haste)?;
     let looks = Kept::begun_beside(&folder, refine::LOOKS, of)?;
     let (refined, map) =
         plan.corrected([quick.clone(), finest(&quick)?], &task.setup, &folder, looks, context)?;
@@ -125,7 +128,7 @@ pub(super) fn execute(arguments: &ShortenArgs, context: &mut Context<'_>) -> Res
     if arguments.json {
         context.json(&report)?;
     } else {
-        write!(context.out, "{}{}", report.text(), report.refined.text(&map))?;
+        write!(context.out, "{}{}\n", report.text(), report.refined.text(&map))?;
         write!(context.out, "{}", next::play(&report.refined.plan))?;
     }
     report.refined.shortfall().map_or(Ok(()), |shortfall| Err(CliError::Missed(shortfall)))
@@ -141,59 +144,92 @@ struct Hurry<'a> {
 
 impl Hurry<'_> {
     /// The most haste that is well.
-    fn most(&mut self, context: &Context<'_>) -> Result<f64, CliError> {
+    fn most(&mut self, context: &Context<'_>) -> Result<Haste, CliError> {
         let amounts = Amounts::from(&self.task.scene);
-        let before = self.look(0.0, context)?;
-        let mut is_well = |haste: f64| {
+        let before = self.look(&Haste::default(), context)?;
+        let mut shortest_s = self.duration_s(&Haste::default())?;
+        let mut is_well = |haste: &Haste| {
+            let takes_s = self.duration_s(haste)?;
+            // Of what is as fast as it can be there is nothing to be seen.
+            if takes_s > shortest_s - WORTH_A_LOOK_S {
+                return Ok(false);
+            }
             let now = self.look(haste, context)?;
-            Ok(now.obstacle.is_none() && holds(&amounts, &before.census, &now.census))
+            let is_well = now.obstacle.is_none() && holds(&amounts, &before.census, &now.census);
+            if is_well {
+                shortest_s = takes_s;
+            }
+            Ok(is_well)
         };
-        most_haste(&mut is_well)?.ok_or_else(|| {
-            let least = self.kept.looks.last().expect("several looks");
-            let why = match &least.obstacle {
-                Some(why) => why.clone(),
-                None => format!(
-                    "{} arrive and {} are lost, where it was {} and {}",
-                    amounts.mass(least.census.target),
-                    mass(amounts.kg(least.census.lost())),
-                    amounts.mass(before.census.target),
-                    mass(amounts.kg(before.census.lost()))
-                ),
-            };
-            CliError::Failed(format!(
-                "the motion stays as fast as it is: with the least haste that is looked at {why}; higher limits, or a skill that loses \
-                 less, could be made faster"
-            ))
-        })
+        most_haste(&mut is_well)?.ok_or_else(|| CliError::Failed(self.stays(&amounts, &before)))
+    }
+
+    /// Why the motion is not made faster.
+    fn stays(&self, amounts: &Amounts, before: &Hurried) -> String {
+        let words = |census: &Census| {
+            let lost = mass(amounts.kg(census.lost()));
+            format!("{} arrive and {lost} are lost", amounts.mass(census.target))
+        };
+        let why = match self.kept.looks.last().filter(|last| last.haste != Haste::default()) {
+            None => "it is as fast as the limits allow".to_owned(),
+            Some(Hurried { obstacle: Some(why), .. }) => {
+                format!("with the least haste that is looked at {why}")
+            }
+            Some(last) => format!(
+                "with the least haste that is looked at {}, before {}",
+                words(&last.census),
+                words(&before.census)
+            ),
+        };
+        format!(
+            "the motion stays as it is: {why}; higher limits, or a skill that loses less, could be made faster"
+        )
+    }
+
+    fn duration_s(&self, haste: &Haste) -> Result<f64, CliError> {
+        Ok(duration_s(&hastened(&self.task.scene, &self.plan.theta, haste)?, &self.plan.theta))
     }
 
     /// As it was seen before, or else simulated and kept.
-    fn look(&mut self, haste: f64, context: &Context<'_>) -> Result<Hurried, CliError> {
-        let is_it = |seen: &&Hurried| seen.haste.to_bits() == haste.to_bits();
-        if let Some(seen) = self.kept.looks.iter().find(is_it) {
+    fn look(&mut self, haste: &Haste, context: &Context<'_>) -> Result<Hurried, CliError> {
+        if let Some(seen) = self.kept.looks.iter().find(|seen| seen.haste == *haste) {
             return Ok(seen.clone());
         }
-        let seen = self.simulated(haste, context)?;
+        let progress = Progress::new(&context.err, context.live);
+        let seen = self.simulated(haste, &progress, context);
+        progress.clear();
+        let seen = seen?;
+        let amounts = Amounts::from(&self.task.scene);
+        let found = match &seen.obstacle {
+            Some(why) => why.clone(),
+            None => {
+                format!("{}, {} lost", amounts.mass(seen.census.target), mass(amounts.kg(seen.census.lost())))
+            }
+        };
+        progress.line(&format!("  in {} s: {found}", about(self.duration_s(haste)?, 3)));
         self.kept.looks.push(seen.clone());
         self.kept.keep(self.folder, HASTE)?;
         Ok(seen)
     }
 
-    fn simulated(&self, haste: f64, context: &Context<'_>) -> Result<Hurried, CliError> {
+    fn simulated(
+        &self,
+        haste: &Haste,
+        progress: &Progress,
+        context: &Context<'_>,
+    ) -> Result<Hurried, CliError> {
         let PlanToChange { theta, splines, .. } = self.plan;
         let splines: Option<&Splines> = splines.as_ref();
         let scene = hastened(&self.task.scene, theta, haste)?;
-        let map = SkillMap::new(&scene);
+        let (map, haste) = (SkillMap::new(&scene), *haste);
         let nothing = |why| Hurried { haste, obstacle: Some(why), census: Census::default() };
         if let Some(why) = obstacle(&scene, &map, theta, splines) {
             return Ok(nothing(why));
         }
         let motion = QuantisedControls::new(&map.motion(theta, splines)?)?;
-        let progress = Progress::new(&context.err, context.live);
-        progress.begin(&format!("{} s", about(duration_s(&scene, theta), 3)), 0, &[]);
-        let found = watched(context, &self.task.setup, &progress)(&scene)
+        progress.begin(&format!("in {} s", about(duration_s(&scene, theta), 3)), 0, &[]);
+        let found = watched(context, &self.task.setup, progress)(&scene)
             .and_then(|mut simulator| simulator.simulate(&motion.controls));
-        progress.clear();
         match found {
             Ok(found) => Ok(Hurried { haste, obstacle: None, census: found.census }),
             Err(error @ (RolloutError::Escaped { .. } | RolloutError::NonFinite { .. })) => {
@@ -206,17 +242,20 @@ impl Hurry<'_> {
 
 impl Report {
     fn text(&self) -> String {
+        let seconds = |time_s: f64| about(time_s, 3);
+        let share = percent(1.0 - self.duration_s / self.duration_before_s);
+        let lost = [self.refined.outcome(), &self.before].map(|outcome| mass(outcome.lost_kg));
         format!(
-            "The motion takes {} s, {} less than before, and the plan with the rest after it {} s instead of {}. Mean speeds are {} m/s and {} rad/s, the overlap {}. \
-             Before, it lost {}.\n",
-            about(self.duration_s, 3),
-            percent(1.0 - self.duration_s / self.duration_before_s),
-            about(self.plan_s, 3),
-            about(self.plan_before_s, 3),
+            "The motion takes {} s, {share} less than before, and with the rest after it {} s instead of {}. {} are lost, before {}.\n\
+             Mean speeds are {} m/s and {} rad/s, lift, transport and pour overlap by {}.\n",
+            seconds(self.duration_s),
+            seconds(self.plan_s),
+            seconds(self.plan_before_s),
+            lost[0],
+            lost[1],
             about(self.linear_speed_m_s, 3),
             about(self.angular_speed_rad_s, 3),
             about(self.overlap, 3),
-            mass(self.before.lost_kg),
         )
     }
 }

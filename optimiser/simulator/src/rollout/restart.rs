@@ -765,6 +765,20 @@ mod tests {
         );
     }
 
+    /// With an overlap the pour may begin before the lift ends, and then they are one body from there on.
+    #[test]
+    fn tool_and_powder_are_one_body_before_they_pour() {
+        let scene = Scene::load("bench").unwrap().with(|spec| spec.skill.overlap = 1.0).unwrap();
+        let map = SkillMap::new(&scene);
+        // A high lift, a short transport, a wide pour; and the middle of all.
+        for (theta, early) in [(Theta::clamped([0.0, 0.0, 1.0, -1.0, 1.0]), true), (Theta::MIDDLE, false)] {
+            let carrying = Restarts::of_skill(&scene, &map, &theta).carrying.unwrap();
+            let lift = map.segments(&theta)[3];
+            assert!(carrying.fits(map.controls(&theta).unwrap().len()));
+            assert_eq!((carrying.from as f64) < (lift.end_s / 0.01).round(), early, "{carrying:?} {lift:?}");
+        }
+    }
+
     /// A loss that is linear in how far the body is moved and turned has that slope along the ways, however many, and none beside them.
     #[test]
     fn the_ways_tell_what_moving_the_body_costs() {
