@@ -22,6 +22,8 @@ pub type KeepFn<'a> = &'a mut dyn FnMut(&[Seen]) -> Result<(), Failure>;
 pub struct Grids<'a> {
     /// The scene, and its finer copy.
     scenes: [Scene; 2],
+    /// Whether the copy is none: what is seen in one is seen in both.
+    are_alike: bool,
     map: SkillMap,
     /// What is added to each skill's motion.
     splines: Option<Splines>,
@@ -38,8 +40,8 @@ impl<'a> Grids<'a> {
         seen: Vec<Seen>,
         simulators: Simulators<'a>,
     ) -> Self {
-        let map = SkillMap::new(&scenes[0]);
-        Self { scenes, map, splines, seen, simulators, present: None }
+        let (map, are_alike) = (SkillMap::new(&scenes[0]), scenes[0] == scenes[1]);
+        Self { scenes, are_alike, map, splines, seen, simulators, present: None }
     }
 
     /// Corrects a skill until the finer grid brings what the scene wants.
@@ -66,7 +68,8 @@ impl<'a> Grids<'a> {
         keep: KeepFn<'_>,
     ) -> Result<Option<Look>, Failure> {
         let particle_mass_kg = self.scene(grid).particle_mass_kg();
-        if let Some(seen) = self.seen.iter().find(|seen| seen.is_of(grid, theta)) {
+        let is_it = |seen: &&Seen| seen.is_of(grid, theta) || self.are_alike && seen.is_of(seen.grid, theta);
+        if let Some(seen) = self.seen.iter().find(is_it) {
             return Ok(seen.look(particle_mass_kg));
         }
         let seen = self.simulated(grid, theta, watcher)?;

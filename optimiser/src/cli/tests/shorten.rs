@@ -25,6 +25,10 @@ fn a_plan_is_made_as_fast_as_the_powder_on_the_tool_bears() {
     // Of the tool's speeds that are looked at, all above this one are too much.
     assert_eq!(report["haste"], serde_json::json!({"overlap": 1.0, "linear": 1.0, "angular": 0.75}));
     assert!(number("duration_s") < number("duration_before_s") - 0.2, "{report}");
+    // Nobody looks at smaller cells, so nothing is simulated twice.
+    let tried = report["tried"].as_array().unwrap().len() as u64;
+    let simulated: u64 = report["rollouts"].as_array().unwrap().iter().map(|n| n.as_u64().unwrap()).sum();
+    assert_eq!(simulated, if tried == 1 { 1 } else { tried + 10 }, "{report}");
     let saved_s = number("plan_before_s") - number("plan_s");
     assert!((saved_s - (number("duration_before_s") - number("duration_s"))).abs() < 0.0101, "{report}");
     // The plan is one of its own scene, and every command takes it.
