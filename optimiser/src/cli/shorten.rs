@@ -128,7 +128,7 @@ pub(super) fn execute(arguments: &ShortenArgs, context: &mut Context<'_>) -> Res
     if arguments.json {
         context.json(&report)?;
     } else {
-        write!(context.out, "{}{}\n", report.text(), report.refined.text(&map))?;
+        writeln!(context.out, "{}{}", report.text(), report.refined.text(&map))?;
         write!(context.out, "{}", next::play(&report.refined.plan))?;
     }
     report.refined.shortfall().map_or(Ok(()), |shortfall| Err(CliError::Missed(shortfall)))
