@@ -95,22 +95,35 @@ fn a_path_is_made_faster_as_the_path_that_it_is() {
     assert!(now.step_count < before.step_count);
 }
 
+/// A finished run of `bench-small`, changed, without its arm; and the shortening of its plan.
+fn shortening(place: &Place, change: fn(&mut SceneSpec)) -> Done {
+    let changed = |spec: &mut SceneSpec| {
+        spec.arm = None;
+        spec.skill.overlap = 1.0;
+        spec.skill.linear_speed_m_s = spec.limits.linear_velocity_m_s / 1.875;
+        change(spec);
+    };
+    let scene = Scene::load("bench-small").unwrap().with(changed).unwrap();
+    fs::write(place.path("changed.toml"), scene.to_toml()).unwrap();
+    let (file, folder) = (place.text("changed.toml"), place.text("run"));
+    let search = ["--method", "mixed", "--no-refine", "--epochs", "3", "--out", &folder];
+    assert!(optimise(&[&[file.as_str()][..], &search].concat()).is_finished());
+    optimise(&["shorten", &format!("{folder}/skill.plan")])
+}
+
 #[test]
 fn a_motion_that_is_as_fast_as_it_can_be_stays_and_it_is_said_why() {
     let place = Place::new();
     // The arm could turn the tool twice as fast, but the powder is spilled by that.
-    let able = |spec: &mut SceneSpec| {
-        spec.limits.angular_velocity_rad_s *= 2.0;
-        spec.arm = None;
-        spec.skill.overlap = 1.0;
-        spec.skill.linear_speed_m_s = spec.limits.linear_velocity_m_s / 1.875;
-    };
-    let fast = Scene::load("bench-small").unwrap().with(able).unwrap();
-    fs::write(place.path("fast.toml"), fast.to_toml()).unwrap();
-    let (file, folder) = (place.text("fast.toml"), place.text("run"));
-    let search = ["--method", "mixed", "--no-refine", "--epochs", "3", "--out", &folder];
-    assert!(optimise(&[&[file.as_str()][..], &search].concat()).is_finished());
-    let done = optimise(&["shorten", &format!("{folder}/skill.plan")]);
+    let done = shortening(&place, |spec| spec.limits.angular_velocity_rad_s *= 2.0);
     assert_sentence(&done, 1, "the motion stays as it is: with the least haste that is looked at ");
-    assert!(!place.path("run/shortened/skill.plan").exists());
+    assert!(done.err.contains(" are lost, before ") && !place.path("run/shortened/skill.plan").exists());
+    let place = Place::new();
+    let at_limit =
+        |spec: &mut SceneSpec| spec.skill.angular_speed_rad_s = spec.limits.angular_velocity_rad_s / 1.875;
+    assert_sentence(
+        &shortening(&place, at_limit),
+        1,
+        "the motion stays as it is: it is as fast as the limits allow; ",
+    );
 }
