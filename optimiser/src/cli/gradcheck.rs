@@ -138,7 +138,7 @@ fn compare(
         simulator.check_window(&map, start, end)
     };
     // After the motion's end no parameter is at work.
-    let motion_s = map.segments(&CHECKED_THETA).last().map_or(0.0, |segment| segment.end_s);
+    let motion_s = map.duration_s(&CHECKED_THETA);
     let motion = (motion_s / scene.time.control_period_s()).ceil() as u32;
     let starts = (0..own.min(motion)).step_by(arguments.steps as usize);
     let windows = starts.map(|s| window(s, own.min(s + arguments.steps))).collect::<Result<_, _>>()?;

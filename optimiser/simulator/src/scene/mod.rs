@@ -502,6 +502,16 @@ pub enum Profile {
     MinimumJerk,
 }
 
+impl Profile {
+    /// Largest velocity over the mean.
+    pub fn peak_over_mean(self) -> f64 {
+        match self {
+            Self::ConstantSpeed => 1.0,
+            Self::MinimumJerk => crate::skill::MINIMUM_JERK.velocity,
+        }
+    }
+}
+
 /// What is wanted: how much powder, where, and how it is judged.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

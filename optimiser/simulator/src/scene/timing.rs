@@ -6,7 +6,7 @@ use crate::skill::{SkillMap, Theta};
 impl Scene {
     /// Duration of the longest skill within the bounds (theta = 1 throughout), seconds, rest excluded.
     pub fn longest_skill_s(&self) -> f64 {
-        SkillMap::new(self).segments(&Theta::clamped([1.0; 5])).last().map_or(0.0, |segment| segment.end_s)
+        SkillMap::new(self).duration_s(&Theta::clamped([1.0; 5]))
     }
 }
 

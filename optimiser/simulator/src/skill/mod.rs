@@ -26,7 +26,7 @@ pub use clearance::{Collision, Impassable, check_passable, colliding_skill, coll
 pub(crate) use duration::rest_to_rest_steps;
 pub use motion::SegmentKind;
 pub use powderline_shared::plan::SkillParameter;
-pub(crate) use profile::minimum_jerk_position;
+pub(crate) use profile::{MINIMUM_JERK, minimum_jerk_position};
 pub use quantised::{LSB, QuantisedControls, controls_of};
 use real::{Dual5, SkillScalar};
 pub use spline_path::{Freedom, SplinePath, Splines, UNIT_ANGLE_RAD, USUAL_KNOTS};
@@ -218,6 +218,11 @@ impl SkillMap {
                 end_s: segment.end_s(),
             })
             .collect()
+    }
+
+    /// How long the segments take together, seconds; the rest after them is not in it.
+    pub fn duration_s(&self, theta: &Theta) -> f64 {
+        self.schedule(&theta.components()).last().map_or(0.0, Segment::end_s)
     }
 
     /// The control sequence, one displacement per control step.

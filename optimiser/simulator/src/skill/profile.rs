@@ -11,14 +11,14 @@ use super::real::SkillScalar;
 use crate::scene::Profile;
 
 /// Largest derivatives of the minimum-jerk `s(r)` over `[0, 1]`.
-pub(super) struct Peaks {
-    pub(super) velocity: f64,
+pub(crate) struct Peaks {
+    pub(crate) velocity: f64,
     pub(super) acceleration: f64,
     pub(super) jerk: f64,
 }
 
 /// Peaks of the minimum-jerk profile; 10/sqrt(3) is rounded up in its last digit.
-pub(super) const MINIMUM_JERK: Peaks =
+pub(crate) const MINIMUM_JERK: Peaks =
     Peaks { velocity: 1.875, acceleration: 5.773_502_691_896_26, jerk: 60.0 };
 
 /// Normalised position at normalised time `r`; rests at 0 before the segment and at 1 after it.

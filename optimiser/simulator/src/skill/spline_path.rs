@@ -115,7 +115,7 @@ impl SplinePath {
             freedom.direction(map.forward, map.pitch_axis).map(|x| size * x)
         };
         let skill = map.control_vectors(theta)?;
-        let end_s = map.segments(theta).last().map_or(0.0, |segment| segment.end_s);
+        let end_s = map.duration_s(theta);
         let spacing = end_s / map.clock.period_s / (knots + 2) as f64;
         let at = |knot: usize, ticks: usize| spline((knot, knots), spacing, ticks as f64);
         let of_knot = |knot| (0..skill.len()).map(move |step| at(knot, step + 1) - at(knot, step));
