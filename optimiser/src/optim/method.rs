@@ -10,7 +10,7 @@ use clap::ValueEnum;
 use powderline_baseline::{CmaEs, RandomSearch, Sac};
 use powderline_simulator::{
     rollout::Evaluation,
-    scene::{Aim, Scene},
+    scene::{Aim, PathSplines, Scene},
     skill::{SkillMap, Splines, Theta},
 };
 use serde::{Deserialize, Serialize};
@@ -119,6 +119,8 @@ pub struct Problem {
     has_coarse: bool,
     /// From a skill to its motion.
     pub(super) map: Rc<SkillMap>,
+    /// What a path may add to it.
+    pub(super) path: PathSplines,
     /// How far what arrives may be off that, relative; any distance where as much as can be had is wanted.
     pub(super) tolerance: f64,
     is_able: IsAble,
@@ -141,6 +143,7 @@ impl Problem {
             wanted: scene.target_count() as f64,
             has_coarse: scene.coarse().is_some(),
             map: Rc::clone(&map),
+            path: scene.skill.path.clone(),
             tolerance: match scene.objective.aim {
                 Aim::Amount => scene.objective.amount.tolerance,
                 Aim::All => f64::INFINITY,

@@ -27,7 +27,8 @@ use super::coarse_to_fine::CoarseToFine;
 use super::{Adjoint, Epoch, Found, Problem, Search, SearchError, Step, Trial, World, check};
 use powderline_baseline::CmaEs;
 use powderline_simulator::rollout::Evaluation;
-use powderline_simulator::skill::{Freedom, SplinePath, Splines, Theta, USUAL_KNOTS};
+use powderline_simulator::scene::PathSplines;
+use powderline_simulator::skill::{SplinePath, Splines, Theta};
 
 /// Epochs in the scene itself after which the path begins in any case, and the gain of one, over the loss before, for which it waits.
 const SKILL_EPOCHS: u32 = 6;
@@ -143,7 +144,8 @@ impl Near {
     /// None of what is no skill.
     fn new(problem: Problem, skill: Vec<f64>) -> Option<Self> {
         let theta = Theta::new(skill[..].try_into().ok()?).ok()?;
-        let path = SplinePath::new(&problem.map, &theta, &Freedom::OF_SKILL, USUAL_KNOTS).ok()?;
+        let PathSplines { knots, freedoms } = &problem.path;
+        let path = SplinePath::new(&problem.map, &theta, freedoms, *knots as usize).ok()?;
         Some(Self { problem, skill, path })
     }
 
@@ -153,7 +155,7 @@ impl Near {
 
     /// The path with these coefficients, as it would be shipped.
     fn trial(&self, coefficients: Vec<f64>) -> Trial {
-        let splines = Splines { freedoms: Freedom::OF_SKILL.to_vec(), coefficients };
+        let splines = Splines { freedoms: self.problem.path.freedoms.clone(), coefficients };
         let trial = Trial::of(self.skill.clone());
         Trial { splines: Some(splines), is_rounded: true, may_fail: true, ..trial }
     }
@@ -362,7 +364,7 @@ fn shortest_of_hull(vectors: &[&[f64]]) -> Option<Vec<f64>> {
 mod tests {
     use super::*;
     use crate::optim::Method;
-    use powderline_simulator::{rollout::Census, scene::Scene};
+    use powderline_simulator::{rollout::Census, scene::Scene, skill::Freedom};
 
     const WANTED: f64 = 1200.0;
 
@@ -435,6 +437,27 @@ mod tests {
         // By losses alone it takes more trials to come as far: 30 epochs have 150 and some, and as many gradients.
         let blind = lowest(&mut Blind::new(near(problem(1))), 30);
         assert!(blind > reached + 0.2, "{blind} {reached}");
+    }
+
+    #[test]
+    fn it_goes_the_ways_that_the_scene_lets_it() {
+        let freedoms = vec![Freedom::Up, Freedom::Sideways];
+        let of_scene = |knots| {
+            let path = PathSplines { knots, freedoms: freedoms.clone() };
+            let scene = Scene::load("bench").unwrap().with(|spec| spec.skill.path = path).unwrap();
+            near(Problem::new(&scene, 1).without_obstacles())
+        };
+        for knots in [1, 5] {
+            let searches: [Box<dyn Search>; 2] =
+                [Box::new(Descent::new(of_scene(knots), 3.0)), Box::new(Blind::new(of_scene(knots)))];
+            for mut search in searches {
+                let trials = search.ask(false);
+                let splines = trials[0].splines.as_ref().unwrap();
+                assert_eq!((&splines.freedoms, splines.knots()), (&freedoms, knots as usize));
+                search.tell(&trials.iter().map(found).collect::<Vec<_>>()).unwrap();
+            }
+        }
+        assert_eq!(near(problem(1)).dimensions(), 36);
     }
 
     #[test]

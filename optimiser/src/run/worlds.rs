@@ -136,7 +136,7 @@ impl<'a> Worlds<'a> {
     ) -> Result<Found, RolloutError> {
         let theta = theta(&trial.point)?;
         let path = SplinePath::new(&self.map, &theta, &splines.freedoms, splines.knots())?;
-        let restarts = Restarts::of_skill(&self.scene, &self.map, &theta);
+        let restarts = Restarts::of_path(&self.scene, &self.map, &theta, &splines.freedoms);
         let controls = self.controls(trial)?;
         let (evaluation, gradient) = part(self.enter(trial.world)?, span, |simulator| match adjoint {
             Adjoint::Exact => simulator.simulate_with_gradient(&controls),

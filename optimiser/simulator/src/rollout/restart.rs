@@ -117,7 +117,7 @@ use crate::mpm::obstacle::{Collider, distance};
 use crate::mpm::particles::{Group, Particles, set_vec};
 use crate::real::Real;
 use crate::scene::Scene;
-use crate::skill::{Control, SegmentKind, SegmentSpan, SkillMap, Theta};
+use crate::skill::{Control, Freedom, SegmentKind, SegmentSpan, SkillMap, Theta};
 
 /// Neighbours, the grain itself among them, below which there is no slope.
 pub const LEAST_NEIGHBOURS: usize = 6;
@@ -218,10 +218,20 @@ impl Restarts {
                 from,
                 until: pour.end,
                 over: pour,
-                ways: ways(scene),
+                ways: Freedom::OF_SKILL.into_iter().filter_map(|freedom| way(scene, freedom)).collect(),
                 sleep_speed_m_s: SLEEP_RATIO * scene.domain.sleep_speed_m_s,
             }),
         }
+    }
+
+    /// For a path near it: the body is moved along whatever else the path may do, too.
+    #[must_use]
+    pub fn of_path(scene: &Scene, map: &SkillMap, theta: &Theta, freedoms: &[Freedom]) -> Self {
+        let mut restarts = Self::of_skill(scene, map, theta);
+        let beside = freedoms.iter().filter(|freedom| !Freedom::OF_SKILL.contains(freedom));
+        let ways = beside.filter_map(|freedom| way(scene, *freedom));
+        restarts.carrying.iter_mut().for_each(|carrying| carrying.ways.extend(ways.clone()));
+        restarts
     }
 
     /// The same, but nothing restarts: the exact adjoint.
@@ -237,24 +247,18 @@ impl Restarts {
     }
 }
 
-/// Forward, up, and tilting forward.
-fn ways(scene: &Scene) -> Vec<Displacement> {
+/// A freedom as a way to move the body; none where the parameter that says how far may not change.
+fn way(scene: &Scene, freedom: Freedom) -> Option<Displacement> {
     let skill = &scene.skill;
     let part = |[low, high]: [f64; 2]| 0.5 * (high - low) * HALF_STEP;
+    let size = match freedom {
+        Freedom::Forward | Freedom::Sideways => part(skill.transport_displacement_m),
+        Freedom::Up => part(skill.lift_height_m),
+        Freedom::Pitch | Freedom::Roll | Freedom::Yaw => part(skill.pouring_angle_deg).to_radians(),
+    };
     let (sin, cos) = libm::sincos(skill.heading_deg.to_radians());
-    let forward = part(skill.transport_displacement_m);
-    let up = part(skill.lift_height_m);
-    let tilt = part(skill.pouring_angle_deg).to_radians();
-    [
-        [forward * cos, forward * sin, 0.0, 0.0, 0.0, 0.0],
-        [0.0, 0.0, up, 0.0, 0.0, 0.0],
-        [0.0, 0.0, 0.0, -tilt * sin, tilt * cos, 0.0],
-    ]
-    .map(Displacement::from)
-    .into_iter()
-    // A parameter that may not change is no way to go.
-    .filter(|way| way.components().iter().any(|x| *x != 0.0))
-    .collect()
+    let direction = freedom.direction([cos, sin, 0.0], [-sin, cos, 0.0]);
+    (size != 0.0).then(|| Displacement::from(direction.map(|x| size * x)))
 }
 
 impl Carrying {
@@ -785,9 +789,21 @@ mod tests {
         let mut scene = Scene::load("bench").unwrap();
         scene.skill.heading_deg = 30.0;
         let map = SkillMap::new(&scene);
-        let carrying = Restarts::of_skill(&scene, &map, &Theta::MIDDLE).carrying.unwrap();
+        let [carrying, of_path, of_less] =
+            [&[][..], &[Freedom::Yaw, Freedom::Up, Freedom::Sideways], &[Freedom::Up]]
+                .map(|freedoms| Restarts::of_path(&scene, &map, &Theta::MIDDLE, freedoms).carrying.unwrap());
         let controls: Vec<Displacement> = map.controls(&Theta::MIDDLE).unwrap();
         assert!(carrying.fits(controls.len()) && carrying.ways.len() == 3);
+        assert_eq!(carrying, Restarts::of_skill(&scene, &map, &Theta::MIDDLE).carrying.unwrap());
+        // What a path may do beside it is looked at, too, and what it may not do is, as the skill's own.
+        assert_eq!(carrying, of_less);
+        let beside: Vec<[f64; 6]> = of_path.ways[3..].iter().map(Displacement::components).collect();
+        let [forward, _, tilt] = [0, 1, 2].map(|way| carrying.ways[way].components());
+        let size = |way: &[f64; 6]| libm::sqrt(way.iter().map(|x| x * x).sum());
+        let yaw = [0.0, 0.0, 0.0, 0.0, 0.0, size(&tilt)];
+        let sideways = [-forward[1], forward[0], 0.0, 0.0, 0.0, 0.0];
+        assert!(beside.len() == 2 && beside[1] == sideways, "{beside:?}");
+        assert!(beside[0].iter().zip(yaw).all(|(a, b)| (a - b).abs() < 1e-15), "{beside:?}");
         // Of many particles losses are large, and must not run over.
         for scale in [1.0, 1e6] {
             the_body_has_the_slopes(&carrying, &controls, scale);

@@ -9,7 +9,7 @@ pub type Digest = [u8; 32];
 
 /// Version of the canonical form; raised whenever a field is added, removed, renamed or moved, so that equal
 /// digests always mean equal scenes.
-pub const DIGEST_VERSION: u32 = 15;
+pub const DIGEST_VERSION: u32 = 16;
 
 impl SceneSpec {
     /// The scene as TOML. It loads back to an equal scene, every float to the same bits.

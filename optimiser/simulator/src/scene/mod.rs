@@ -61,6 +61,7 @@ mod tool;
 mod valid;
 mod validate;
 
+use crate::skill::{Freedom, USUAL_KNOTS};
 use serde::{Deserialize, Serialize};
 
 pub use amount::{Amount, DEFAULT_TOLERANCE, Quantity};
@@ -477,7 +478,30 @@ pub struct Skill {
     pub timing: Timing,
     /// How the speed runs within a segment.
     pub profile: Profile,
+    /// What a search of paths may add to the motion.
+    #[serde(default)]
+    pub path: PathSplines,
 }
+
+/// What a search of paths may add to a skill's motion: cubic B-splines in time, [`crate::skill::SplinePath`].
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct PathSplines {
+    /// Splines for each freedom, and so numbers to search; 1 to [`MAX_KNOTS`], [`USUAL_KNOTS`] if the file does not say.
+    pub knots: u32,
+    /// In which ways the tool may leave the skill's motion, each of them once; those in which the skill itself moves if the file does
+    /// not say.
+    pub freedoms: Vec<Freedom>,
+}
+
+impl Default for PathSplines {
+    fn default() -> Self {
+        Self { knots: USUAL_KNOTS, freedoms: Freedom::OF_SKILL.to_vec() }
+    }
+}
+
+/// Splines that each freedom of a path may have.
+pub const MAX_KNOTS: u32 = 64;
 
 /// How segment lengths become segment times.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

@@ -21,7 +21,7 @@ use powderline_shared::{displacement::Displacement, limits::Limits};
 use serde::{Deserialize, Serialize};
 
 /// Knots that a path has if nothing else is said.
-pub const USUAL_KNOTS: usize = 12;
+pub const USUAL_KNOTS: u32 = 12;
 
 /// Unit of coefficients that turn the tool, radians.
 pub const UNIT_ANGLE_RAD: f64 = 0.15;
@@ -49,7 +49,7 @@ impl Freedom {
     pub const OF_SKILL: [Self; 3] = [Self::Forward, Self::Up, Self::Pitch];
 
     /// As [`Control`] has it: a unit vector in its first or last three components, and whether it turns.
-    fn direction(self, heading: [f64; 3], across: [f64; 3]) -> Control {
+    pub(crate) fn direction(self, heading: [f64; 3], across: [f64; 3]) -> Control {
         let (axis, turns) = match self {
             Self::Forward => (heading, false),
             Self::Sideways => (across, false),

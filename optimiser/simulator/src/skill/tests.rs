@@ -1,5 +1,5 @@
 use super::*;
-use crate::scene::{Profile, Timing};
+use crate::scene::{PathSplines, Profile, Timing};
 use powderline_shared::{displacement::pose_at, pose::exp_so3};
 use proptest::prelude::*;
 
@@ -26,6 +26,7 @@ fn skill(timing: Timing, profile: Profile) -> Skill {
         overlap: 0.0,
         timing,
         profile,
+        path: PathSplines::default(),
     }
 }
 

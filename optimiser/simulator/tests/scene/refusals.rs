@@ -698,6 +698,21 @@ const RULES_BETWEEN_FIELDS: &[Case] = &[
         ": skill.overlap is 1.5, but it must be from 0 to 1",
     ),
     (
+        "[limits]",
+        "[skill.path]\nknots = 0\n[limits]",
+        ": skill.path.knots is 0, but it must be from 1 to 64",
+    ),
+    (
+        "[limits]",
+        "[skill.path]\nfreedoms = []\n[limits]",
+        ": skill.path.freedoms is [], but it must name one freedom or more, each of them once",
+    ),
+    (
+        "[limits]",
+        "[skill.path]\nfreedoms = [\"up\", \"yaw\", \"up\"]\n[limits]",
+        ": skill.path.freedoms is [\"up\", \"yaw\", \"up\"], but it must name one freedom or more, each of them once",
+    ),
+    (
         r#"observation = { kind = "all" }"#,
         "observation = { kind = \"all\" }\nlost_weight = -1.0",
         ": objective.lost_weight is -1, but it must be from 0 to 100",

@@ -2,8 +2,10 @@
 
 use powderline_simulator::scene::{
     Aim, Amount, ContainerShape, EMBEDDED_SCENES, FillShape, Flow, Gate, GateOpening, GateShape, Observation,
-    Quantity, Scene, SleepBy, Sleepers, ToolShape, Transfer, VolumeCorrection, Walls, YieldSurface,
+    PathSplines, Quantity, Scene, SleepBy, Sleepers, ToolShape, Transfer, VolumeCorrection, Walls,
+    YieldSurface,
 };
+use powderline_simulator::skill::Freedom;
 use proptest::prelude::*;
 
 /// A valid scene away from the shipped ones, by small changes that break no rule.
@@ -82,6 +84,10 @@ fn arbitrary_scene() -> impl Strategy<Value = Scene> {
             ][observation];
             scene.objective.lost_weight = if by_mass { 0.0 } else { small };
             scene.skill.overlap = if column { small } else { 0.0 };
+            if scoop {
+                scene.skill.path =
+                    PathSplines { knots: 1 + particles % 64, freedoms: vec![Freedom::Yaw, Freedom::Up] };
+            }
             // A view from above goes with this one only.
             scene.objective.aim = [Aim::Amount, Aim::Amount, Aim::All][observation];
             scene.validate().expect("no rule is broken")

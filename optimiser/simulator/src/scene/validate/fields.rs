@@ -3,9 +3,10 @@
 use super::checker::{Checker, Range, TURN_DEG, container_paths, gate_paths};
 use super::found::Found;
 use crate::scene::{
-    Arm, Container, ContainerShape, Domain, Flow, Gate, GateOpening, GateShape, Limits, Objective,
+    Arm, Container, ContainerShape, Domain, Flow, Gate, GateOpening, GateShape, Limits, MAX_KNOTS, Objective,
     Observation, Powder, Quantity, SceneError, SceneSpec, Skill, Time, Tool, Transfer,
 };
+use crate::skill::Freedom;
 use powderline_shared::plan::{PERIOD_US_MAX, PERIOD_US_MIN};
 
 const CELL_M: Range = Range::closed(1e-4, 0.1);
@@ -193,6 +194,18 @@ fn skill(found: &mut Found<'_>, skill: &Skill) {
     found.number("skill.linear_speed_m_s", skill.linear_speed_m_s, Range::closed(0.001, 5.0));
     found.number("skill.angular_speed_rad_s", skill.angular_speed_rad_s, Range::closed(0.01, 50.0));
     found.number("skill.overlap", skill.overlap, Range::closed(0.0, 1.0));
+    found.count("skill.path.knots", skill.path.knots, 1, MAX_KNOTS);
+    let freedoms = &skill.path.freedoms;
+    let is_double = |(index, freedom): (usize, &Freedom)| freedoms[..index].contains(freedom);
+    if freedoms.is_empty() || freedoms.iter().enumerate().any(is_double) {
+        let names = toml::Value::try_from(freedoms)
+            .map_or_else(|_| format!("{freedoms:?}"), |names| names.to_string());
+        found.refuse(
+            "skill.path.freedoms",
+            names,
+            "it must name one freedom or more, each of them once".into(),
+        );
+    }
 }
 
 fn limits(found: &mut Found<'_>, limits: &Limits) {
