@@ -97,28 +97,28 @@ pub fn corrected(theta: &Theta, wanted: Wanted, look: LookFn<'_>) -> Result<Corr
         return Ok(found);
     }
     let share = finer.mass_kg / own.mass_kg;
-    for (parameter, slope) in slopes(theta, look)? {
+    for (parameter, slope) in slopes(&own, look)? {
         found.along(parameter, share * slope, wanted, look)?;
         if wanted.is_met(found.best().mass_kg) {
             break;
         }
     }
-    let best = found.best().theta;
-    found.own[1] = look(Grid::Own, &best)?.ok_or_else(none)?;
+    found.look_back(wanted, look)?;
     Ok(found)
 }
 
-/// Parameters by how the amount answers to them on the own grid, kilogram per unit: the one that answers best comes first.
-fn slopes(theta: &Theta, look: LookFn<'_>) -> Result<Vec<(SkillParameter, f64)>, Failure> {
+/// Parameters by how the amount answers to them on the own grid, kilogram per unit: the one that answers best comes first. Where one side
+/// of a skill cannot be looked at, the other one tells.
+fn slopes(own: &Look, look: LookFn<'_>) -> Result<Vec<(SkillParameter, f64)>, Failure> {
     let mut slopes = Vec::new();
     for parameter in SkillParameter::ALL {
-        let mut seen = Vec::new();
-        for step in [-HALF_STEP, HALF_STEP] {
-            let moved = with(theta, parameter, at(theta, parameter) + step);
-            seen.extend(look(Grid::Own, &moved)?);
-        }
-        if let [low, high] = seen[..] {
-            let run = at(&high.theta, parameter) - at(&low.theta, parameter);
+        let mut side = |step: f64| {
+            let moved = with(&own.theta, parameter, at(&own.theta, parameter) + step);
+            Ok::<_, Failure>(look(Grid::Own, &moved)?.unwrap_or(*own))
+        };
+        let [low, high] = [side(-HALF_STEP)?, side(HALF_STEP)?];
+        let run = at(&high.theta, parameter) - at(&low.theta, parameter);
+        if run > 0.0 {
             slopes.push((parameter, (high.mass_kg - low.mass_kg) / run));
         }
     }
@@ -141,19 +141,23 @@ impl Corrected {
         // The nearest looks with too little and with too much.
         let mut sides = [None; 2];
         let (mut reach, mut astray) = (LARGEST_STEP, 0);
+        // How far the arm may go, as far as that was seen.
+        let mut way = f64::INFINITY;
         while self.tried.len() <= MOST_CORRECTIONS
             && astray < MOST_ASTRAY
             && !wanted.is_met(self.best().mass_kg)
         {
             sides[usize::from(last.mass_kg > wanted.mass_kg)] = Some(last);
             let from = *self.best();
-            let theta = with(&from.theta, parameter, next(&from, sides, parameter, (slope, reach), wanted));
-            if (at(&theta, parameter) - at(&from.theta, parameter)).abs() < NEXT_TO_NOTHING {
+            let step = next(&from, sides, parameter, (slope, reach), wanted) - at(&from.theta, parameter);
+            let theta = with(&from.theta, parameter, at(&from.theta, parameter) + step.clamp(-way, way));
+            let step = (at(&theta, parameter) - at(&from.theta, parameter)).abs();
+            if step < NEXT_TO_NOTHING {
                 break;
             }
             let Some(now) = look(Grid::Finer, &theta)? else {
                 // What the arm may not perform is too far.
-                reach *= 0.5;
+                way = 0.5 * step;
                 continue;
             };
             let risen = (now.mass_kg - last.mass_kg) / (at(&theta, parameter) - at(&last.theta, parameter));
@@ -168,6 +172,24 @@ impl Corrected {
                 astray += 1;
             }
             last = now;
+        }
+        Ok(())
+    }
+
+    /// Looks at the best on the own grid as well. One of which there is nothing to be seen makes way for the next best; as it came there
+    /// is.
+    fn look_back(&mut self, wanted: Wanted, look: LookFn<'_>) -> Result<(), Failure> {
+        let mut by_miss: Vec<usize> = (0..self.tried.len()).collect();
+        // Stable: the first of equals stays first.
+        by_miss.sort_by(|a, b| {
+            let [a, b] = [a, b].map(|k| wanted.off(self.tried[*k].mass_kg));
+            a.total_cmp(&b)
+        });
+        for k in by_miss {
+            if let Some(own) = look(Grid::Own, &self.tried[k].theta)? {
+                (self.best, self.own[1]) = (k, own);
+                return Ok(());
+            }
         }
         Ok(())
     }
@@ -296,6 +318,52 @@ mod tests {
         let [depth, _, lift, ..] = best.theta.components();
         assert!(!WANTED.is_met(best.mass_kg) && found.best > 0, "{best:?}");
         assert!(depth > 0.1 && depth <= 0.2 && lift > 0.4, "{best:?}");
+    }
+
+    /// Between a skill that brings too little and one that brings too much there are some that the arm may not perform.
+    #[test]
+    fn a_gap_between_too_little_and_too_much_ends_it() {
+        for gap in [[0.005, 0.24], [0.03, 0.11], [0.004, 0.4]] {
+            let mut looks = 0;
+            let mut look = |grid, theta: &Theta| {
+                looks += 1;
+                assert!(looks < 100, "it goes on for ever");
+                let depth = theta.components()[0];
+                // On the finer grid a step by what the own one says goes too far.
+                let kg = if grid == Grid::Finer { 0.0095 + 0.012 * depth } else { 0.01 + 0.002 * depth };
+                let is_able = grid == Grid::Own || depth < gap[0] || depth > gap[1];
+                let evaluation = Evaluation::new(1.0, 0, Census::default());
+                Ok(is_able.then_some(Look { theta: *theta, mass_kg: kg, evaluation }))
+            };
+            let found = corrected(&Theta::clamped([0.0; 5]), WANTED, &mut look).unwrap();
+            assert!(found.tried.len() > 1 && found.tried.len() <= MOST_CORRECTIONS + 1, "{found:?}");
+            let least = found.tried.iter().map(|look| WANTED.off(look.mass_kg)).fold(f64::INFINITY, f64::min);
+            assert!((WANTED.off(found.best().mass_kg) - least).abs() < 1e-12, "{found:?}");
+        }
+    }
+
+    /// Deeper is not possible on either grid, and less deep is what is needed.
+    #[test]
+    fn a_parameter_that_is_blocked_on_one_side_leads_to_the_other() {
+        let found = corrected(&Theta::clamped([0.0; 5]), WANTED, &mut bench(1.3, 0.05)).unwrap();
+        let [depth, angle, lift, ..] = found.best().theta.components();
+        assert!(WANTED.is_met(found.best().mass_kg), "{found:?}");
+        assert!(depth < -0.1 && (angle, lift) == (0.0, 0.0), "{found:?}");
+    }
+
+    #[test]
+    fn what_only_the_finer_grid_can_simulate_makes_way_for_the_next_best() {
+        let start = Theta::clamped([0.0; 5]);
+        let usual = corrected(&start, WANTED, &mut bench(0.75, 1.0)).unwrap();
+        let lost = usual.best().theta;
+        let mut bench = bench(0.75, 1.0);
+        let mut look = |grid, theta: &Theta| match grid == Grid::Own && *theta == lost {
+            true => Ok(None),
+            false => bench(grid, theta),
+        };
+        let found = corrected(&start, WANTED, &mut look).unwrap();
+        assert!(found.tried == usual.tried && found.best != usual.best, "{found:?}");
+        assert_eq!(found.own[1].theta, found.best().theta);
     }
 
     #[test]
