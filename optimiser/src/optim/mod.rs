@@ -142,7 +142,7 @@ pub struct Found {
     /// What the motion achieves, as of the scene's particles: what was found in a coarse world is put in these.
     pub evaluation: Evaluation,
     /// The derivative of the loss, metres, if it was wanted: by the trial's splines' coefficients where it has splines, by its skill's
-    /// parameters where not.
+    /// parameters where not. None of one that came to no end.
     pub gradient: Option<Vec<f64>>,
 }
 
@@ -225,7 +225,8 @@ pub(crate) fn check(asked: &[Trial], told: &[Found]) -> Result<(), SearchError> 
             gradient.len()
                 == trial.splines.as_ref().map_or(trial.point.len(), |added| added.coefficients.len())
         }
-        (wanted, _) => wanted.is_none(),
+        // Of one that came to no end there is none.
+        (wanted, _) => wanted.is_none() || trial.may_fail,
     };
     if asked.len() != told.len() || !asked.iter().zip(told).all(answers) {
         return Err(SearchError::Missing { asked: asked.len(), told: told.len() });

@@ -228,7 +228,11 @@ impl Descent {
     }
 
     fn take_gradient(&mut self, place: Vec<f64>, found: &Found) -> Result<(), SearchError> {
-        let gradient = found.gradient.clone().unwrap_or_default();
+        let Some(gradient) = found.gradient.clone() else {
+            // The motion there comes to no end: nearer by those that are known.
+            self.length *= 0.5;
+            return Ok(());
+        };
         if let Some(k) = gradient.iter().position(|slope| !slope.is_finite()) {
             let parameter = format!("path's coefficient {k}");
             return Err(SearchError::Gradient { parameter, value: gradient[k] });
@@ -267,7 +271,7 @@ impl Search for Descent {
             (self.lengths, self.asked) = match &self.place {
                 Some(place) => {
                     let trial = self.near.trial(place.clone());
-                    (vec![0.0], vec![Trial { adjoint: Some(Adjoint::Restarted), may_fail: false, ..trial }])
+                    (vec![0.0], vec![Trial { adjoint: Some(Adjoint::Restarted), ..trial }])
                 }
                 None => self.line().into_iter().unzip(),
             };
@@ -494,12 +498,20 @@ mod tests {
     #[test]
     fn where_no_way_leads_down_it_ends_its_epochs_all_the_same() {
         let flat = Evaluation::new(3.0, 0, Census::default());
-        let mut search = Descent::new(near(problem(1)), 3.0);
-        for _ in 0..40 {
-            let trials = search.ask(false);
-            let told =
-                |trial: &Trial| Found { evaluation: flat, gradient: trial.adjoint.map(|_| vec![0.0; 36]) };
-            search.tell(&trials.iter().map(told).collect::<Vec<_>>()).unwrap();
+        // Slopes of nothing, or none at all, as where powder escapes.
+        for slopes in [Some(vec![0.0; 36]), None] {
+            let mut search = Descent::new(near(problem(1)), 3.0);
+            let mut ended = 0;
+            for _ in 0..40 {
+                let trials = search.ask(false);
+                let told = |trial: &Trial| Found {
+                    evaluation: flat,
+                    gradient: slopes.clone().filter(|_| trial.adjoint.is_some()),
+                };
+                let told: Vec<_> = trials.iter().map(told).collect();
+                ended += u32::from(search.tell(&told).unwrap().is_some());
+            }
+            assert_eq!(ended, 20);
         }
         let mut search = Descent::new(near(problem(1)), 3.0);
         let trials = search.ask(false);
@@ -507,6 +519,27 @@ mod tests {
         assert_eq!(trials.len(), 1);
         let error = search.tell(&[nonsense]).unwrap_err().to_string();
         assert_eq!(error, "the gradient with respect to the path's coefficient 0 is NaN");
+    }
+
+    /// Where powder escapes there is no gradient: the way goes on by those that are known, and comes as low.
+    #[test]
+    fn a_place_without_a_gradient_does_not_end_it() {
+        let (nothing, _) = edged(&[0.0; 36]);
+        let mut search = Descent::new(near(problem(1)), nothing.loss);
+        let (mut asked, mut reached) = (0, f64::INFINITY);
+        for _ in 0..80 {
+            let trials = search.ask(false);
+            let told = |trial: &Trial| {
+                let found = found(trial);
+                asked += u32::from(trial.adjoint.is_some());
+                let is_lost = trial.adjoint.is_some() && asked % 3 == 2;
+                Found { gradient: found.gradient.filter(|_| !is_lost), ..found }
+            };
+            let told: Vec<_> = trials.iter().map(told).collect();
+            reached = told.iter().map(|found| found.evaluation.loss).fold(reached, f64::min);
+            search.tell(&told).unwrap();
+        }
+        assert!(asked > 20 && reached < 0.5 * nothing.loss, "{asked} {reached} {}", nothing.loss);
     }
 
     #[test]

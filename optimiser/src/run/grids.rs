@@ -92,9 +92,7 @@ impl<'a> Grids<'a> {
         watcher.begin(&format!("look {}, {}", self.seen.len() + 1, self.cells(grid)), 0, &[]);
         match self.enter(grid)?.simulate(&motion.controls) {
             Ok(found) => Ok(Seen::new(grid, theta, &found, cpu_seconds() - begun_s)),
-            Err(error @ (RolloutError::Escaped { .. } | RolloutError::NonFinite { .. })) => {
-                Ok(Seen::nothing(grid, theta, error.to_string()))
-            }
+            Err(error) if error.is_of_motion() => Ok(Seen::nothing(grid, theta, error.to_string())),
             Err(error) => Err(error.into()),
         }
     }

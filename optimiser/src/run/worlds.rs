@@ -86,24 +86,26 @@ impl<'a> Worlds<'a> {
     /// Of trials in one world, without derivatives or a single one.
     fn evaluate_alike(&mut self, trials: &[Trial], span: [f64; 2]) -> Result<Vec<Found>, RolloutError> {
         if let [trial @ Trial { adjoint: Some(adjoint), .. }] = trials {
-            return Ok(vec![match &trial.splines {
-                None => self.gradient(&theta(&trial.point)?, trial.world, *adjoint, span)?,
-                Some(splines) => self.gradient_of_path(trial, splines, *adjoint, span)?,
+            let found = match &trial.splines {
+                None => self.gradient(&theta(&trial.point)?, trial.world, *adjoint, span),
+                Some(splines) => self.gradient_of_path(trial, splines, *adjoint, span),
+            };
+            return Ok(vec![match found {
+                Err(error) if error.is_of_motion() && trial.may_fail => self.failed(),
+                found => found?,
             }]);
         }
         let motions: Vec<_> =
             trials.iter().map(|trial| self.controls(trial)).collect::<Result<_, RolloutError>>()?;
         let all = part(self.enter(trials[0].world)?, span, |simulator| simulator.simulate_all(&motions));
         let evaluations = match all {
-            Err(RolloutError::Escaped { .. } | RolloutError::NonFinite { .. })
-                if trials.iter().all(|trial| trial.may_fail) =>
-            {
+            Err(error) if error.is_of_motion() && trials.iter().all(|trial| trial.may_fail) => {
                 // Which of them it was, they tell one by one.
                 let simulator = self.enter(trials[0].world)?;
                 let mut evaluations = Vec::with_capacity(motions.len());
                 for controls in &motions {
                     evaluations.push(match simulator.simulate(controls) {
-                        Err(RolloutError::Escaped { .. } | RolloutError::NonFinite { .. }) => None,
+                        Err(error) if error.is_of_motion() => None,
                         other => Some(other?),
                     });
                 }
@@ -111,9 +113,9 @@ impl<'a> Worlds<'a> {
             }
             all => all?.into_iter().map(Some).collect(),
         };
-        let found = |(trial, evaluation): (&Trial, Option<Evaluation>)| Found {
-            evaluation: evaluation.map_or_else(|| self.failure(), |found| self.in_scene(found, trial.world)),
-            gradient: None,
+        let found = |(trial, evaluation): (&Trial, Option<Evaluation>)| match evaluation {
+            None => self.failed(),
+            Some(found) => Found { evaluation: self.in_scene(found, trial.world), gradient: None },
         };
         Ok(trials.iter().zip(evaluations).map(found).collect())
     }
@@ -175,9 +177,11 @@ impl<'a> Worlds<'a> {
         Evaluation::new(found.loss * heavier, indicator, census)
     }
 
-    fn failure(&self) -> Evaluation {
+    /// What is told of a motion that comes to no end.
+    fn failed(&self) -> Found {
         let loss = COST_OF_FAILURE * initial_loss(&self.scene, self.seed);
-        Evaluation::new(loss, self.scene.target_count() as i64, Census::default())
+        let evaluation = Evaluation::new(loss, self.scene.target_count() as i64, Census::default());
+        Found { evaluation, gradient: None }
     }
 
     /// What a motion in whole counts brings in the scene itself.

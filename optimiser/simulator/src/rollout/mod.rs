@@ -210,6 +210,11 @@ pub enum RolloutError {
 }
 
 impl RolloutError {
+    /// Whether it is the motion that comes to no end, and another one might: powder escapes, or numbers do.
+    pub fn is_of_motion(&self) -> bool {
+        matches!(self, Self::Escaped { .. } | Self::NonFinite { .. })
+    }
+
     /// The same error, its control step counted from `steps` control steps earlier.
     fn later_by(self, steps: usize) -> Self {
         let more = steps as u32;

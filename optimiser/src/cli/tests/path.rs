@@ -46,3 +46,26 @@ fn a_path_is_found_shipped_told_apart_from_a_skill_and_gone_on_with_to_the_same_
     assert_eq!(metrics(&stopped), epochs);
     assert_eq!(bytes(&stopped, "skill.plan"), bytes(&folder, "skill.plan"));
 }
+
+/// Where powder escapes there is no gradient, and the search goes on without: to its plan, and to the same bits if it is stopped.
+#[test]
+fn a_motion_that_the_adjoint_cannot_follow_does_not_end_the_run() {
+    let place = Place::new();
+    let scene = Scene::load("bench-small").unwrap().with(|spec| spec.name = LEAKY.into()).unwrap();
+    fs::write(place.path("leaky.toml"), scene.to_toml()).unwrap();
+    let (file, [whole, stopped]) =
+        (place.text("leaky.toml"), ["whole", "stopped"].map(|name| place.text(name)));
+    let search = [&file, "--method", "path", "--epochs", "22", "--patience", "0", "--no-refine", "--out"];
+    let done = optimise(&[&search[..], &[&whole]].concat());
+    assert!(done.is_finished(), "{}", done.err);
+    let tries = fs::read_to_string(format!("{whole}/tries.jsonl")).unwrap();
+    let tries = tries.lines().map(|line| serde_json::from_str::<Value>(line).unwrap());
+    let (known, lost): (Vec<_>, Vec<_>) =
+        tries.filter(|line| !line["adjoint"].is_null()).partition(|line| !line["gradient"].is_null());
+    assert!(known.len() > 2 && lost.len() > 2, "{} {}", known.len(), lost.len());
+    let mut done = optimise_for(150, &[&search[..], &[&stopped]].concat());
+    while done.code == 130 {
+        done = optimise_for(150, &["--resume", &stopped]);
+    }
+    assert_eq!(bytes(&stopped, "skill.plan"), bytes(&whole, "skill.plan"));
+}
