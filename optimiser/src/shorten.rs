@@ -62,8 +62,12 @@ pub fn hastened(scene: &Scene, theta: &Theta, haste: &Haste) -> Result<Scene, Fa
         .map_err(unfit)?;
     let period_s = scene.time.control_period_s();
     let saved = ((duration_s(scene, theta) - duration_s(&quick, theta)) / period_s + 1e-6).max(0.0) as u32;
-    // The longest skill saves as much at least, so that the horizon has room for it still.
-    quick.with(|spec| spec.time.horizon_steps -= saved).map_err(unfit)
+    // The longest skill, which may save less, has room still.
+    let longest = ((quick.longest_skill_s() - 1e-9) / period_s).ceil() as u32;
+    let steps = scene.time.horizon_steps;
+    quick
+        .with(|spec| spec.time.horizon_steps = (steps - saved.min(steps)).max(longest.min(steps)))
+        .map_err(unfit)
 }
 
 /// How long a skill's motion takes, without the rest after it, seconds.
@@ -117,6 +121,9 @@ mod tests {
     use super::*;
 
     const ALL: Haste = Haste { overlap: 1.0, linear: 1.0, angular: 1.0 };
+    const OVERLAP: Haste = Haste { linear: 0.0, angular: 0.0, ..ALL };
+    const LINEAR: Haste = Haste { overlap: 0.0, angular: 0.0, ..ALL };
+    const ANGULAR: Haste = Haste { overlap: 0.0, linear: 0.0, ..ALL };
 
     #[test]
     fn haste_takes_the_arm_to_its_limits_and_keeps_them() {
@@ -143,15 +150,20 @@ mod tests {
     /// Also where the horizon is as short as the longest skill allows, whichever skill is made faster.
     #[test]
     fn the_horizon_has_room_for_every_skill_still() {
-        for name in ["bench", "bench-small", "vial", "workcell"] {
-            let scene = Scene::load(name).unwrap();
+        let usual = ["bench", "bench-small", "vial", "workcell"].map(|name| Scene::load(name).unwrap());
+        // Where the scooping of small angles takes as long as its sweep, and that of large ones longer.
+        let sweeping = usual[0].with(|spec| {
+            spec.skill.scooping_angle_deg = [5.0, 110.0];
+            spec.limits.linear_velocity_m_s = 0.5;
+        });
+        for scene in usual.into_iter().chain([sweeping.unwrap()]) {
+            let name = scene.name.clone();
             let least = (scene.longest_skill_s() / scene.time.control_period_s()).ceil() as u32;
             let scene = scene.with(|spec| spec.time.horizon_steps = least).unwrap();
             for corner in 0..32 {
                 let sign = |k: u32| if corner >> k & 1 == 1 { 1.0 } else { -1.0 };
                 let theta = Theta::clamped([0, 1, 2, 3, 4].map(sign));
-                for haste in [ALL, Haste { overlap: 1.0, ..Haste::default() }, Haste { overlap: 0.0, ..ALL }]
-                {
+                for haste in [ALL, OVERLAP, LINEAR, ANGULAR, Haste { overlap: 0.0, ..ALL }] {
                     let quick = hastened(&scene, &theta, &haste);
                     assert!(
                         quick.is_ok_and(|quick| quick.time.horizon_steps <= least),

@@ -4,9 +4,12 @@ use super::Scene;
 use crate::skill::{SkillMap, Theta};
 
 impl Scene {
-    /// Duration of the longest skill within the bounds (theta = 1 throughout), seconds, rest excluded.
+    /// Duration of the longest skill within the bounds, seconds, rest excluded: theta = 1 throughout, but with an overlap perhaps -1 for the
+    /// transport, of which little leaves little to overlap.
     pub fn longest_skill_s(&self) -> f64 {
-        SkillMap::new(self).duration_s(&Theta::clamped([1.0; 5]))
+        let map = SkillMap::new(self);
+        let lasts_s = |transport| map.duration_s(&Theta::clamped([1.0, 1.0, 1.0, transport, 1.0]));
+        lasts_s(1.0).max(lasts_s(-1.0))
     }
 }
 
@@ -27,6 +30,25 @@ mod tests {
         assert!((scene.longest_skill_s() - expected_s).abs() < 1e-12);
         scene.skill.timing = Timing::Rounded;
         assert!((scene.longest_skill_s() - expected_s).abs() < 6.0 * 0.005);
+    }
+
+    /// Also where a short transport leaves little to overlap.
+    #[test]
+    fn no_skill_lasts_longer_than_the_longest() {
+        for (transport_m, overlap, is_shortest) in
+            [([0.06, 0.16], 0.0, false), ([0.06, 0.16], 1.0, false), ([0.001, 0.03], 1.0, true)]
+        {
+            let mut scene = Scene::load("bench").unwrap();
+            (scene.skill.transport_displacement_m, scene.skill.overlap) = (transport_m, overlap);
+            let (map, longest_s) = (SkillMap::new(&scene), scene.longest_skill_s());
+            for place in 0..3u32.pow(5) {
+                let at = |k: u32| f64::from(place / 3u32.pow(k) % 3) - 1.0;
+                let theta = Theta::clamped([0, 1, 2, 3, 4].map(at));
+                assert!(map.duration_s(&theta) <= longest_s + 1e-12, "{theta} {transport_m:?} {overlap}");
+            }
+            let usual_s = map.duration_s(&Theta::clamped([1.0; 5]));
+            assert_eq!(longest_s > usual_s + 0.01, is_shortest, "{longest_s} {usual_s}");
+        }
     }
 
     #[test]

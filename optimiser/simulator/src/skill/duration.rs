@@ -249,10 +249,11 @@ mod tests {
             let shares = (0..=100).map(|k| f64::from(k) / 100.0);
             cases.flat_map(|case| shares.clone().map(move |share| at(case, share))).fold(0.0, f64::max)
         };
+        let (one, two) = (PACE.caps, PACE.of_two_at_once().caps);
         let both = [
-            (largest(&velocity, MINIMUM_JERK.velocity), TWO_VELOCITIES),
-            (largest(&acceleration, MINIMUM_JERK.acceleration), std::f64::consts::SQRT_2),
-            (largest(&jerk, MINIMUM_JERK.jerk), std::f64::consts::SQRT_2),
+            (largest(&velocity, MINIMUM_JERK.velocity), one.velocity / two.velocity),
+            (largest(&acceleration, MINIMUM_JERK.acceleration), one.acceleration / two.acceleration),
+            (largest(&jerk, MINIMUM_JERK.jerk), one.jerk / two.jerk),
         ];
         for (found, bound) in both {
             assert!(found <= bound && found > 0.99 * bound, "{found} of {bound}");
