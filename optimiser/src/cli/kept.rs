@@ -1,12 +1,19 @@
 //! What a command has done so far, kept in its folder: the same command goes on from there.
 
 use super::CliError;
-use crate::report::folder::{PLAN, RunFolder};
+use crate::report::folder::{COMPARISON, PLAN, RunFolder, SCENE, STATE};
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 use serde_json::{Map, Value};
 
-/// What is said where a command ends before it is done.
-pub(super) const GO_ON: &str = "what was simulated is saved, and the same command goes on from there";
+/// What a command that is stopped before it is done says. What failed would fail again.
+pub(super) fn that_goes_on(error: CliError) -> CliError {
+    match error {
+        CliError::Interrupted(_) => {
+            error.with_remark("what was simulated is saved, and the same command goes on from there")
+        }
+        error => error,
+    }
+}
 
 /// What was done, and what it is of: that of something else is not gone on with.
 #[derive(Serialize, Deserialize)]
@@ -23,9 +30,11 @@ impl<S: Serialize + DeserializeOwned, T: Serialize + DeserializeOwned> Kept<S, T
     /// # Errors
     /// It is of something else, or the folder holds something else.
     pub(super) fn begun(folder: &RunFolder, file: &str, of: S) -> Result<Self, CliError> {
-        if !folder.file(file).exists() && folder.file(PLAN).exists() {
+        let others = [(PLAN, "plan"), (STATE, "run"), (COMPARISON, "comparison"), (SCENE, "scene")];
+        let other = others.into_iter().find(|(other, _)| folder.file(other).exists());
+        if let Some((_, what)) = other.filter(|_| !folder.file(file).exists()) {
             return Err(CliError::Input(format!(
-                "{} holds a plan of something else; another --out would be right",
+                "{} holds a {what} of something else; another --out would be right",
                 folder.path().display()
             )));
         }

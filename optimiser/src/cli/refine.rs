@@ -2,7 +2,7 @@
 
 use super::{
     CliError, Context, Progress, Resources, Setup,
-    kept::{GO_ON, Kept},
+    kept::{Kept, that_goes_on},
     motion::{Motion, MotionArgs, Task},
     next,
     run::{Teller, watched},
@@ -17,7 +17,7 @@ use crate::{
         plan::{PlanParts, on_finer},
         record::RunRecord,
         summary::{arrival, cells},
-        words::parameter,
+        words::{hex, parameter},
     },
     run::Grids,
 };
@@ -99,14 +99,13 @@ pub(super) fn execute(arguments: &RefineArgs, context: &mut Context<'_>) -> Resu
     task.setup.check_memory(&finer, Workload::Single, 0)?;
     let folder =
         RunFolder::take(&arguments.out.clone().unwrap_or_else(|| arguments.plan.with_file_name("refined")))?;
-    let of = Subject { plan: plan.name.clone(), by: arguments.by, physics: PHYSICS_VERSION };
-    let looks = Kept::begun(&folder, LOOKS, of)?;
+    let looks = Kept::begun(&folder, LOOKS, plan.subject(&task.scene, arguments.by))?;
     let grids = [task.scene.clone(), finer];
     let (report, map) = plan.corrected(grids, &task.setup, &folder, looks, context)?;
     if arguments.json {
         context.json(&report)?;
     } else {
-        write!(context.out, "{}", report.text(&map))?;
+        write!(context.out, "{}", report.text(&map, "As it came, it brought"))?;
         write!(context.out, "{}", next::play(&report.plan))?;
     }
     report.shortfall().map_or(Ok(()), |shortfall| Err(CliError::Missed(shortfall)))
@@ -114,10 +113,12 @@ pub(super) fn execute(arguments: &RefineArgs, context: &mut Context<'_>) -> Resu
 
 /// What the looks are of.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-struct Subject {
+pub(super) struct Subject {
     plan: String,
     #[serde(rename = "--by")]
     by: u32,
+    /// Digest of the scene whose plan it becomes.
+    scene: String,
     physics: u32,
 }
 
@@ -152,6 +153,12 @@ impl PlanToChange {
         self.header.finer.map_or(1, |finer| (scene.domain.cell_m / finer.cell_m).round() as u32)
     }
 
+    /// What looks at its skill in a scene, on cells so much smaller, are of.
+    pub(super) fn subject(&self, scene: &Scene, by: u32) -> Subject {
+        let digest = scene.digest();
+        Subject { plan: self.name.clone(), by, scene: hex(&digest[..8]), physics: PHYSICS_VERSION }
+    }
+
     /// What it brings, where the most is known of it.
     pub(super) fn outcome(&self, scene: &Scene) -> Outcome {
         Outcome::finest_of_plan(&Amounts::from(scene), &self.header).1
@@ -161,12 +168,12 @@ impl PlanToChange {
     ///
     /// # Errors
     /// One sentence; what was simulated before is saved.
-    pub(super) fn corrected<S: Serialize>(
+    pub(super) fn corrected(
         &self,
         scenes: [Scene; 2],
         setup: &Setup,
         folder: &RunFolder,
-        mut looks: Kept<S, Seen>,
+        mut looks: Kept<Subject, Seen>,
         context: &mut Context<'_>,
     ) -> Result<(Report, SkillMap), CliError> {
         let progress = Progress::new(&context.err, context.live);
@@ -181,7 +188,7 @@ impl PlanToChange {
             })
         };
         progress.clear();
-        let found = found.map_err(|error| error.with_remark(GO_ON))?;
+        let found = found.map_err(that_goes_on)?;
         let map = SkillMap::new(&scenes[0]);
         let refined = Refined { folder, scenes: &scenes, map: &map, splines: self.splines.as_ref() };
         refined.write_plan(&found, &self.header)?;
@@ -304,7 +311,8 @@ impl Report {
         self.finer_cell_m < self.cell_m
     }
 
-    pub(super) fn text(&self, map: &SkillMap) -> String {
+    /// `came` begins the sentence that says what the skill brought before it was changed.
+    pub(super) fn text(&self, map: &SkillMap, came: &str) -> String {
         let Self { tried, best, .. } = self;
         let (first, line) = (&tried[0], &tried[*best]);
         let arrives = arrival(&self.finer_amounts, &line.outcome);
@@ -321,11 +329,7 @@ impl Report {
             if self.is_finer() { format!(" and {}", mass(self.own[0].mass_kg)) } else { String::new() };
         text += &match best {
             0 => "The skill is as it came".to_owned(),
-            _ => format!(
-                "As it came, it brought {} ({}){on_own}",
-                mass(first.outcome.mass_kg),
-                self.off(first)
-            ),
+            _ => format!("{came} {} ({}){on_own}", mass(first.outcome.mass_kg), self.off(first)),
         };
         text += &format!(
             ". Simulated: {}, {:.0} s of processor time.\n",

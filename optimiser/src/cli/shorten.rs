@@ -2,7 +2,7 @@
 
 use super::{
     CliError, Context, Progress, Resources,
-    kept::{GO_ON, Kept},
+    kept::{Kept, that_goes_on},
     motion::{MotionArgs, Task},
     next,
     refine::{self, PlanToChange},
@@ -50,6 +50,9 @@ pub(super) struct ShortenArgs {
 
 /// What was simulated in haste so far, in the folder.
 const HASTE: &str = "haste.json";
+
+/// What is said of the faster motion before its skill was changed.
+const FASTER_BROUGHT: &str = "With the skill as it came, the faster motion brought";
 
 /// By less than this nobody makes a motion faster, seconds.
 const WORTH_A_LOOK_S: f64 = 1e-3;
@@ -104,13 +107,10 @@ pub(super) fn execute(arguments: &ShortenArgs, context: &mut Context<'_>) -> Res
     )?;
     let of = Subject { plan: plan.name.clone(), physics: PHYSICS_VERSION };
     let mut hurry =
-        Hurry { task: &task, plan: &plan, kept: Kept::begun(&folder, HASTE, of.clone())?, folder: &folder };
-    let haste = hurry.most(context).map_err(|error| match error {
-        CliError::Interrupted(_) => error.with_remark(GO_ON),
-        error => error,
-    })?;
+        Hurry { task: &task, plan: &plan, kept: Kept::begun(&folder, HASTE, of)?, folder: &folder };
+    let haste = hurry.most(context).map_err(that_goes_on)?;
     let quick = hastened(&task.scene, &plan.theta, &haste)?;
-    let looks = Kept::begun_beside(&folder, refine::LOOKS, of)?;
+    let looks = Kept::begun_beside(&folder, refine::LOOKS, plan.subject(&quick, by))?;
     let (refined, map) =
         plan.corrected([quick.clone(), finest(&quick)?], &task.setup, &folder, looks, context)?;
     let report = Report {
@@ -128,7 +128,7 @@ pub(super) fn execute(arguments: &ShortenArgs, context: &mut Context<'_>) -> Res
     if arguments.json {
         context.json(&report)?;
     } else {
-        writeln!(context.out, "{}{}", report.text(), report.refined.text(&map))?;
+        writeln!(context.out, "{}{}", report.text(), report.refined.text(&map, FASTER_BROUGHT))?;
         write!(context.out, "{}", next::play(&report.refined.plan))?;
     }
     report.refined.shortfall().map_or(Ok(()), |shortfall| Err(CliError::Missed(shortfall)))
@@ -149,7 +149,8 @@ impl Hurry<'_> {
         let before = self.look(&Haste::default(), context)?;
         let mut shortest_s = self.duration_s(&Haste::default())?;
         let mut is_well = |haste: &Haste| {
-            let takes_s = self.duration_s(haste)?;
+            // In a scene that is none, as where the longest skill is longer, nothing is made.
+            let Ok(takes_s) = self.duration_s(haste) else { return Ok(false) };
             // Of what is as fast as it can be there is nothing to be seen.
             if takes_s > shortest_s - WORTH_A_LOOK_S {
                 return Ok(false);
@@ -232,9 +233,7 @@ impl Hurry<'_> {
             .and_then(|mut simulator| simulator.simulate(&motion.controls));
         match found {
             Ok(found) => Ok(Hurried { haste, obstacle: None, census: found.census }),
-            Err(error @ (RolloutError::Escaped { .. } | RolloutError::NonFinite { .. })) => {
-                Ok(nothing(error.to_string()))
-            }
+            Err(error) if error.is_of_motion() => Ok(nothing(error.to_string())),
             Err(error) => Err(error.into()),
         }
     }

@@ -381,13 +381,14 @@ impl Run {
         ));
         let scenes = [self.record.scene.clone(), finer.clone()];
         let mut grids = Grids::new(scenes, found.splines.clone(), state.looks.clone(), worlds.leave());
+        let mut is_kept = true;
         let corrected = grids.corrected(&found.theta, watcher, &mut |seen| {
             self.record.state.looks = seen.to_vec();
-            self.save()
+            self.save().inspect_err(|_| is_kept = false)
         });
         let corrected = match corrected {
-            // The search's plan is there, whatever this comes to.
-            Err(error @ (Failure::Input(_) | Failure::Failed(_))) => {
+            // The search's plan is there, whatever this comes to. What cannot be kept now may be another time.
+            Err(error @ (Failure::Input(_) | Failure::Failed(_))) if is_kept => {
                 return Ok(self.unrefined(error.to_string(), watcher));
             }
             other => other.map_err(|error| error.with_remark("the plan that the search left is written"))?,

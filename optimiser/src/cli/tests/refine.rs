@@ -125,8 +125,29 @@ fn a_run_corrects_its_plan_by_smaller_cells_and_says_them_first() {
         done = optimise_for(40, &["--resume", &stopped]);
     }
     assert!(stops > 3 && bytes(&stopped, "skill.plan") == bytes(&folder, "skill.plan"), "{stops}");
-    // It is done, and more epochs are another plan, looked at anew.
     assert!(optimise(&["--resume", &folder]).err.contains("is finished"));
+}
+
+/// More epochs are another plan, looked at anew or not at all.
+#[test]
+fn a_run_that_is_prolonged_is_looked_at_as_one_that_was_as_long_from_the_beginning() {
+    let place = Place::new();
+    for more in [&[][..], &["--no-refine"]] {
+        let [short, long] = ["short", "long"].map(|name| format!("{}{}", place.text(name), more.len()));
+        // No path and no skill of so few epochs has the amount.
+        let few = |folder: &str, epochs: &str, more: &[&str]| {
+            let search =
+                ["bench-small", "--seed", "4", "--method", "mixed", "--patience", "0", "--out", folder];
+            optimise(&[&search[..], &["--epochs", epochs], more].concat())
+        };
+        assert!(few(&short, "3", &[]).is_finished() && header_in(&short).finer.is_some());
+        let first = bytes(&short, "skill.plan");
+        assert!(few(&long, "5", more).is_finished());
+        assert!(optimise(&[&["--resume", &short, "--epochs", "5"][..], more].concat()).is_finished());
+        assert_eq!(header_in(&short).finer.is_none(), more.len() == 1);
+        let plan = bytes(&short, "skill.plan");
+        assert!(plan != first && plan == bytes(&long, "skill.plan"));
+    }
 }
 
 #[test]

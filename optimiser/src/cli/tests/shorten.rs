@@ -60,6 +60,10 @@ fn a_plan_is_made_as_fast_as_the_powder_on_the_tool_bears() {
     );
     let words = optimise(&["shorten", &plan, "--out", &place.text("at-once")]).out;
     assert!(words.starts_with("The motion takes ") && words.contains("\nThe plan brings "), "{words}");
+    assert!(
+        words.contains("\nThe skill is as it came")
+            || words.contains("\nWith the skill as it came, the faster motion brought ")
+    );
     // In the folder of another plan.
     assert_sentence(
         &optimise(&["shorten", &plan_there, "--out", &place.text("at-once")]),
@@ -93,6 +97,9 @@ fn a_path_is_made_faster_as_the_path_that_it_is() {
     let (before, now) = (header(&place, "run"), header(&place, "run/shortened"));
     assert!(now.path_coefficients == before.path_coefficients && now.path_coefficients > 0);
     assert!(now.step_count < before.step_count);
+    // What was looked at is what is in the plan.
+    let again = optimise(&["simulate", "--plan", &format!("{folder}/shortened/skill.plan")]);
+    assert!(again.code == 0 && again.out.contains("exactly those that the plan predicts"), "{}", again.out);
 }
 
 /// A finished run of `bench-small`, changed, without its arm; and the shortening of its plan.
@@ -126,4 +133,28 @@ fn a_motion_that_is_as_fast_as_it_can_be_stays_and_it_is_said_why() {
         1,
         "the motion stays as it is: it is as fast as the limits allow; ",
     );
+}
+
+/// Looks at the plan as it was, in the same folder, are not those at the faster one; and a run that is not done is left alone.
+#[test]
+fn what_is_of_another_scene_or_run_is_not_gone_on_with() {
+    let place = Place::new();
+    let plan = format!("{}/skill.plan", place.finished("run", 12));
+    let out = place.text("both");
+    let mut patience = 10;
+    while optimise_for(patience, &["refine", &plan, "--out", &out]).code != 130 {
+        patience -= 1;
+    }
+    assert!(place.path("both/looks.json").exists() && !place.path("both/skill.plan").exists());
+    let done = optimise(&["shorten", &plan, "--out", &out]);
+    assert_sentence(&done, 2, "looks.json was begun with ");
+    let stopped = place.text("stopped");
+    let search = ["bench-small", "--method", "mixed", "--no-refine", "--epochs", "9", "--out", &stopped];
+    assert_eq!(optimise_for(60, &search).code, 130);
+    let before = bytes(&stopped, "scene.toml");
+    for command in ["shorten", "refine"] {
+        let done = optimise(&[command, &plan, "--out", &stopped]);
+        assert_sentence(&done, 2, "stopped holds a run of something else; another --out would be right");
+    }
+    assert_eq!(bytes(&stopped, "scene.toml"), before);
 }
