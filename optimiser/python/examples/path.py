@@ -20,6 +20,12 @@ def pitch_deg(poses):
     return np.degrees(2 * (half - half[0]))
 
 
+def jerks(plan):
+    """Root mean square of the tool's jerk over the whole motion, m/s^3, and of its angular jerk, rad/s^3."""
+    jerk = np.diff(plan.displacements, 2, axis=0) / plan.control_period_s**3
+    return [np.sqrt(np.mean(np.sum(part**2, axis=1))) for part in (jerk[:, :3], jerk[:, 3:])]
+
+
 def words(name, plan):
     return f"{name}: {1e3 * plan.mass_kg:.3f} g ({100 * plan.miss:+.2g} %), {1e6 * plan.lost_kg:.0f} mg lost, loss {plan.loss:.2f} m"
 
@@ -35,6 +41,7 @@ def main(plan, picture):
     figure, (side, turn, speed) = plt.subplots(1, 3, figsize=(12, 3.6))
     for name, motion, style in (("path", path, "-"), ("its skill", skill, "--")):
         print(words(name, motion))
+        print("  jerk, root mean square: {:.2f} m/s^3, {:.2f} rad/s^3".format(*jerks(motion)))
         times, poses = motion.times_s, motion.poses
         heading = np.radians(scene.to_dict()["skill"]["heading_deg"])
         ahead = poses[:, :2] @ [np.cos(heading), np.sin(heading)]
