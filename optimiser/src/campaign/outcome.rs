@@ -66,7 +66,7 @@ pub struct Found {
     pub met: Option<bool>,
     /// What is on rims, spilled or in flight, kilogram.
     pub lost_kg: f64,
-    /// Loss, metres.
+    /// Loss on the bench's own cells, metres: one of smaller particles is a sum over more of them.
     pub loss_m: f64,
     /// The skill.
     pub theta: Theta,

@@ -83,7 +83,8 @@ fn figures(campaign: &Campaign, outcomes: &[Option<Outcome>]) -> Vec<Figure> {
     if finished < outcomes.len() {
         figures.push(number("Finished", finished));
     }
-    if !campaign.is_of_rollouts() {
+    // Where as much as can be had is wanted, nobody judges.
+    if !campaign.is_of_rollouts() && met + missed > 0 {
         figures.push(number("Within the tolerance", met).toned(if met > 0 {
             Tone::Good
         } else {
@@ -209,11 +210,10 @@ fn heat_map(campaign: &Campaign, outcomes: &[Option<Outcome>]) -> Option<HeatMap
         }
         cells[row][column_of(&case)].extend(outcome);
     }
-    let of_search = !campaign.is_of_rollouts();
     let rows = names
         .into_iter()
         .zip(cells)
-        .map(|(name, row)| (name, row.into_iter().map(|cell| heat(&cell, of_search)).collect()));
+        .map(|(name, row)| (name, row.into_iter().map(|cell| heat(&cell)).collect()));
     Some(HeatMap {
         title: "Miss, the median of each cell".into(),
         axes: [
@@ -226,7 +226,7 @@ fn heat_map(campaign: &Campaign, outcomes: &[Option<Outcome>]) -> Option<HeatMap
 }
 
 /// What several cases came to.
-fn heat(cases: &[&Outcome], of_search: bool) -> Option<Heat> {
+fn heat(cases: &[&Outcome]) -> Option<Heat> {
     let mut misses: Vec<f64> = cases.iter().filter_map(|outcome| Some(outcome.found()?.miss)).collect();
     let failed = cases.len() - misses.len();
     if cases.is_empty() {
@@ -236,9 +236,12 @@ fn heat(cases: &[&Outcome], of_search: bool) -> Option<Heat> {
     let Some(median) = misses.get(misses.len() / 2).copied() else {
         return Some(Heat { text: "failed".into(), tone: Tone::Bad, strength: 1.0, ..Heat::default() });
     };
-    let met = cases.iter().filter(|outcome| outcome.status() == Status::Met).count();
+    let number_of = |status: Status| cases.iter().filter(|outcome| outcome.status() == status).count();
+    let met = number_of(Status::Met);
+    // Nobody judges a rollout of a skill that was given, nor one of which as much as can be had is wanted.
+    let is_judged = met + number_of(Status::Missed) > 0;
     let mut note =
-        if of_search { format!("{met} of {} met", cases.len()) } else { count(cases.len() as i64, "case") };
+        if is_judged { format!("{met} of {} met", cases.len()) } else { count(cases.len() as i64, "case") };
     if failed > 0 {
         note += &format!(", {failed} failed");
     }
@@ -246,8 +249,7 @@ fn heat(cases: &[&Outcome], of_search: bool) -> Option<Heat> {
     Some(Heat {
         text: format!("{sign}{}", percent(median)),
         note,
-        // Nobody judges a rollout of a skill that was given.
-        tone: match of_search {
+        tone: match is_judged {
             true if met == cases.len() => Tone::Good,
             true => Tone::Bad,
             false => Tone::Plain,
@@ -255,4 +257,37 @@ fn heat(cases: &[&Outcome], of_search: bool) -> Option<Heat> {
         // Small misses are told apart, and large ones too: a root.
         strength: if met == cases.len() { 1.0 } else { median.abs().sqrt() },
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::campaign::{End, Found};
+    use crate::report::amounts::Amounts;
+    use powderline_simulator::{rollout::Census, rollout::Evaluation, scene::Scene, skill::Theta};
+
+    /// Nobody judges where as much as can be had is wanted, or where a skill is given.
+    #[test]
+    fn a_cell_is_good_or_bad_only_where_somebody_judges() {
+        let amounts = Amounts::from(&Scene::load("bench").unwrap());
+        let census = Census { target: 900, ..Census::default() };
+        let found = Found::of_rollout(&amounts, Theta::MIDDLE, &Evaluation::new(1.0, 300, census));
+        let of = |met: Option<bool>| Outcome {
+            key: String::new(),
+            end: End::Found(Found { met, ..found.clone() }),
+        };
+        let failed = Outcome { key: String::new(), end: End::Error("no".into()) };
+        let cell = |outcomes: &[&Outcome]| heat(outcomes).map(|heat| (heat.tone, heat.note));
+        let (done, met, missed) = (of(None), of(Some(true)), of(Some(false)));
+        for (outcomes, tone, note) in [
+            ([&done, &done], Tone::Plain, "2 cases"),
+            ([&met, &met], Tone::Good, "2 of 2 met"),
+            ([&met, &missed], Tone::Bad, "1 of 2 met"),
+            ([&met, &failed], Tone::Bad, "1 of 2 met, 1 failed"),
+            ([&done, &failed], Tone::Plain, "2 cases, 1 failed"),
+        ] {
+            assert_eq!(cell(&outcomes), Some((tone, note.to_owned())));
+        }
+        assert_eq!(cell(&[&failed]), Some((Tone::Bad, String::new())));
+    }
 }

@@ -49,10 +49,27 @@ pub(super) fn known(folder: &Path, key: &str) -> Result<Option<Outcome>, CliErro
     })?;
     match outcome.key == key {
         true => Ok(Some(outcome)),
-        false => Err(CliError::Input(format!(
-            "{} is of another case: of another scene, seed, version or way to search; choose another folder with --out",
-            path.display()
-        ))),
+        false => Err(of_another_case(&path)),
+    }
+}
+
+fn of_another_case(path: &Path) -> CliError {
+    CliError::Input(format!(
+        "{} is of another case: of another scene, seed, version or way to search; choose another folder with --out",
+        path.display()
+    ))
+}
+
+/// Whether a run that a folder may hold is this very case's, and can be gone on with. One that cannot be read is that case's own trouble.
+fn check_begun(campaign: &Campaign, case: &Case<'_>, scene: &Scene, folder: &Path) -> Result<(), CliError> {
+    let Some((settings, Ok(record))) = settings(campaign).zip(Some(RunRecord::read(folder))) else {
+        return Ok(());
+    };
+    let state = &record.state;
+    let asked = (scene.digest(), case.seed, Precision::from(campaign.file().precision), settings);
+    match (state.scene, state.seed, state.precision, state.settings) == asked {
+        true => Ok(()),
+        false => Err(of_another_case(&folder.join(STATE))),
     }
 }
 
@@ -98,9 +115,10 @@ fn immovable(scene: &Scene) -> Option<String> {
 
 /// How its cases search; they do not where they are rollouts.
 pub(super) fn settings(campaign: &Campaign) -> Option<Settings> {
-    let usual = Settings::default();
-    let refine_by = if campaign.file().refine { usual.refine_by } else { 0 };
-    (!campaign.is_of_rollouts()).then_some(Settings { refine_by, ..usual })
+    let (usual, file) = (Settings::default(), campaign.file());
+    let refine_by = if file.refine { usual.refine_by } else { 0 };
+    let epochs = file.epochs.unwrap_or(usual.epochs);
+    (!campaign.is_of_rollouts()).then_some(Settings { epochs, refine_by, ..usual })
 }
 
 /// Does a case, or goes on with it, and writes down what became of it. One that is done is not done again.
@@ -120,6 +138,7 @@ pub(super) fn perform(
     if let Some(done) = known(&folder, &key)?.filter(|outcome| outcome.found().is_some()) {
         return Ok(done);
     }
+    check_begun(campaign, &case, &scene, &folder)?;
     let work = Work { campaign, case: &case, scene: &scene, folder: &folder, resources, interrupt };
     let found = match campaign.file().theta {
         Some(theta) => work.rollout(theta),
@@ -243,7 +262,44 @@ impl Work<'_> {
             epochs: found.epoch.map(|epoch| [found.last_epoch, epoch]),
             plan: Some(format!("{:016x}", plan.content_hash())),
             own_mass_kg: shipped.outcome.mass_kg,
+            loss_m: shipped.outcome.loss_m,
             ..Found::of(&amounts, shipped.theta, &outcome)
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{cli::size::Memory, run::Run};
+
+    /// Whoever changes a powder between two calls does not get the search of the one before under the new one's name.
+    #[test]
+    fn a_search_that_was_begun_for_another_powder_is_not_gone_on_with() {
+        let place = tempfile::tempdir().unwrap();
+        let campaign = |density: u32, more: &str| {
+            let file = place.path().join("many.toml");
+            let text = format!(
+                "name = \"many\"\nbenches = [\"bench-small\"]\nseeds = [1]\n{more}\n[[powder]]\nname = \"salt\"\n\
+                 density_kg_m3 = {density}.0\n"
+            );
+            fs::write(&file, text).unwrap();
+            Campaign::load(&file).unwrap()
+        };
+        let first = campaign(1000, "");
+        let case = first.case(0);
+        let scene = case.setting.scene().unwrap();
+        let folder = folder_of(place.path(), &case);
+        let precision = Precision::from(first.file().precision);
+        let begun = RunFolder::create(&folder).unwrap();
+        drop(Run::begin(begun, scene.clone(), (case.seed, precision), settings(&first).unwrap()).unwrap());
+        assert!(check_begun(&first, &case, &scene, &folder).is_ok());
+        for other in [campaign(1100, ""), campaign(1000, "epochs = 3"), campaign(1000, "refine = false")] {
+            let resources = Resources { threads: Some(1), memory: Memory::Available };
+            let done = perform(&other, place.path(), 0, resources, &Interrupt::default());
+            let error = done.unwrap_err().to_string();
+            assert!(error.contains("state is of another case: of another scene, seed"), "{error}");
+            assert!(!folder.join(OUTCOME).exists());
+        }
     }
 }
