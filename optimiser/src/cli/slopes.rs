@@ -56,6 +56,9 @@ struct Subject {
     packing_seeds: Vec<u64>,
     /// The first of the drawn skills; none if they were given.
     first: Option<u64>,
+    /// Those that were given.
+    #[serde(default)]
+    given: Vec<Theta>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -108,6 +111,7 @@ pub(super) fn execute(
         least_delivered: LEAST_DELIVERED,
         packing_seeds: (0..arguments.packings).map(|k| seed.wrapping_add(k.into())).collect(),
         first: arguments.skills.map(|_| arguments.first),
+        given: asked.iter().filter(|asked| asked.draw.is_none()).map(|asked| asked.theta).collect(),
     };
     let folder = arguments.out.as_deref().map(RunFolder::take).transpose()?;
     let mut table = Table { report: begun(of, folder.as_ref())?, folder, json: arguments.json };
@@ -449,6 +453,7 @@ mod tests {
             least_delivered: LEAST_DELIVERED,
             packing_seeds: vec![1, 2],
             first: Some(0),
+            given: Vec::new(),
         }
     }
 
@@ -530,6 +535,10 @@ mod tests {
         let other = Subject { packing_seeds: vec![1, 3], ..subject() };
         let error = filled(place.path(), other, 0).0.err().unwrap().to_string();
         assert!(error.contains("packing_seeds [1,2], and [1,3] is asked for"), "{error}");
+        // Nor one of other skills that were given.
+        let other = Subject { given: vec![Theta::MIDDLE], ..subject() };
+        let error = filled(place.path(), other, 0).0.err().unwrap().to_string();
+        assert!(error.contains("given []"), "{error}");
         std::fs::write(place.path().join(TABLE), "{}").unwrap();
         let error = filled(place.path(), subject(), 0).0.err().unwrap().to_string();
         assert!(error.contains("gradcheck.json is no table of gradcheck: missing field"), "{error}");
