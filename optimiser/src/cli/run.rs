@@ -147,8 +147,9 @@ fn resumed(arguments: &RunArgs, path: &Path) -> Result<Run, CliError> {
     let mut record = RunRecord::read(path)?;
     refuse_differences(arguments, path, &record.state)?;
     let epochs = arguments.epochs.map(checked_epochs).transpose()?;
-    let goes_on = !record.state.finished || epochs.is_some_and(|all| all > record.state.settings.epochs);
-    if arguments.no_refine && goes_on {
+    let is_prolonged =
+        epochs.is_some_and(|all| all > record.state.settings.epochs) && !record.state.is_settled();
+    if arguments.no_refine && (!record.state.finished || is_prolonged) {
         record.state.settings.refine_by = 0;
         record.state.looks.clear();
     }

@@ -790,6 +790,19 @@ fn a_run_that_has_the_amount_ends_early_says_so_and_is_not_prolonged() {
     let again = optimise_for(1, &["--resume", &folder, "--epochs", "80"]);
     assert!(again.code == 0 && again.err.contains("--patience 0"), "{}", again.err);
     assert_eq!([METRICS, PLAN, STATE].map(|name| bytes(&folder, name)), saved);
+    // Nor is what is known of a corrected one forgotten.
+    let corrected = place.text("corrected");
+    let search = ["--seed", "4", "--method", "mixed", "--epochs", "60", "--out", &corrected];
+    assert!(optimise(&[&[path.as_str()][..], &search].concat()).is_finished());
+    let saved = [METRICS, PLAN, STATE].map(|name| bytes(&corrected, name));
+    let again = optimise_for(1, &["--resume", &corrected, "--epochs", "80", "--no-refine"]);
+    assert!(again.is_finished() && again.out.contains("Simulated for that: "), "{} {}", again.out, again.err);
+    assert_eq!([METRICS, PLAN, STATE].map(|name| bytes(&corrected, name)), saved);
+    // Curves that were not written when it ended are drawn by whoever looks again.
+    let curves = bytes(&corrected, CURVES);
+    fs::write(place.path("corrected").join(CURVES), "half").unwrap();
+    assert!(optimise_for(1, &["--resume", &corrected]).is_finished());
+    assert_eq!(bytes(&corrected, CURVES), curves);
 }
 
 /// A run of a scene whose amount every epoch brings, in `folder`, where the first `spoilt` motions bring nothing in whole counts.

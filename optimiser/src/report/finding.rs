@@ -345,8 +345,12 @@ impl Finding {
     pub fn is_settled(&self) -> bool {
         let Some(last_gain) = self.last_gain else { return false };
         let gained_nothing = self.last_epoch - last_gain >= self.patience_epochs;
-        let leads_nowhere = self.restarts.last() == Some(&self.last_epoch);
-        self.patience_epochs > 0 && (gained_nothing || leads_nowhere)
+        self.patience_epochs > 0 && (gained_nothing || self.leads_nowhere())
+    }
+
+    /// Whether the search would begin anew after its last epoch.
+    pub(crate) fn leads_nowhere(&self) -> bool {
+        self.restarts.last() == Some(&self.last_epoch)
     }
 
     /// What the plan brings where the most is known of it: on smaller cells, if it was looked at there.
@@ -472,7 +476,15 @@ mod tests {
         }
         assert_eq!(Rule::LeastLost.candidates(&amounts, &epochs), [1, 4, 2], "3 is blocked, 0 is off");
         assert_eq!(Rule::LeastLost.candidates(&amounts, &epochs[..1]), [0]);
-        assert_eq!(Rule::LowestLoss.candidates(&amounts, &epochs), [1]);
+        assert_eq!(Rule::LowestLoss.candidates(&amounts, &epochs)[0], 1);
+        // Where none is within, the next best may take the place of one that comes to no end; what came to none already is last.
+        let far = |epoch: usize| epochs[epoch].record.clone();
+        let mut off: Vec<Judged> =
+            [0, 0, 0].map(|epoch| Judged { record: far(epoch), obstacle: None }).into();
+        for (epoch, target) in [(0, 0), (1, 2600), (2, 900)] {
+            (off[epoch].record.epoch, off[epoch].record.census.target) = (epoch as u32, target);
+        }
+        assert_eq!(Rule::LeastLost.candidates(&amounts, &off), [2, 1, 0]);
         let finding = |epoch: u32, target: u32| {
             let census = Census { target, ..Census::default() };
             let outcome = Outcome::new(&amounts, census, 15.1);

@@ -54,17 +54,13 @@ impl Rule {
         self.rank(amounts, epochs).first().copied()
     }
 
-    /// Epochs that could be the plan if their motion, once it is rounded to whole counts, brings the wanted amount no longer: all that
-    /// are within the tolerance, the best first; or else the best alone.
+    /// Epochs that could be the plan, the best first, if the motions of those before, once they are rounded to whole counts, bring the wanted
+    /// amount no longer, or come to no end: all that are within the tolerance; or else all.
     pub fn candidates(self, amounts: &Amounts, epochs: &[Judged]) -> Vec<usize> {
         let is_met = |epoch: &usize| amounts.is_met(epochs[*epoch].record.census.target) == Some(true);
         let ranked = self.rank(amounts, epochs);
-        let first = ranked.first().copied();
-        let within: Vec<usize> = match self {
-            Self::LeastLost => ranked.into_iter().filter(is_met).collect(),
-            Self::LowestLoss => Vec::new(),
-        };
-        if within.is_empty() { first.into_iter().collect() } else { within }
+        let within: Vec<usize> = ranked.iter().copied().filter(is_met).collect();
+        if within.is_empty() { ranked } else { within }
     }
 
     /// The last epoch that brought a gain worth going on for: the first within the tolerance; each within it that has by a quarter of the
@@ -102,6 +98,8 @@ impl Rule {
                 // To a millionth: sums are rounded.
                 [0.0, (amounts.off_share(census) * 1e6).round(), loss]
             }
+            // Of a motion that came to no end nobody knows where the powder is.
+            Self::LeastLost if *census == Census::default() => [2.0, 1.0, loss],
             Self::LeastLost => [1.0, amounts.miss(census.target).abs(), loss],
             Self::LowestLoss => [loss; 3],
         }

@@ -132,6 +132,9 @@ impl Run {
         let tries: String = run.record.state.tries().map(json_line).collect();
         run.folder.replace(TRIES, tries.as_bytes())?;
         run.save()?;
+        if let Some(finding) = run.record.finding() {
+            run.write_curves(&finding)?;
+        }
         Ok(run)
     }
 
@@ -312,7 +315,12 @@ impl Run {
         let curves = Curves {
             title: [&format!("{}, seed {}", scene.name, state.seed), &finding.headline()],
             history: &state.history(),
-            epochs: state.settings.epochs,
+            // A search that others end does not know how many epochs it has.
+            epochs: if state.settings.epochs == MAX_EPOCHS {
+                finding.last_epoch
+            } else {
+                state.settings.epochs
+            },
             shipped: finding.epoch,
             plan: finding.as_found(),
             passed_over: &finding.passed_over.iter().map(|passed| passed.epoch).collect::<Vec<_>>(),
@@ -424,7 +432,11 @@ impl Run {
             let quantised = QuantisedControls::new(&controls)?;
             let evaluation = match known.or(self.rounded.get(&epoch).copied()) {
                 Some(found) => found,
-                None => rehearsed(&quantised, worlds, watcher)?,
+                None => match rehearsed(&quantised, worlds, watcher)? {
+                    Some(found) => found,
+                    // Rounded, it comes to no end: another one may.
+                    None => continue,
+                },
             };
             self.rounded.insert(epoch, evaluation);
             let miss = |found: &Evaluation| amounts.miss(found.census.target).abs();
@@ -434,15 +446,14 @@ impl Run {
                 let splines = record.splines.clone();
                 nearest = Some(Performed { theta, splines, quantised, evaluation, finer: None });
             }
-            if is_met {
+            // Where none is within the tolerance, none that comes after the best is better.
+            if is_met || amounts.is_met(record.census.target) != Some(true) {
                 break;
             }
         }
         nearest.ok_or_else(|| {
-            Failure::Failed(format!(
-                "no evaluated skill is a motion that the arm may perform: {}",
-                passed_over.first().map_or("there is none", |passed| &passed.reason)
-            ))
+            let why = passed_over.first().map_or("powder leaves the grid", |passed| &passed.reason);
+            Failure::Failed(format!("no evaluated skill is a motion that the arm may perform: {why}"))
         })
     }
 }
@@ -494,17 +505,20 @@ fn standing(scene: &Scene, ended: Epoch, rounds: &[Vec<Try>]) -> Epoch {
     }
 }
 
-/// What a motion in whole counts brings.
+/// What a motion in whole counts brings; none if it comes to no end.
 fn rehearsed(
     quantised: &QuantisedControls,
     worlds: &mut Worlds<'_>,
     watcher: &dyn Watcher,
-) -> Result<Evaluation, Failure> {
+) -> Result<Option<Evaluation>, Failure> {
     if watcher.is_stopped() {
         return Err(RolloutError::Stopped.into());
     }
     watcher.begin("the plan, as shipped", 0, &[]);
-    Ok(worlds.rehearse(&quantised.controls)?)
+    match worlds.rehearse(&quantised.controls) {
+        Err(error) if error.is_of_motion() => Ok(None),
+        found => Ok(Some(found?)),
+    }
 }
 
 /// Epochs as given, if there are not too many.
