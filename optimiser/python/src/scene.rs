@@ -230,19 +230,19 @@ fn merge_named(
     changes: &Bound<'_, PyDict>,
 ) -> PyResult<()> {
     for (name, change) in changes {
-        let mut names = Vec::new();
+        let (mut names, mut is_there) = (Vec::new(), false);
         for table in list {
             let table = table.cast_into::<PyDict>()?;
             let found = table.get_item("name")?;
             if found.as_ref().is_some_and(|found| found.eq(&name).unwrap_or(false)) {
                 merge(&table, change.cast::<PyDict>()?)?;
-                names.clear();
+                is_there = true;
                 break;
             }
             names.push(found.map_or(String::new(), |found| found.to_string()));
         }
-        if !names.is_empty() {
-            let names = names.join(", ");
+        if !is_there {
+            let names = if names.is_empty() { "none".into() } else { names.join(", ") };
             return Err(errors::SceneError::new_err(format!(
                 "there is no {key} called {name}; there are {names}"
             )));
