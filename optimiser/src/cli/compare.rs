@@ -201,13 +201,21 @@ impl Experiment {
     ///
     /// # Errors
     /// One sentence.
-    pub(super) fn open(path: &Path, resources: Resources) -> Result<Self, CliError> {
+    fn open(path: &Path, resources: Resources) -> Result<Self, CliError> {
         Self::of_folder(RunFolder::open_with(path, COMPARISON)?, resources)
     }
 
     /// The same beside others who do so: for whoever writes into folders of searches alone.
     fn share(path: &Path, resources: Resources) -> Result<Self, CliError> {
         Self::of_folder(RunFolder::share(path, COMPARISON)?, resources)
+    }
+
+    /// The same beside whoever works on it: for whoever only reads.
+    ///
+    /// # Errors
+    /// One sentence.
+    pub(super) fn look(path: &Path, resources: Resources) -> Result<Self, CliError> {
+        Self::of_folder(RunFolder::look(path, COMPARISON)?, resources)
     }
 
     fn of_folder(folder: RunFolder, resources: Resources) -> Result<Self, CliError> {

@@ -206,7 +206,7 @@ impl ReportArgs {
                 "--executed goes with a plan or a run, not with a comparison".into(),
             ));
         }
-        let experiment = Experiment::open(&self.of, self.resources)?;
+        let experiment = Experiment::look(&self.of, self.resources)?;
         let comparison = experiment.so_far()?;
         let best = experiment.best_motion(&comparison);
         let (task, whose) = best.map_or((None, None), |(task, whose)| (Some(task), Some(whose)));
@@ -521,7 +521,7 @@ fn epochs(epochs: &[Judged], finding: &Finding) -> Table {
         link: None,
     };
     Table {
-        title: "Epochs: the best of each, by the loss".into(),
+        title: "Epochs: of each the motion that stands for it".into(),
         columns: columns.map(String::from).into(),
         rows: epochs.iter().map(row).collect(),
     }

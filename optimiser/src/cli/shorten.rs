@@ -20,7 +20,7 @@ use crate::{
 use clap::Args;
 use powderline_simulator::{
     PHYSICS_VERSION,
-    rollout::{Census, RolloutError, Workload},
+    rollout::{Census, Workload},
     scene::{
         Scene,
         figures::{about, mass},

@@ -249,7 +249,8 @@ impl Curves<'_> {
             // A plan's motion is rounded to whole counts, and no epoch's is.
             let is_other = self.plan.is_some() && !shipped.rounded;
             let rounded = if is_other { "; curves before rounding" } else { "" };
-            area.draw(&Text::new(format!("shipped: epoch {}{rounded}", shipped.epoch), (x + 26, y), font()))?;
+            let what = if self.plan.is_some() { "shipped" } else { "best so far" };
+            area.draw(&Text::new(format!("{what}: epoch {}{rounded}", shipped.epoch), (x + 26, y), font()))?;
             x += if is_other { 360 } else { 190 };
         }
         if !self.passed_over.is_empty() {
@@ -379,7 +380,7 @@ mod tests {
     fn what_stands_out_is_said_and_marked_in_every_curve() {
         let svg = svg(31, 30, 1100.0);
         for text in [
-            "shipped: epoch 29",
+            "best so far: epoch 29",
             "passed over, as the arm may not perform it: epoch 30",
             "in a coarse copy of the scene",
         ] {
@@ -387,6 +388,8 @@ mod tests {
         }
         // Seven curves and the legend.
         assert_eq!(svg.matches("r=\"6\"").count(), 8);
+        let shipped = svg_with(31, 30, 1100.0, Some(1.0));
+        assert!(shipped.contains("shipped: epoch 29") && !shipped.contains("best so far"));
     }
 
     /// The plan's figures stand beside the panel, and so the ring does where they are, within the panel.

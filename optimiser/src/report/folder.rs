@@ -57,7 +57,7 @@ pub enum FolderError {
         source: io::Error,
     },
     /// Another run holds the folder's lock.
-    #[error("another run is writing into {path}; choose another folder with --out")]
+    #[error("another run is writing into {path}; wait for it, or choose another folder")]
     Locked {
         /// The folder.
         path: PathBuf,
@@ -85,11 +85,11 @@ pub enum FolderError {
 /// How a file is locked: alone, or beside others.
 type Lock = fn(&File) -> Result<(), TryLockError>;
 
-/// An open, locked folder. The lock goes with the value.
+/// An open folder, locked unless it is only looked at. The lock goes with the value.
 #[derive(Debug)]
 pub struct RunFolder {
     path: PathBuf,
-    _lock: File,
+    _lock: Option<File>,
 }
 
 impl RunFolder {
@@ -153,6 +153,17 @@ impl RunFolder {
         Self::holding(path, file, File::try_lock_shared)
     }
 
+    /// The same beside whoever works in it: for whoever only reads.
+    ///
+    /// # Errors
+    /// It holds no such file.
+    pub fn look(path: &Path, file: &'static str) -> Result<Self, FolderError> {
+        match path.join(file).exists() {
+            true => Ok(Self { path: path.into(), _lock: None }),
+            false => Err(FolderError::NoRun { path: path.into(), file }),
+        }
+    }
+
     fn holding(path: &Path, file: &'static str, lock: Lock) -> Result<Self, FolderError> {
         match path.join(file).exists() {
             true => Self::lock_by(path, lock),
@@ -178,7 +189,7 @@ impl RunFolder {
         let failed = |source| FolderError::Write { path: file.clone(), source };
         let held = OpenOptions::new().write(true).create(true).truncate(false).open(&file).map_err(failed)?;
         match lock(&held) {
-            Ok(()) => Ok(Self { path: path.into(), _lock: held }),
+            Ok(()) => Ok(Self { path: path.into(), _lock: Some(held) }),
             Err(TryLockError::WouldBlock) => Err(FolderError::Locked { path: path.into() }),
             Err(TryLockError::Error(source)) => Err(failed(source)),
         }

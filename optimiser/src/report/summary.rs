@@ -93,7 +93,11 @@ impl Finding {
         format!(
             "Epoch {epoch} of {} is {}: of the epochs{which}{able} it {why}. Its loss is {:.3} m;{before} epoch 0{} had {:.3} m and brought {}.",
             self.last_epoch,
-            if self.finer.is_some_and(|finer| finer.corrected) { "what was corrected" } else { "the plan" },
+            match (self.plan, self.finer) {
+                (None, _) => "the best so far",
+                (Some(_), Some(finer)) if finer.corrected => "what was corrected",
+                (Some(_), _) => "the plan",
+            },
             found.loss_m,
             if self.coarse_epochs.first() == Some(&0) { ", in the coarse world," } else { "" },
             self.first.loss_m,
@@ -103,12 +107,12 @@ impl Finding {
 
     /// Why the search ended before its last epoch, if it did.
     fn end(&self) -> Option<String> {
-        let patience = self.patience_epochs;
+        let why = match self.leads_nowhere() {
+            true => "the last epoch leads nowhere".to_owned(),
+            false => format!("{} gained nothing", count(self.patience_epochs.into(), "further epoch")),
+        };
         self.ended_of.map(|epochs| {
-            format!(
-                "The search ended there, of at most {epochs} epochs: the amount is met, and {} gained nothing.",
-                count(patience.into(), "further epoch")
-            )
+            format!("The search ended there, of at most {epochs} epochs: the amount is met, and {why}.")
         })
     }
 
@@ -139,8 +143,11 @@ impl Finding {
 
     /// After which epochs the search began anew.
     fn restart_words(&self) -> Option<String> {
-        let epochs = listed(&self.restarts.iter().map(u32::to_string).collect::<Vec<_>>());
-        match self.restarts.len() {
+        // After the last nothing began.
+        let restarts = self.restarts.iter().filter(|epoch| **epoch < self.last_epoch);
+        let epochs: Vec<String> = restarts.map(u32::to_string).collect();
+        let (epochs, number) = (listed(&epochs), epochs.len());
+        match number {
             0 => None,
             1 => Some(format!("Epoch {epochs} led nowhere, so the next began anew from another skill.")),
             _ => Some(format!("Epochs {epochs} led nowhere, so the next ones began anew from other skills.")),
@@ -296,6 +303,34 @@ mod tests {
         );
         assert!(text.contains("scooping depth               11.0 mm       20.0 mm\n"), "{text}");
         assert!(!text.contains("help") && finding.shortfall().is_none(), "{text}");
+    }
+
+    /// Of a run that is not finished nothing reads as if there were a plan, or another search to come.
+    #[test]
+    fn as_long_as_there_is_no_plan_none_is_said_to_be_one() {
+        let (_, mut run) = found([100, 1190, 1000], None, 1198);
+        run.shipped = None;
+        run.epochs[2].record.step = crate::optim::Step::Restart;
+        let finding = run.finding().unwrap();
+        let text = finding.text(run.skills());
+        assert!(
+            text.starts_with("There is no plan yet.\nEpoch 1 of 2 is the best so far: of the epochs"),
+            "{text}"
+        );
+        assert!(!text.contains("is the plan") && !text.contains("began anew"), "{text}");
+        run.epochs[1].record.step = crate::optim::Step::Restart;
+        let text = run.finding().unwrap().text(run.skills());
+        assert!(
+            text.contains("\nEpoch 1 led nowhere, so the next began anew from another skill.\n"),
+            "{text}"
+        );
+        // One that ends where it would begin anew does not say that later epochs gained nothing.
+        let ended = crate::report::finding::Finding { ended_of: Some(16), ..finding };
+        let text = ended.text(run.skills());
+        assert!(
+            text.contains("of at most 16 epochs: the amount is met, and the last epoch leads nowhere.\n"),
+            "{text}"
+        );
     }
 
     #[test]

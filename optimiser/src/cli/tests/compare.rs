@@ -128,6 +128,11 @@ fn searches_done_one_by_one_make_the_comparison_that_one_process_makes() {
     assert_sentence(&optimise(&["compare", "--resume", &folder]), 1, "another run is writing");
     let stopped = optimise_for(5, &["compare", "--resume", &folder, "--only", names[0]]);
     assert_sentence(&stopped, 130, &format!("compare --resume {folder} --only {}", names[0]));
+    // A page of it can be made at any time.
+    let whole_folder = RunFolder::open_with(Path::new(&folder), COMPARISON);
+    assert!(whole_folder.is_err(), "it is shared");
+    let page = optimise(&["report", &folder, "--no-replay", "--out", &place.text("page.html")]);
+    assert_eq!(page.code, 0, "{}", page.err);
     for two in names.rchunks(2) {
         let done = optimise(&["compare", "--resume", &folder, "--only", &two.join(",")]);
         assert_eq!(done.code, 0, "{}", done.err);
