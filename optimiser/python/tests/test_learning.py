@@ -63,3 +63,7 @@ def test_the_stepwise_environment_scoops_when_told_to(scene):
     # Down to the workspace's end, and no powder in the target.
     assert seen["tool"][1] == pytest.approx(0.016 - 0.047, abs=0.003)
     assert total <= 0.0 and info["mass_kg"] == 0.0
+    # The rewards add up to what is lost, over what is wanted, and the tool has pressed the powder aside.
+    wanted_kg = scene.to_dict()["objective"]["amount"]["mass_kg"]
+    assert total == pytest.approx(-info["lost_kg"] / wanted_kg, abs=1e-12)
+    assert np.abs(seen["heights_m"] - first["heights_m"]).max() > 0.003

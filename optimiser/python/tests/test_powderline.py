@@ -63,6 +63,7 @@ def test_replace_changes_what_is_named_and_nothing_else(scene):
         ({"powder": {"density_kg_m3": -1.0}}, "powder.density_kg_m3 is -1, but it must be from 10 to 25000"),
         ({"powder": {"densty_kg_m3": 1.0}}, "unknown field `densty_kg_m3`; did you mean `density_kg_m3`? Possible are"),
         ({"container": {"goal": {"yaw_deg": 1.0}}}, "there is no container called goal; there are source, target"),
+        ({"gate": {"lid": {"yaw_deg": 1.0}}}, "there is no gate called lid; there are none"),
         ({"powder": 3}, "powder"),
         ({"powder": {"density_kg_m3": float("nan")}}, "powder.density_kg_m3 is nan, but it must be from 10 to 25000"),
         ({"powder": {"density_kg_m3": 1e5}}, "powder.density_kg_m3 is 100000, but it must be from 10 to 25000"),
