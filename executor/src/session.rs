@@ -53,6 +53,10 @@ pub const HARD_STOP_US: u64 = 800_000;
 /// How long an arm has to say that it stands before it is believed, microseconds: more than once, and nothing else meanwhile.
 pub const STANDS_US: u64 = 100_000;
 
+/// How long an arm has held the last setpoint when what it says of where it is counts against it, microseconds. It says that with
+/// each heartbeat; what it said while it settled may come until then, for a status goes before it on a CAN bus.
+const HOLDS_US: u64 = HEARTBEAT_US;
+
 /// Signs of life of an arm that is in no session, while ours is in one, that are too many to be left over from before.
 const STRANGERS: u8 = 3;
 
@@ -179,6 +183,8 @@ pub struct Executor<'a> {
     reached: Option<Setpoint>,
     /// Since when it is not known where the arm is at the ticks that it reports.
     lost_us: Option<u64>,
+    /// Since when the arm has said that it rests on the last setpoint, and not that it is there.
+    resting_since_us: Option<u64>,
     fault: Option<Fault>,
     violation: Option<Violation>,
     refusal: Option<Refusal>,
@@ -238,6 +244,7 @@ impl<'a> Executor<'a> {
             anchor: None,
             reached: None,
             lost_us: None,
+            resting_since_us: None,
             fault: None,
             violation: None,
             refusal: None,
@@ -595,7 +602,10 @@ impl<'a> Executor<'a> {
         }
         match self.stage {
             Stage::Leaving => self.stay_at_end(now_us, reached),
-            _ => self.leave_at_end(now_us),
+            _ => {
+                self.leave_at_end(now_us);
+                self.check_end(now_us);
+            }
         }
     }
 
@@ -708,22 +718,33 @@ impl<'a> Executor<'a> {
         self.leave_at_end(now_us);
     }
 
-    /// Goes on once the arm has reported both that it stands on the last setpoint and where that is, in whatever order.
+    /// Goes on once the arm has reported both that it stands on the last setpoint and where that is, in whatever order. Where it
+    /// is may have been lost, or overtaken by the status; it is repeated. Should nothing follow, the arm is silent or stalled.
     fn leave_at_end(&mut self, now_us: u64) {
-        let Some(end) = self.end_setpoint() else { return };
+        let Some(end) = self.end_setpoint().filter(|_| self.stage == Stage::Streaming) else { return };
         let holds = self.ours.is_some_and(|arm| {
             arm.phase == Some(Phase::Holding) && arm.standstill && arm.applied_tick == end.tick
         });
-        if self.stage != Stage::Streaming || !holds {
-            return;
+        // Equal counts: the arm stands within half an LSB of the setpoint.
+        let there = self.reached == Some(end);
+        self.resting_since_us = (holds && !there).then(|| self.resting_since_us.unwrap_or(now_us));
+        if holds && there {
+            self.enter(now_us, Stage::Leaving);
         }
-        match self.reached.filter(|reached| reached.tick == end.tick) {
-            // Equal counts: the arm stands within half an LSB of the setpoint.
-            Some(reached) if reached == end => self.enter(now_us, Stage::Leaving),
-            Some(_) => self.stop(now_us, FaultCode::EndElsewhere),
-            // Its last poses have been lost; they are repeated. Should none follow, the arm is silent.
-            None => {}
+    }
+
+    /// An arm that has held the last setpoint for a while, and says then that it is elsewhere, is.
+    fn check_end(&mut self, now_us: u64) {
+        let held = self.resting_since_us.is_some_and(|since_us| now_us.saturating_sub(since_us) >= HOLDS_US);
+        if self.stage == Stage::Streaming && held && self.holds_elsewhere() {
+            self.stop(now_us, FaultCode::EndElsewhere);
         }
+    }
+
+    /// Whether the arm holds the last setpoint and has said last that it is elsewhere.
+    fn holds_elsewhere(&self) -> bool {
+        let end = self.end_setpoint().filter(|_| self.resting_since_us.is_some());
+        end.zip(self.reached).is_some_and(|(end, reached)| reached.tick == end.tick && reached != end)
     }
 
     /// The plan's last setpoint in counts of the wire.
@@ -939,7 +960,11 @@ impl<'a> Executor<'a> {
                     self.doubt = Some(Doubt::Unlocated { tick, known });
                     self.stop(now_us, FaultCode::ArmSilent);
                 } else if now_us >= self.stalled_at_us() {
-                    self.stop(now_us, FaultCode::ArmStalled);
+                    let elsewhere = self.holds_elsewhere();
+                    self.stop(
+                        now_us,
+                        if elsewhere { FaultCode::EndElsewhere } else { FaultCode::ArmStalled },
+                    );
                 }
             }
             Stage::Opening | Stage::Enabling | Stage::Leaving | Stage::Stopping => {

@@ -8,10 +8,11 @@ use powderline_executor_cli::pace::VirtualTime;
 use powderline_executor_cli::report::Report;
 use powderline_executor_cli::run::{Observer, RunResult, StopWish, Unattended, play};
 use powderline_firmware_sim::controller::{ArmConfig, Controller};
+use powderline_shared::arm::ArmModel;
 use powderline_shared::displacement::{Displacement, Lsb};
 use powderline_shared::fault::FaultCode;
 use powderline_shared::limits::{Limits, Motion};
-use powderline_shared::plan::{PlanHeader, PlanReader};
+use powderline_shared::plan::{PlanHeader, PlanReader, StartPose};
 use powderline_shared::wire::message::{FromArm, OpenRequest, PROTOCOL_VERSION, Refusal, Status, ToArm};
 use powderline_shared::wire::state::{Command, Phase, State};
 use proptest::prelude::*;
@@ -311,8 +312,17 @@ fn an_arm_that_sinks_when_it_is_let_go_is_not_said_to_have_completed() {
 }
 
 /// Executor and arm joined by a wire that may change, drop or reorder what the arm says at one moment.
-fn play_hearing(plan: &PlanReader<'_>, heard: impl Fn(Vec<FromArm>) -> Vec<FromArm>) -> Outcome {
-    let mut arm = Controller::new(arm_for(plan));
+fn play_hearing(plan: &PlanReader<'_>, heard: impl FnMut(Vec<FromArm>) -> Vec<FromArm>) -> Outcome {
+    play_with(plan, arm_for(plan), heard)
+}
+
+/// The same with another arm.
+fn play_with(
+    plan: &PlanReader<'_>,
+    arm: ArmConfig,
+    mut heard: impl FnMut(Vec<FromArm>) -> Vec<FromArm>,
+) -> Outcome {
+    let mut arm = Controller::new(arm);
     let mut executor = Executor::new(0, plan, Config::default());
     let mut now_us = 0;
     loop {
@@ -366,24 +376,117 @@ fn an_end_that_the_arm_does_not_report_is_not_completed() {
     assert_eq!(fault_code(play_hearing(&plan, without)), Some(FaultCode::ArmStalled));
 }
 
+/// A plan for the arm beside the bench, and that arm: its joints lag, so it says its last tick more than once until it is there.
+fn lagging() -> (Vec<u8>, ArmConfig) {
+    let start = StartPose { position_m: [0.05, 0.04, 0.12], orientation_wxyz: [1.0, 0.0, 0.0, 0.0] };
+    let header = PlanHeader { start, ..header() };
+    let moves = [Move { translation_m: [0.1, 0.0, 0.05], rotation_rad: [0.0, 0.5, 0.0], steps: 120 }];
+    let arm = ArmConfig::jointed(ArmModel::bench(), header.start_pose()).unwrap();
+    (plan_bytes(&header, &moves), arm)
+}
+
+fn is_holding(message: &FromArm) -> bool {
+    matches!(message, FromArm::Status(status) if status.phase == Some(Phase::Holding))
+}
+
+/// What a wire makes of what the arm says at one moment; what it keeps for later, or remembers.
+type Wire = fn(Vec<FromArm>, &mut Vec<FromArm>, u32) -> Vec<FromArm>;
+
+/// Of where the arm is while it settles only the first report comes through; what it says once it holds, all.
+fn loses_all_but_the_first(mut said: Vec<FromArm>, first: &mut Vec<FromArm>, end_tick: u32) -> Vec<FromArm> {
+    if !first.iter().any(is_holding) {
+        said.retain(|message| !is_pose_of(message, end_tick) || first.is_empty());
+        first.extend(said.iter().filter(|message| is_pose_of(message, end_tick) || is_holding(message)));
+    }
+    said
+}
+
+/// A status goes before all else that waits for a CAN bus, as its identifier does.
+fn lets_statuses_go_first(mut said: Vec<FromArm>, kept: &mut Vec<FromArm>, end_tick: u32) -> Vec<FromArm> {
+    let holds = said.iter().any(is_holding);
+    kept.extend(said.extract_if(.., |message| is_pose_of(message, end_tick)));
+    // Two that settle wait for the bus yet.
+    let leave = if holds { kept.len() } else { kept.len().saturating_sub(2) };
+    said.extend(kept.drain(..leave));
+    said
+}
+
+/// Where the arm was first at the last tick is said over and over, until it holds.
+fn repeats_the_first(mut said: Vec<FromArm>, kept: &mut Vec<FromArm>, end_tick: u32) -> Vec<FromArm> {
+    let Some(at) = said.iter().position(|message| is_pose_of(message, end_tick)) else { return said };
+    if kept.is_empty() {
+        kept.push(said[at]);
+    }
+    if !kept.iter().any(is_holding) {
+        said.insert(at + 1, kept[0]);
+        kept.extend(said.iter().copied().filter(is_holding));
+    }
+    said
+}
+
+#[test]
+fn an_end_is_judged_by_what_the_arm_says_once_it_holds() {
+    let (bytes, arm) = lagging();
+    let plan = PlanReader::new(&bytes).unwrap();
+    let end = plan.end_setpoint();
+    let mut failed = Vec::new();
+    for (wire, name) in [
+        (loses_all_but_the_first as Wire, "lost"),
+        (lets_statuses_go_first, "overtaken"),
+        (repeats_the_first, "repeated"),
+    ] {
+        let (mut kept, mut last, mut at_first) = (Vec::new(), None, None);
+        let outcome = play_with(&plan, arm, |said| {
+            let heard = wire(said, &mut kept, end.tick);
+            for message in &heard {
+                match message {
+                    FromArm::Actual { reached, .. } => last = Some(*reached),
+                    held if is_holding(held) => at_first = at_first.or(last),
+                    _ => {}
+                }
+            }
+            heard
+        });
+        // Else nothing is shown by it.
+        assert!(at_first.is_some_and(|known| known.tick == end.tick && known != end), "{name}: {at_first:?}");
+        if outcome != Outcome::Completed {
+            failed.push((name, outcome));
+        }
+    }
+    assert_eq!(failed, []);
+}
+
 #[test]
 fn an_end_may_be_reported_after_the_arm_holds_it() {
     let bytes = plan_bytes(&header(), &one_move());
     let plan = PlanReader::new(&bytes).unwrap();
     let end_tick = plan.header().step_count;
-    let held = std::cell::Cell::new(None);
+    let mut held = 0;
+    // All reports from the end are lost, until the arm has held it for a while.
     let late = |mut said: Vec<FromArm>| {
-        // All but the last of the reports from the end are lost, and that one comes after the last status.
-        let last_pose = said.iter().copied().find(|message| is_pose_of(message, end_tick));
-        held.set(last_pose.or(held.get()));
-        said.retain(|message| !is_pose_of(message, end_tick));
-        let holds = |message: &FromArm| matches!(message, FromArm::Status(status) if status.phase == Some(Phase::Holding));
-        if said.iter().any(holds) {
-            said.extend(held.take());
+        held += said.iter().filter(|message| is_holding(message)).count();
+        if held < 4 {
+            said.retain(|message| !is_pose_of(message, end_tick));
         }
         said
     };
     assert_eq!(play_hearing(&plan, late), Outcome::Completed);
+    assert_eq!(held, 4, "it was believed before it had said where it is");
+}
+
+#[test]
+fn an_arm_that_says_nothing_more_of_where_it_holds_is_where_it_said_last() {
+    let (bytes, arm) = lagging();
+    let plan = PlanReader::new(&bytes).unwrap();
+    let (end, mut last) = (plan.end_setpoint(), None);
+    // It settles, and where it has settled is lost for ever.
+    let outcome = play_with(&plan, arm, |mut said| {
+        said.retain(|message| !matches!(message, FromArm::Actual { reached, .. } if *reached == end));
+        last = said.iter().find(|message| is_pose_of(message, end.tick)).copied().or(last);
+        said
+    });
+    assert!(last.is_some());
+    assert_eq!(fault_code(outcome), Some(FaultCode::EndElsewhere));
 }
 
 #[test]
