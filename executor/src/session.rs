@@ -443,7 +443,7 @@ impl<'a> Executor<'a> {
         self.doubt
     }
 
-    /// Why the arm refused the session.
+    /// Why the arm refused the session; none once it has opened it.
     #[must_use]
     pub fn refusal(&self) -> Option<Refusal> {
         self.refusal
@@ -476,6 +476,8 @@ impl<'a> Executor<'a> {
             Stage::Opening if digest == request.digest() => {
                 self.heard_us = now_us;
                 self.context = context;
+                // Whatever it was, it is over.
+                self.refusal = None;
                 // No round trip: an arm may have been asleep until now, or busy with another session.
                 self.enter(now_us, Stage::Enabling);
             }
@@ -637,14 +639,15 @@ impl<'a> Executor<'a> {
     /// The arm tells why it stopped. If all that was known is that it left its state, this is the reason.
     fn arm_fault(&mut self, now_us: u64, reported: Reported) {
         self.heard_us = now_us;
+        let unexplained = self.fault.is_none_or(|known| known.code == FaultCode::StateUnexpected);
         let fault = reported.known().unwrap_or_else(|_| {
-            self.doubt.get_or_insert(Doubt::UnknownFault { number: reported.number });
+            if unexplained {
+                self.doubt.get_or_insert(Doubt::UnknownFault { number: reported.number });
+            }
             Fault { code: FaultCode::ArmFaultUnknown, tick: reported.tick }
         });
         self.latch(now_us, fault);
-        if let Some(known) = &mut self.fault
-            && known.code == FaultCode::StateUnexpected
-        {
+        if unexplained && let Some(known) = &mut self.fault {
             *known = fault;
         }
     }

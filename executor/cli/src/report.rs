@@ -6,7 +6,7 @@ use powderline_executor::Telemetry;
 use powderline_host::jitter::JitterSummary;
 use powderline_host::words::counted;
 use powderline_shared::displacement::{Axis, Lsb, Setpoint};
-use powderline_shared::fault::{Fault, FaultCode};
+use powderline_shared::fault::{Fault, FaultCode, Side};
 use powderline_shared::limits::PeakUse;
 use powderline_shared::mass::Mass;
 use powderline_shared::plan::{Finer, Mounting, PlanReader, Prediction, SkillParameter, StartPose};
@@ -311,14 +311,27 @@ impl fmt::Display for PlanFacts {
 
 impl Stop {
     fn new(fault: Fault, run: &RunResult) -> Self {
-        let numbers = run.violation.map(|violation| violation.to_string());
-        let refusal = run.refusal.map(|refusal| refusal.to_string());
-        let doubt = run.doubt.map(|doubt| doubt.to_string());
         Self {
             code: fault.code.number(),
             tick: fault.tick,
             reason: fault.code.sentence(),
-            detail: refusal.or(doubt).or(numbers).or_else(|| wrong_key(fault, run)),
+            detail: numbers(fault.code, run).or_else(|| wrong_key(fault, run)),
+        }
+    }
+}
+
+/// What is behind this very fault: whatever else was heard on the way is not the reason.
+fn numbers(code: FaultCode, run: &RunResult) -> Option<String> {
+    use FaultCode::{ArmAstray, ArmFaultUnknown, ArmSilent, ArmTickImpossible, EndElsewhere, SessionRefused};
+    match code {
+        SessionRefused => run.refusal.map(|refusal| refusal.to_string()),
+        ArmTickImpossible | ArmSilent | ArmAstray | EndElsewhere | ArmFaultUnknown => {
+            run.doubt.map(|doubt| doubt.to_string())
+        }
+        _ => {
+            let of = |limit| [Side::Executor, Side::Arm].map(|side| FaultCode::from_limit(limit, side));
+            let violation = run.violation.filter(|violation| of(violation.limit).contains(&code));
+            violation.map(|violation| violation.to_string())
         }
     }
 }

@@ -38,7 +38,7 @@ pub struct RunResult {
     pub peak_use: PeakUse,
     /// The numbers behind a limit fault, whoever found it.
     pub violation: Option<Violation>,
-    /// Why the arm refused the session.
+    /// Why the arm refused the session; none once it has opened it.
     pub refusal: Option<Refusal>,
     /// Why the arm was not believed.
     pub doubt: Option<Doubt>,

@@ -3,6 +3,7 @@
 mod common;
 
 use common::{Move, header, one_move, plan_bytes};
+use powderline_executor::belief::Doubt;
 use powderline_executor::{Action, Config, Executor, Outcome};
 use powderline_executor_cli::pace::VirtualTime;
 use powderline_executor_cli::report::Report;
@@ -10,8 +11,8 @@ use powderline_executor_cli::run::{Observer, RunResult, StopWish, Unattended, pl
 use powderline_firmware_sim::controller::{ArmConfig, Controller};
 use powderline_shared::arm::ArmModel;
 use powderline_shared::displacement::{Displacement, Lsb};
-use powderline_shared::fault::FaultCode;
-use powderline_shared::limits::{Limits, Motion};
+use powderline_shared::fault::{Fault, FaultCode};
+use powderline_shared::limits::{Limit, Limits, Motion, Violation};
 use powderline_shared::plan::{PlanHeader, PlanReader, StartPose};
 use powderline_shared::wire::message::{FromArm, OpenRequest, PROTOCOL_VERSION, Refusal, Status, ToArm};
 use powderline_shared::wire::state::{Command, Phase, State};
@@ -309,6 +310,65 @@ fn an_arm_that_sinks_when_it_is_let_go_is_not_said_to_have_completed() {
         assert!(said.starts_with("The arm has left the plan's end"), "{said}");
     }
     assert!(!report.succeeded());
+}
+
+/// An executor whose first request was refused, and that has taken in the answer to its next one.
+fn opened_after<'a>(plan: &PlanReader<'a>, reason: Refusal) -> Executor<'a> {
+    let config = Config { reset: true, ..Config::default() };
+    let mut executor = Executor::new(0, plan, config);
+    assert!(matches!(executor.poll(0), Action::Send(ToArm::Open(_))));
+    executor.handle_message(0, &FromArm::Refused { session: 1, reason });
+    assert_eq!(executor.refusal(), Some(reason));
+    for now_us in [0, config.retry_us] {
+        if let Action::Send(ToArm::Open(request)) = executor.poll(now_us) {
+            let opened = FromArm::Opened { session: request.session, nonce: 1, digest: request.digest() };
+            executor.handle_message(now_us, &opened);
+            return executor;
+        }
+    }
+    panic!("it does not ask again")
+}
+
+#[test]
+fn a_refusal_that_was_overcome_is_forgotten() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    let fault = Fault { code: FaultCode::SetpointMissing, tick: 7 }.into();
+    for reason in [Refusal::Latched { fault, nonce: 3 }, Refusal::Busy, Refusal::Closed] {
+        assert_eq!(opened_after(&plan, reason).refusal(), None, "{reason:?}");
+    }
+}
+
+#[test]
+fn a_stop_is_detailed_by_what_it_is_about() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    let violation = |limit| Some(Violation { limit, tick: 3, value: 2.0, bound: 1.0 });
+    // Whatever else there is to tell.
+    let run = RunResult {
+        refusal: Some(Refusal::Busy),
+        doubt: Some(Doubt::Back { tick: 40, known: 49 }),
+        violation: violation(Limit::LinearJerk),
+        ..play_on(&plan, arm_for(&plan))
+    };
+    for (code, words) in [
+        (FaultCode::OperatorStop, None),
+        (FaultCode::AnchorElsewhere, None),
+        (FaultCode::SetpointMissing, None),
+        (FaultCode::ArmAngularJerk, None),
+        (FaultCode::SessionRefused, Some("another session")),
+        (FaultCode::ArmTickImpossible, Some("tick 40 after it had reported tick 49")),
+        (FaultCode::ArmLinearJerk, Some("linear jerk")),
+        (FaultCode::GuardLinearJerk, Some("linear jerk")),
+    ] {
+        let outcome = Outcome::Stopped { fault: Fault { code, tick: 3 }, standstill: true };
+        let stop = Report::new("skill.plan", &plan, &RunResult { outcome, ..run.clone() }).stop.unwrap();
+        match (stop.detail, words) {
+            (None, None) => {}
+            (Some(detail), Some(words)) => assert!(detail.contains(words), "{detail}"),
+            (detail, _) => panic!("{code:?}: {detail:?}"),
+        }
+    }
 }
 
 /// Executor and arm joined by a wire that may change, drop or reorder what the arm says at one moment.

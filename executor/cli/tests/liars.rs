@@ -18,6 +18,7 @@ use powderline_host::transport::{Incoming, Pty, Transport};
 use powderline_shared::displacement::Setpoint;
 use powderline_shared::fault::{FaultCode, Reported};
 use powderline_shared::plan::{PlanHeader, PlanReader};
+use powderline_shared::pose::Pose;
 use powderline_shared::wire::Context;
 use powderline_shared::wire::codec::{Encoder, FromArmDecoder, ToArmDecoder};
 use powderline_shared::wire::frame::Dialect;
@@ -29,7 +30,7 @@ use tempfile::TempDir;
 /// What an arm makes of a status before it says it.
 type Lie = fn(Status) -> Status;
 
-/// What an arm makes of anything before it says it.
+/// What an arm makes of anything before it says it, without a memory.
 type Word = fn(FromArm) -> FromArm;
 
 /// What it says instead; of its faults, nothing.
@@ -179,7 +180,7 @@ fn to_and_fro_is_no_progress() {
 }
 
 /// Plays to an arm that says something else; how it ended.
-fn hear(word: Word) -> (Outcome, Option<String>, u64) {
+fn hear(mut word: impl FnMut(FromArm) -> FromArm) -> (Outcome, Option<String>, u64) {
     let bytes = plan_bytes(&header(), &one_move());
     let plan = PlanReader::new(&bytes).unwrap();
     let mut arm = Controller::new(ArmConfig::ideal(plan.header().start_pose()));
@@ -357,6 +358,41 @@ fn an_anchor_that_is_no_pose_and_a_fault_of_a_later_version_are_said_at_once() {
     assert_eq!(ended_us, 0);
     let said = Refusal::Latched { fault: Reported { number: 777, tick: 9 }, nonce: 1 }.to_string();
     assert!(said.contains("fault 777 at tick 9, which this version does not know"), "{said}");
+}
+
+#[test]
+fn an_unknown_fault_is_the_reason_of_no_stop_that_was_latched_before_it() {
+    static SAID: AtomicI32 = AtomicI32::new(0);
+    let next = |said| SAID.compare_exchange(said, said + 1, Ordering::Relaxed, Ordering::Relaxed).is_ok();
+    // Two anchors; and while it stops for that, a fault.
+    let (outcome, doubt, _) = hear(|message| match message {
+        FromArm::Status(status) if status.applied_tick == 9 && next(0) => {
+            let pose = Pose { position_m: Default::default(), ..header().start_pose() };
+            FromArm::Anchored { session: status.session, pose }
+        }
+        FromArm::Status(Status { session, state: State::QuickStopActive, .. }) if next(1) => {
+            FromArm::Fault { session, fault: Reported { number: 777, tick: 9 } }
+        }
+        other => other,
+    });
+    assert_eq!(SAID.load(Ordering::Relaxed), 2, "it said no fault");
+    assert_stopped(outcome, FaultCode::ArmDuplicate, true);
+    assert_eq!(doubt, None);
+}
+
+#[test]
+fn an_unknown_fault_is_the_reason_why_the_arm_left_its_state() {
+    let (outcome, doubt, _) = hear(|message| match message {
+        FromArm::Status(status) if status.applied_tick >= 9 && status.state == State::OperationEnabled => {
+            FromArm::Status(Status { state: State::FaultReactionActive, phase: None, ..status })
+        }
+        FromArm::Fault { session, .. } => {
+            FromArm::Fault { session, fault: Reported { number: 777, tick: 9 } }
+        }
+        other => other,
+    });
+    assert_stopped(outcome, FaultCode::ArmFaultUnknown, true);
+    assert_eq!(doubt.as_deref(), Some("it reported fault 777"));
 }
 
 // --- the program ---
