@@ -768,7 +768,10 @@ impl<'a> Executor<'a> {
         }
         let since_us = *self.stands_since_us.get_or_insert(now_us);
         self.give_up_at_us = self.give_up_at_us.max(since_us.saturating_add(3 * STANDS_US));
-        if let Some(fault) = self.fault.filter(|_| now_us.saturating_sub(since_us) >= STANDS_US) {
+        // One that was let go says so in the end of its session; from then on it may move in another one.
+        let closed = self.is_let_go() && status.state == State::ReadyToSwitchOn;
+        let stands = closed || now_us.saturating_sub(since_us) >= STANDS_US;
+        if let Some(fault) = self.fault.filter(|_| stands) {
             self.end(fault, true);
         }
     }
@@ -848,9 +851,18 @@ impl<'a> Executor<'a> {
             }
             Stage::Leaving => self.command(Command::Shutdown),
             Stage::Stopping if self.hard || self.stops_for_too_long(now_us) => self.queue(ToArm::Stop),
+            Stage::Stopping if self.is_let_go() && self.ours.is_some_and(|arm| arm.standstill) => {
+                self.command(Command::Shutdown);
+            }
             Stage::Stopping => self.command(Command::QuickStop),
             Stage::Streaming | Stage::Done(_) => {}
         }
+    }
+
+    /// An arm at the wrong place has been sent no setpoint: there is nothing to stop, nor to latch. By shutdown, as at the end of a
+    /// plan: disable voltage would reset a stop that somebody else has latched meanwhile.
+    fn is_let_go(&self) -> bool {
+        self.fault.is_some_and(|fault| fault.code == FaultCode::AnchorElsewhere)
     }
 
     /// A controlled stop that takes longer than one may take.

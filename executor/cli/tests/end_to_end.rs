@@ -14,6 +14,7 @@ use powderline_shared::displacement::{Displacement, Lsb};
 use powderline_shared::fault::{Fault, FaultCode};
 use powderline_shared::limits::{Limit, Limits, Motion, Violation};
 use powderline_shared::plan::{PlanHeader, PlanReader, StartPose};
+use powderline_shared::pose::Pose;
 use powderline_shared::wire::message::{FromArm, OpenRequest, PROTOCOL_VERSION, Refusal, Status, ToArm};
 use powderline_shared::wire::state::{Command, Phase, State};
 use proptest::prelude::*;
@@ -133,15 +134,97 @@ fn each_limit_is_refused_by_executor_and_by_arm_independently() {
     }
 }
 
+/// An arm that stands a little beside where the plan starts.
+fn elsewhere(plan: &PlanReader<'_>) -> Pose {
+    let off = Displacement { translation_m: [0.01, 0.0, 0.0], ..Displacement::default() };
+    plan.header().start_pose().displaced(&off)
+}
+
 #[test]
 fn an_arm_that_stands_elsewhere_is_not_moved() {
     let bytes = plan_bytes(&header(), &one_move());
     let plan = PlanReader::new(&bytes).unwrap();
-    let off = Displacement { translation_m: [0.01, 0.0, 0.0], ..Displacement::default() };
-    let elsewhere = plan.header().start_pose().displaced(&off);
+    let elsewhere = elsewhere(&plan);
     let result = play_on(&plan, ArmConfig::ideal(elsewhere));
     assert_eq!(fault_code(result.outcome), Some(FaultCode::AnchorElsewhere));
     assert_eq!(result.final_pose, Some(elsewhere));
+}
+
+/// What an arm that stands elsewhere is told once it is enabled, what becomes of it, and how the session ends. `between` may lose
+/// what it is told then; the arm says of itself what `says` makes of it.
+fn play_elsewhere(
+    mut between: impl FnMut(&mut Controller, u64) -> bool,
+    says: fn(Status) -> Status,
+) -> (Vec<Command>, Controller, Outcome) {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    let mut arm = Controller::new(ArmConfig::ideal(elsewhere(&plan)));
+    let mut executor = Executor::new(0, &plan, Config::default());
+    let (mut now_us, mut told, mut enabled) = (0, Vec::new(), false);
+    loop {
+        while let Some(message) = arm.poll(now_us) {
+            let said = match message {
+                FromArm::Status(status) => FromArm::Status(says(status)),
+                other => other,
+            };
+            executor.handle_message(now_us, &said);
+        }
+        match executor.poll(now_us) {
+            Action::Send(ToArm::Control { session, command }) => {
+                told.extend(enabled.then_some(command));
+                if !enabled || between(&mut arm, now_us) {
+                    arm.handle_message(now_us, &ToArm::Control { session, command });
+                }
+                enabled |= arm.state() == State::OperationEnabled;
+            }
+            Action::Send(message) => arm.handle_message(now_us, &message),
+            Action::Wait => now_us += 1_000,
+            Action::Finished(outcome) => return (told, arm, outcome),
+        }
+        assert!(now_us < 10_000_000, "the session never ends");
+    }
+}
+
+const STANDS_ELSEWHERE: Outcome =
+    Outcome::Stopped { fault: Fault { code: FaultCode::AnchorElsewhere, tick: 0 }, standstill: true };
+
+#[test]
+fn an_arm_that_stands_elsewhere_is_let_go_and_nothing_is_latched() {
+    for lost in 0..3 {
+        let mut said = 0;
+        let comes_through = |_: &mut Controller, _| {
+            said += 1;
+            said > lost
+        };
+        let (told, arm, outcome) = play_elsewhere(comes_through, |status| status);
+        assert_eq!(outcome, STANDS_ELSEWHERE, "{lost}");
+        assert_eq!((arm.fault(), arm.state()), (None, State::ReadyToSwitchOn), "{lost}");
+        assert!(arm.request().is_none() && !arm.has_moved(), "its session is open yet");
+        // Asked again only as long as it had not heard: soon the arm may be in another session.
+        assert_eq!(told, vec![Command::Shutdown; lost + 1]);
+    }
+}
+
+#[test]
+fn a_stop_that_somebody_has_latched_meanwhile_is_not_reset_by_letting_an_arm_go() {
+    let stopped = |arm: &mut Controller, now_us| {
+        arm.handle_message(now_us, &ToArm::Stop);
+        true
+    };
+    let (_, arm, outcome) = play_elsewhere(stopped, |status| status);
+    assert_eq!(outcome, STANDS_ELSEWHERE);
+    assert_eq!(arm.fault().map(|fault| fault.code), Some(FaultCode::SoftwareStop));
+}
+
+#[test]
+fn an_arm_that_is_elsewhere_and_moves_is_stopped() {
+    let moves = |status: Status| Status {
+        standstill: status.standstill && status.state != State::OperationEnabled,
+        ..status
+    };
+    let (told, arm, outcome) = play_elsewhere(|_, _| true, moves);
+    assert_eq!((outcome, told.first()), (STANDS_ELSEWHERE, Some(&Command::QuickStop)));
+    assert_eq!(arm.fault().map(|fault| fault.code), Some(FaultCode::StopCommanded));
 }
 
 #[test]
