@@ -3,6 +3,7 @@
 
 mod common;
 
+use std::os::fd::OwnedFd;
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicI32, Ordering};
@@ -24,6 +25,8 @@ use powderline_shared::wire::codec::{Encoder, FromArmDecoder, ToArmDecoder};
 use powderline_shared::wire::frame::Dialect;
 use powderline_shared::wire::message::{FromArm, NO_SESSION, Refusal, Status};
 use powderline_shared::wire::state::{Phase, State};
+use rustix::fs::{Mode, OFlags, open};
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use serde_json::Value;
 use tempfile::TempDir;
 
@@ -471,16 +474,19 @@ fn slow_plan() -> Vec<u8> {
     plan_bytes(&PlanHeader { control_period_us: 40_000, ..header() }, &[slow])
 }
 
-fn execute(dir: &TempDir, bytes: &[u8], wire: &str) -> Child {
+fn command(dir: &TempDir, bytes: &[u8], wire: &str) -> Command {
     let plan = dir.path().join("skill.plan");
     std::fs::write(&plan, bytes).unwrap();
-    let arguments = ["--to", wire, "--json", "--arm-timeout", "2000", "--priority", "0"];
-    Command::new(env!("CARGO_BIN_EXE_execute"))
+    let mut command = Command::new(env!("CARGO_BIN_EXE_execute"));
+    command
         .arg(&plan)
-        .args(arguments)
-        .stdout(Stdio::piped())
-        .spawn()
-        .unwrap()
+        .args(["--to", wire, "--arm-timeout", "2000", "--priority", "0"])
+        .stdout(Stdio::piped());
+    command
+}
+
+fn execute(dir: &TempDir, bytes: &[u8], wire: &str) -> Child {
+    command(dir, bytes, wire).arg("--json").spawn().unwrap()
 }
 
 fn interrupt(child: &Child) {
@@ -536,4 +542,54 @@ fn a_person_who_asks_twice_gets_the_program_to_end() {
     assert_eq!((code, &report["standstill"]), (Some(1), &Value::from(false)), "{report}");
     // Without the second it would have waited for this long; a machine that is busy may take some of it.
     assert!(asked.elapsed() < Duration::from_micros(Config::default().standstill_us), "{report}");
+}
+
+// --- a terminal that nobody reads ---
+
+/// A terminal without room for a byte more, as one behind a line that has stalled; it is one as long as its master is there.
+fn stalled_terminal() -> (OwnedFd, OwnedFd) {
+    let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
+    grantpt(&master).unwrap();
+    unlockpt(&master).unwrap();
+    let name = ptsname(&master, Vec::new()).unwrap();
+    let flags = OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC;
+    let filled = open(&name, flags | OFlags::NONBLOCK, Mode::empty()).unwrap();
+    // What waits for the system to take it on makes room once more.
+    for _ in 0..3 {
+        while rustix::io::write(&filled, b".").is_ok() {}
+        thread::sleep(Duration::from_millis(20));
+    }
+    (master, open(&name, flags, Mode::empty()).unwrap())
+}
+
+/// Waits for a program that may hang: then it is ended, and that is a failure.
+#[track_caller]
+fn ended_in_time(mut child: Child) -> (Option<i32>, String) {
+    let began = Instant::now();
+    while child.try_wait().unwrap().is_none() {
+        if began.elapsed() > Duration::from_secs(30) {
+            child.kill().unwrap();
+            child.wait().unwrap();
+            panic!("it waits for its terminal");
+        }
+        thread::sleep(Duration::from_millis(10));
+    }
+    let output = child.wait_with_output().unwrap();
+    (output.status.code(), String::from_utf8(output.stdout).unwrap())
+}
+
+#[test]
+fn a_terminal_that_nobody_reads_holds_up_neither_the_motion_nor_a_stop() {
+    for (is_stopped, code, words) in [(false, 0, "Completed: 60 of 60"), (true, 4, "(fault 501)")] {
+        let (dir, bytes) = (TempDir::new().unwrap(), slow_plan());
+        let arm = Liar::start(&bytes, |status| status);
+        let (_master, terminal) = stalled_terminal();
+        let child = command(&dir, &bytes, &arm.wire).env("TERM", "xterm").stderr(terminal).spawn().unwrap();
+        if is_stopped {
+            thread::sleep(Duration::from_millis(1_500));
+            interrupt(&child);
+        }
+        let (found, said) = ended_in_time(child);
+        assert!(found == Some(code) && said.contains(words), "{found:?}: {said}");
+    }
 }
