@@ -3,6 +3,7 @@
 
 mod common;
 
+use std::collections::VecDeque;
 use std::os::fd::OwnedFd;
 use std::process::{Child, Command, Stdio};
 use std::sync::Arc;
@@ -271,8 +272,25 @@ fn an_arm_that_does_not_say_where_it_is_is_stopped() {
         assert!(doubt.unwrap().contains(", but not where it was"));
         assert!(ended_us < 1_000_000, "{ended_us}");
     }
-    // One that says so a little late.
-    let (outcome, doubt, _) = hear(|message| message);
+    // One that says so five ticks late: at no status does it say where it was at that tick.
+    let (mut late, mut at, mut behind) = (VecDeque::new(), 0, 0);
+    let (outcome, doubt, _) = hear(|message| {
+        match message {
+            FromArm::Actual { .. } => late.push_back(message),
+            FromArm::Status(status) if status.phase == Some(Phase::Streaming) => {
+                behind += u32::from(at + 5 < status.applied_tick);
+            }
+            _ => {}
+        }
+        let FromArm::Actual { session, .. } = message else { return message };
+        let anchor = FromArm::Actual { session, reached: Setpoint::ANCHOR };
+        let said = if late.len() > 5 { late.pop_front().unwrap() } else { anchor };
+        if let FromArm::Actual { reached, .. } = said {
+            at = reached.tick;
+        }
+        said
+    });
+    assert!(behind > 50, "{behind}");
     assert_eq!((outcome, doubt), (Outcome::Completed, None));
 }
 

@@ -103,31 +103,32 @@ fn a_latched_stop_is_not_reset_by_what_was_recorded() {
     let bytes = plan_bytes(&header(), &one_move());
     let plan = PlanReader::new(&bytes).unwrap();
     for dialect in Dialect::ALL {
-        // An arm is stopped, and reset by somebody who has looked: recorded.
-        let stopped = |arm: &mut ArmEndpoint, from_us: u64, session: u16| {
-            let config = Config { session, reset: true, ..Config::default() };
-            let stop = move |now_us: u64, endpoint: &mut Endpoint<'_>| {
-                if now_us == from_us + 300_000 {
+        let stopped = |nonce_seed, session| {
+            let mut arm = arm_for(&plan, dialect, nonce_seed);
+            let stop = |now_us, endpoint: &mut Endpoint<'_>| {
+                if now_us == 300_000 {
                     endpoint.executor_mut().handle_hard_stop(now_us);
                 }
                 Vec::new()
             };
-            play(&plan, dialect, arm, (from_us, config), stop)
+            play(&plan, dialect, &mut arm, (0, Config { session, ..Config::default() }), stop);
+            assert_eq!(arm.controller().fault().map(|fault| fault.code), Some(FaultCode::SoftwareStop));
+            arm
         };
-        let mut arm = arm_for(&plan, dialect, 1);
-        stopped(&mut arm, 0, 7);
-        assert!(arm.controller().fault().is_some());
-        let (_, reset) = stopped(&mut arm, 10_000_000, 8);
-        assert!(arm.controller().fault().is_none() || !reset.is_empty());
-        // It is stopped again, and hears the recording.
-        let mut arm = arm_for(&plan, dialect, 1);
-        stopped(&mut arm, 0, 7);
-        let mut other = arm_for(&plan, dialect, 2);
-        stopped(&mut other, 0, 9);
-        let fault = other.controller().fault();
-        assert!(fault.is_some());
-        replay(&mut other, &reset, 10_000_000);
-        assert_eq!(other.controller().fault(), fault, "{dialect:?}");
+        // An arm is stopped, and reset by somebody who has looked: recorded. From where it stands it is not moved.
+        let mut arm = stopped(1, 7);
+        let config = Config { session: 8, reset: true, ..Config::default() };
+        let (outcome, reset) = play(&plan, dialect, &mut arm, (10_000_000, config), |_, _| Vec::new());
+        let Outcome::Stopped { fault, standstill: true } = outcome else { panic!("{outcome:?}") };
+        assert_eq!((fault.code, arm.controller().fault()), (FaultCode::AnchorElsewhere, None), "{dialect:?}");
+        // It is stopped again, and hears the recording: one that gives out its nonces once more would obey.
+        for (nonce_seed, obeys) in [(1, true), (2, false)] {
+            let mut arm = stopped(nonce_seed, 7);
+            let fault = arm.controller().fault();
+            replay(&mut arm, &reset, 10_000_000);
+            let found = arm.controller().fault();
+            assert_eq!(found, fault.filter(|_| !obeys), "{dialect:?}, nonces {nonce_seed}");
+        }
     }
 }
 
