@@ -15,7 +15,8 @@ pub struct Endpoint {
     encoder: Encoder,
     decoder: ToArmDecoder,
     tags: TagWatch,
-    /// The open session, and the one before: what was said in it may still have to leave.
+    /// The open session, or none; and the one that was open last before it, which is asked about and answered even while the
+    /// next one is open.
     contexts: [Context; 2],
     leaving: Option<Frames>,
 }
@@ -89,9 +90,10 @@ impl Endpoint {
 
     fn follow_session(&mut self) {
         let now = self.controller.context();
-        let [current, _] = self.contexts;
+        let [current, closed] = self.contexts;
         if now != current {
-            self.contexts = [now, current];
+            // None between two sessions is not one that was closed.
+            self.contexts = [now, if current == Context::NONE { closed } else { current }];
             self.decoder.set_context(now);
         }
     }
