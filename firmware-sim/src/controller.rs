@@ -120,6 +120,19 @@ impl ArmConfig {
     }
 }
 
+/// Where the tool was at one tick, and in whose motion: by the time that somebody asks, the session may be over.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Tick {
+    /// The session that moves the arm.
+    pub context: Context,
+    /// Its plan.
+    pub plan_hash: u64,
+    /// Its control period.
+    pub period_us: u32,
+    /// Where the tool was.
+    pub pose: Pose,
+}
+
 /// The simulated controller, with its arm.
 #[derive(Clone, Debug)]
 pub struct Controller {
@@ -156,7 +169,7 @@ pub struct Controller {
     heartbeat_at_us: u64,
     outbox: VecDeque<FromArm>,
     /// Where the arm was at the last ticks; the first of a motion is its anchor.
-    ticks: VecDeque<Pose>,
+    ticks: VecDeque<Tick>,
     has_moved: bool,
     closed: ClosedSessions,
 }
@@ -327,7 +340,7 @@ impl Controller {
     }
 
     /// Where the arm was at the ticks since this was asked last, the oldest first, and at most the last 64.
-    pub fn take_ticks(&mut self) -> impl Iterator<Item = Pose> + '_ {
+    pub fn take_ticks(&mut self) -> impl Iterator<Item = Tick> + '_ {
         self.ticks.drain(..)
     }
 
@@ -720,8 +733,10 @@ impl Controller {
         if self.ticks.len() >= TICKS_KEPT {
             self.ticks.pop_front();
         }
-        self.ticks.push_back(self.arm.pose());
         self.has_moved = true;
+        let Some(Session { request, context, .. }) = &self.session else { return };
+        let OpenRequest { plan_hash, period_us, .. } = *request;
+        self.ticks.push_back(Tick { context: *context, plan_hash, period_us, pose: self.arm.pose() });
     }
 
     /// Whether the arm has come to where its command rests. One that never does is not waited for.

@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 use std::io;
 
 use anyhow::Context as _;
-use powderline_firmware_sim::controller::{ArmConfig, Controller};
+use powderline_firmware_sim::controller::{ArmConfig, Controller, Tick};
 use powderline_firmware_sim::endpoint::Endpoint;
 use powderline_host::clock;
 use powderline_host::link::Link;
@@ -89,7 +89,7 @@ pub fn serve(options: &Options, announcer: &mut impl Announcer) -> anyhow::Resul
         queue: VecDeque::new(),
         busy: false,
         told: Told::default(),
-        motion: Vec::new(),
+        motions: Vec::new(),
         wish: StopWish::None,
         start_us: clock::now_us(),
         passed_us: 0,
@@ -117,6 +117,16 @@ struct Opening {
     context: Context,
 }
 
+/// What the arm has made of a session. It keeps whose it is: that session may be over, and another one open, before anybody
+/// is told.
+struct Executed {
+    context: Context,
+    plan_hash: u64,
+    period_us: u32,
+    /// Where the arm was at each tick, the anchor first.
+    poses: Vec<Pose>,
+}
+
 struct Server<'o> {
     options: &'o Options,
     wire: Option<Box<dyn Transport>>,
@@ -127,8 +137,8 @@ struct Server<'o> {
     /// Whether the wire had no room the last time.
     busy: bool,
     told: Told,
-    /// Where the arm was at each tick of the motion that is under way.
-    motion: Vec<Pose>,
+    /// Those that nobody has been told of yet; the last one may be under way.
+    motions: Vec<Executed>,
     wish: StopWish,
     /// The arm's clock begins here.
     start_us: u64,
@@ -201,7 +211,13 @@ impl Server<'_> {
             }
             self.queue.push_back(frame);
         }
-        self.motion.extend(self.endpoint.controller_mut().take_ticks());
+        for Tick { context, plan_hash, period_us, pose } in self.endpoint.controller_mut().take_ticks() {
+            // In each session there is one motion at the most.
+            match self.motions.last_mut() {
+                Some(motion) if motion.context == context => motion.poses.push(pose),
+                _ => self.motions.push(Executed { context, plan_hash, period_us, poses: vec![pose] }),
+            }
+        }
     }
 
     /// A wire that fails is no reason for the arm to end: it stops by itself, and the wire is opened anew.
@@ -223,7 +239,7 @@ impl Server<'_> {
         }
     }
 
-    /// Says what has changed, and writes down a motion that has come to its end.
+    /// Says what has changed, and writes down motions that have come to their end.
     fn tell(&mut self, announcer: &mut impl Announcer) -> anyhow::Result<()> {
         let controller = self.endpoint.controller();
         let status = controller.status();
@@ -259,10 +275,10 @@ impl Server<'_> {
             });
             announcer.say(&format!("State: {}{phase}.", status.state.name()));
         }
-        if status.standstill && !self.motion.is_empty() {
-            let plan_hash = now.session.or(before.session).map_or(0, |opening| opening.plan_hash);
-            announcer.executed(plan_hash, period_us, &self.motion)?;
-            self.motion.clear();
+        let under_way = usize::from(!status.standstill);
+        let done = self.motions.len().saturating_sub(under_way);
+        for Executed { plan_hash, period_us, poses, .. } in self.motions.drain(..done) {
+            announcer.executed(plan_hash, period_us, &poses)?;
         }
         Ok(())
     }
@@ -295,5 +311,194 @@ impl Server<'_> {
         let moment_us = if self.busy { moment_us.min(retry_us) } else { moment_us };
         let wire = self.wire.as_ref().and_then(|wire| wire.interest());
         wait_until(Some(moment_us), [wire, Some(self.signals.interest())]).map(drop)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use powderline_host::transport::Received;
+    use powderline_host::wait::Interest;
+    use powderline_shared::displacement::Setpoint;
+    use powderline_shared::wire::codec::Encoder;
+    use powderline_shared::wire::frame::Dialect;
+    use powderline_shared::wire::message::{OpenRequest, PROTOCOL_VERSION};
+    use powderline_shared::wire::state::Command;
+
+    const PERIOD_US: u32 = 10_000;
+    const END: u32 = 4;
+    /// The anchor, four setpoints, and three more at rest.
+    const TICKS: usize = 8;
+
+    /// A wire on which all that was written to it has arrived at the moments that were written beside it.
+    struct Written(VecDeque<Received>);
+
+    impl Transport for Written {
+        fn dialect(&self) -> Dialect {
+            Dialect::Fd
+        }
+        fn send(&mut self, _: &Frame) -> Result<Sent, LinkError> {
+            Ok(Sent::Done)
+        }
+        fn receive(&mut self) -> Result<Option<Received>, LinkError> {
+            Ok(self.0.pop_front())
+        }
+        fn interest(&self) -> Option<Interest<'_>> {
+            None
+        }
+    }
+
+    #[derive(Default)]
+    struct Notes(Vec<(u64, u32, usize)>);
+
+    impl Announcer for Notes {
+        fn say(&mut self, _: &str) {}
+        fn executed(&mut self, plan_hash: u64, period_us: u32, poses: &[Pose]) -> anyhow::Result<()> {
+            self.0.push((plan_hash, period_us, poses.len()));
+            Ok(())
+        }
+    }
+
+    /// An executor, and the arm's server: what it writes arrives at once, with the next exchange.
+    struct Bench<'o> {
+        server: Server<'o>,
+        encoder: Encoder,
+        written: VecDeque<Received>,
+        at_us: u64,
+        notes: Notes,
+    }
+
+    fn options() -> Options {
+        let arm = ArmConfig { watchdog_us: 10_000_000, ..ArmConfig::ideal(bench_start()) };
+        Options { on: Link::Sim, arm, once: false }
+    }
+
+    fn request(session: u16, period_us: u32) -> OpenRequest {
+        OpenRequest {
+            version: PROTOCOL_VERSION,
+            session,
+            plan_hash: u64::from(session),
+            period_us,
+            end_tick: END,
+            lsb: Dialect::Fd.lsb(),
+            limits: ArmConfig::ideal(bench_start()).limits,
+            start_level: END as u16,
+            reset_nonce: 0,
+        }
+    }
+
+    impl<'o> Bench<'o> {
+        fn new(options: &'o Options) -> Self {
+            let server = Server {
+                options,
+                wire: None,
+                reopen_at_us: u64::MAX,
+                signals: Signals::install().unwrap(),
+                endpoint: Endpoint::new(Controller::new(options.arm), Dialect::Fd),
+                queue: VecDeque::new(),
+                busy: false,
+                told: Told::default(),
+                motions: Vec::new(),
+                wish: StopWish::None,
+                start_us: clock::now_us(),
+                passed_us: 0,
+                done_since_us: None,
+            };
+            let (encoder, written) = (Encoder::new(Dialect::Fd), VecDeque::new());
+            Self { server, encoder, written, at_us: 0, notes: Notes::default() }
+        }
+
+        fn write(&mut self, message: &ToArm) {
+            let context = self.server.endpoint.controller().context();
+            let at_us = self.at_us;
+            let frames = self.encoder.to_arm(&context, message);
+            self.written.extend(frames.map(|frame| Received { at_us, what: Incoming::Frame(frame) }));
+        }
+
+        fn command(&mut self, command: Command) {
+            let session = self.server.endpoint.controller().context().session;
+            self.write(&ToArm::Control { session, command });
+        }
+
+        fn setpoints(&mut self) {
+            let session = self.server.endpoint.controller().context().session;
+            for tick in 1..=END {
+                self.write(&ToArm::Setpoint { session, setpoint: Setpoint { tick, counts: [0; 6] } });
+            }
+        }
+
+        /// So many control periods pass, with a sign of life in each.
+        fn let_pass(&mut self, periods: u32) {
+            let session = self.server.endpoint.controller().context().session;
+            for _ in 0..periods {
+                self.at_us += u64::from(PERIOD_US);
+                self.write(&ToArm::Heartbeat { session });
+            }
+        }
+
+        /// All that was written arrives within one exchange; the clock is at the last of it.
+        fn exchange(&mut self) {
+            // Nothing of the real time that has passed meanwhile.
+            let offset_us = clock::now_us() - self.at_us;
+            self.written.iter_mut().for_each(|received| received.at_us += offset_us);
+            self.server.start_us = offset_us;
+            self.server.wire = Some(Box::new(Written(std::mem::take(&mut self.written))));
+            self.server.exchange().unwrap();
+            self.server.tell(&mut self.notes).unwrap();
+            self.at_us = self.server.passed_us;
+        }
+
+        fn open(&mut self, session: u16, period_us: u32) {
+            self.write(&ToArm::Open(request(session, period_us)));
+            self.exchange();
+            assert_eq!(self.server.endpoint.controller().context().session, session);
+        }
+
+        fn start(&mut self) {
+            [Command::Shutdown, Command::SwitchOn, Command::EnableOperation]
+                .into_iter()
+                .for_each(|command| self.command(command));
+            self.setpoints();
+            self.exchange();
+            assert!(!self.server.endpoint.controller().status().standstill);
+        }
+    }
+
+    /// Whose motion it was is known even where the session ends, and another one begins, before anybody is told.
+    #[test]
+    fn a_motion_is_written_down_as_that_of_the_session_that_made_it() {
+        for next in [false, true] {
+            let options = options();
+            let mut bench = Bench::new(&options);
+            bench.open(7, PERIOD_US);
+            bench.start();
+            assert_eq!(bench.notes.0, []);
+            bench.let_pass(20);
+            bench.command(Command::Shutdown);
+            if next {
+                bench.write(&ToArm::Open(request(8, 3 * PERIOD_US)));
+            }
+            bench.exchange();
+            let open = bench.server.endpoint.controller().context().session;
+            assert_eq!(open, if next { 8 } else { 0 });
+            assert_eq!(bench.notes.0, [(7, PERIOD_US, TICKS)]);
+        }
+    }
+
+    #[test]
+    fn each_motion_is_one_by_itself_though_the_next_one_is_under_way() {
+        let options = options();
+        let mut bench = Bench::new(&options);
+        bench.open(7, PERIOD_US);
+        bench.start();
+        bench.let_pass(20);
+        bench.command(Command::Shutdown);
+        bench.exchange();
+        bench.open(8, PERIOD_US);
+        bench.start();
+        assert_eq!(bench.notes.0, [(7, PERIOD_US, TICKS)]);
+        bench.let_pass(20);
+        bench.exchange();
+        assert_eq!(bench.notes.0, [(7, PERIOD_US, TICKS), (8, PERIOD_US, TICKS)]);
     }
 }
