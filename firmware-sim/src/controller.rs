@@ -9,7 +9,7 @@
 //!
 //! Nobody is trusted to be there: a session that is not heard of for [`ArmConfig::watchdog_us`] is over, with a latched fault if
 //! operation is enabled, moving or not. A controller that was itself held up for too long while it moved ([`OVERRUN_TICKS`], [`OVERRUN_US`])
-//! does not make up for lost time, it stops.
+//! does not make up for lost time, it stops: the drives have begun to without it.
 //!
 //! Every commanded pose but those of a latched stop passes the limit check first. A stop keeps the limits in force, or, if
 //! they would make it take longer than [`GENTLE_STOP_US`], the arm's own ones; see [`crate::stop`] for its bound in time.
@@ -41,8 +41,8 @@ use crate::stop::{GENTLE_STOP_US, StopProfile};
 /// Ticks that a controller may be late before it gives up and stops, or [`OVERRUN_US`] if that is more.
 pub const OVERRUN_TICKS: u64 = 2;
 
-/// Time that a controller may be late with ticks that are shorter, microseconds: the arm's drives go on by themselves for
-/// longer than that.
+/// Time that a controller may be late with ticks that are shorter, microseconds. The arm's drives go on by themselves for
+/// that; left alone for longer, they brake by themselves.
 pub const OVERRUN_US: u64 = 20_000;
 
 /// Ticks on the last setpoint after which velocity, acceleration and jerk are zero.
@@ -60,8 +60,8 @@ const BRIDGE_ECHO_TICKS: u32 = 3;
 /// Nonces drawn for a session; one in a dozen makes a key that could be taken for another one.
 const MOST_DRAWS: u32 = 1_000;
 
-/// Ticks kept for whoever writes down the motion.
-const TICKS_KEPT: usize = 64;
+/// Ticks kept for whoever writes down the motion: more than a stop has that is over when a controller wakes up.
+const TICKS_KEPT: usize = 20_000;
 
 /// Messages kept for a reader that is late; the oldest go first.
 const OUTBOX_CAPACITY: usize = 256;
@@ -168,8 +168,8 @@ pub struct Controller {
     heard_us: u64,
     heartbeat_at_us: u64,
     outbox: VecDeque<FromArm>,
-    /// Where the arm was at the last ticks; the first of a motion is its anchor.
-    ticks: VecDeque<Tick>,
+    /// Where the arm was at the last ticks, if anybody has asked; the first of a motion is its anchor.
+    ticks: Option<VecDeque<Tick>>,
     has_moved: bool,
     closed: ClosedSessions,
 }
@@ -274,7 +274,7 @@ impl Controller {
             // Now: the first thing that it does is to say that it is there.
             heartbeat_at_us: 0,
             outbox: VecDeque::new(),
-            ticks: VecDeque::new(),
+            ticks: None,
             has_moved: false,
             closed: ClosedSessions::default(),
         };
@@ -339,9 +339,10 @@ impl Controller {
         self.has_moved
     }
 
-    /// Where the arm was at the ticks since this was asked last, the oldest first, and at most the last 64.
+    /// Where the arm was at the ticks since this was asked last, the oldest first; nothing the first time. The last 20,000 are
+    /// kept.
     pub fn take_ticks(&mut self) -> impl Iterator<Item = Tick> + '_ {
-        self.ticks.drain(..)
+        self.ticks.get_or_insert_default().drain(..)
     }
 
     /// When the next tick is due; `None` while nothing moves.
@@ -730,13 +731,15 @@ impl Controller {
     }
 
     fn note_tick(&mut self) {
-        if self.ticks.len() >= TICKS_KEPT {
-            self.ticks.pop_front();
-        }
         self.has_moved = true;
-        let Some(Session { request, context, .. }) = &self.session else { return };
+        let (Some(ticks), Some(Session { request, context, .. })) = (&mut self.ticks, &self.session) else {
+            return;
+        };
+        if ticks.len() >= TICKS_KEPT {
+            ticks.pop_front();
+        }
         let OpenRequest { plan_hash, period_us, .. } = *request;
-        self.ticks.push_back(Tick { context: *context, plan_hash, period_us, pose: self.arm.pose() });
+        ticks.push_back(Tick { context: *context, plan_hash, period_us, pose: self.arm.pose() });
     }
 
     /// Whether the arm has come to where its command rests. One that never does is not waited for.
@@ -750,14 +753,13 @@ impl Controller {
         settled || tick_us.saturating_sub(since_us) >= LONGEST_SETTLING_US
     }
 
-    /// What should have happened while nobody looked is not made up for at a stroke: the stop begins where the arm is now.
+    /// The drives were left alone for too long. They have not stood meanwhile, for that would have been abrupt, and to go on from
+    /// it a leap: they have braked by themselves, from the first tick for which nobody told them anything. So the clock goes on
+    /// without a gap, and all that has become of the ticks that were missed is the stop, be it this one or one that had begun.
     fn check_overrun(&mut self, now_us: u64) {
         let late = self.next_tick_us.map_or(0, |tick_us| now_us.saturating_sub(tick_us));
-        if late <= OVERRUN_TICKS.saturating_mul(u64::from(self.period_us())).max(OVERRUN_US) {
-            return;
-        }
-        self.next_tick_us = Some(now_us);
-        if !matches!(self.activity, Activity::Stopping(_)) {
+        let tolerated = OVERRUN_TICKS.saturating_mul(u64::from(self.period_us())).max(OVERRUN_US);
+        if late > tolerated && !matches!(self.activity, Activity::Stopping(_)) {
             self.stop(State::FaultReactionActive, FaultCode::ArmOverrun);
         }
     }

@@ -963,27 +963,81 @@ fn a_stop_frame_stops_harder_than_a_quick_stop() {
     assert!(hard < soft, "{hard} ticks, {soft} by quick stop");
 }
 
+/// On its way, at its fastest after 50 ticks.
+fn under_way(ticks: u32) -> Bench {
+    let mut bench = Bench::enabled();
+    (1..=DEPTH).for_each(|tick| bench.set(setpoint(tick)));
+    for tick in 1..=ticks {
+        bench.period();
+        bench.set(setpoint((tick + DEPTH).min(END)));
+    }
+    bench
+}
+
+/// Nobody has looked at the arm for so long.
+fn hold_up(bench: &mut Bench, held_up_us: u64) {
+    bench.now_us += held_up_us;
+    bench.tell(ToArm::Heartbeat { session: SESSION });
+}
+
+/// Whatever the moment, a controller that wakes up finds the arm where one is that was stopped when it was last looked at, and
+/// braked under its controller's eyes.
+#[test]
+fn an_arm_whose_controller_is_held_up_brakes_without_it() {
+    let period_us = u64::from(PERIOD_US);
+    for (ticks, held_up) in
+        (1..END - 5).step_by(7).flat_map(|ticks| [4, 15, 300].map(|held_up| (ticks, held_up)))
+    {
+        for stopped_before in [false, true] {
+            let (mut bench, mut twin) = (under_way(ticks), under_way(ticks));
+            twin.command(Command::QuickStop);
+            if stopped_before {
+                bench.command(Command::QuickStop);
+            }
+            hold_up(&mut bench, held_up * period_us);
+            (0..held_up).for_each(|_| twin.period());
+            let wanted = if stopped_before { FaultCode::StopCommanded } else { FaultCode::ArmOverrun };
+            assert_eq!(bench.fault(), Some(wanted));
+            for _ in 0..100 {
+                assert_eq!(bench.arm.pose(), twin.arm.pose(), "held up for {held_up} ticks after {ticks}");
+                assert_eq!(bench.arm.status().standstill, twin.arm.status().standstill);
+                bench.period();
+                twin.period();
+            }
+            assert!(bench.arm.status().standstill);
+            twin.assert_limits_kept();
+        }
+    }
+}
+
 #[test]
 fn a_controller_that_was_held_up_stops_instead_of_catching_up() {
-    for held_up_us in [20_000, 20_001, 150_000] {
-        let mut bench = Bench::enabled();
-        (1..=DEPTH).for_each(|tick| bench.set(setpoint(tick)));
-        for tick in 1..30 {
-            bench.period();
-            bench.set(setpoint(tick + DEPTH));
-        }
+    for held_up_us in [20_000, 20_001, 150_000, 3_000_000] {
+        let mut bench = under_way(29);
+        bench.arm.take_ticks().for_each(drop);
         let before = bench.arm.pose();
-        bench.now_us += held_up_us + u64::from(PERIOD_US);
-        bench.arm.handle_message(bench.now_us, &ToArm::Heartbeat { session: SESSION });
+        hold_up(&mut bench, held_up_us + u64::from(PERIOD_US));
         if held_up_us <= 20_000 {
             assert_eq!(bench.fault(), None);
             continue;
         }
         assert_eq!(bench.fault(), Some(FaultCode::ArmOverrun));
-        let jump = before.displacement_to(&bench.arm.pose()).translation().norm();
-        assert!(jump < 5e-3, "{jump}");
+        let woken_at = bench.arm.pose();
         bench.rest();
         assert_eq!(bench.arm.state(), State::Fault);
+        // What is written down has each tick, those too that nobody saw.
+        let mut seen = under_way(29).seen;
+        let (mut peak, mut ticks, mut stands_at) = ([0.0_f64; 6], 0, before);
+        for tick in bench.arm.take_ticks() {
+            seen = seen.moved_to(tick.pose, PERIOD_US);
+            std::iter::zip(&mut peak, seen.norms()).for_each(|(peak, value)| *peak = peak.max(value));
+            (ticks, stands_at) = (ticks + 1, tick.pose);
+        }
+        assert!((20..GENTLE_STOP_US / PERIOD_US + 3).contains(&ticks), "{ticks}");
+        assert_eq!(stands_at, bench.arm.pose());
+        Bench { peak, ..bench }.assert_limits_kept();
+        // By then it has long stood.
+        assert!(held_up_us < 1_000_000 || woken_at == stands_at);
     }
 }
 

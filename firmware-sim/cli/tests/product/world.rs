@@ -45,9 +45,10 @@ pub(crate) struct Scene {
 const AXES: [Axis; 2] = [Axis::X, Axis::Y];
 
 impl Scene {
-    /// Plans of so many steps, each of so many microseconds. Time goes on in halves of a step.
+    /// Plans of so many steps, each of so many microseconds. Time goes on in halves of a step. They are fast enough that an arm
+    /// which was held up is still braking when its controller wakes up.
     pub(crate) fn new(period_us: u32, steps: u32) -> Self {
-        let plans = [[0.002, 0.0, 0.0], [0.0, 0.002, 0.0]].map(|translation_m| {
+        let plans = [[0.008, 0.0, 0.0], [0.0, 0.008, 0.0]].map(|translation_m| {
             let part = Move { translation_m, rotation_rad: [0.0; 3], steps };
             motion::plan_bytes(&motion::start(), motion::limits(), period_us, &[part])
         });
