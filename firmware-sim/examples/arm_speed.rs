@@ -24,7 +24,8 @@ fn pose(phase: f64) -> Pose {
 fn measure(name: &str, mut arm: Arm, way: &[Pose]) -> Result<(), ArmError> {
     let begin = Instant::now();
     for pose in way.iter().cycle().take(STEPS as usize) {
-        arm.follow(*black_box(pose), 0.01)?;
+        let target = arm.target(arm.told(), black_box(pose), 0.01)?;
+        arm.follow(target, 0.01);
     }
     let ns = begin.elapsed().as_secs_f64() * 1e9 / f64::from(STEPS);
     println!("{name:<12} {ns:7.0} ns per follow, tool at {:?}", black_box(arm.pose()).position_m);

@@ -12,12 +12,14 @@
 //! does not make up for lost time, it stops: the drives have begun to without it.
 //!
 //! Every commanded pose but those of a latched stop passes the limit check first. A stop keeps the limits in force, or, if
-//! they would make it take longer than [`GENTLE_STOP_US`], the arm's own ones; see [`crate::stop`] for its bound in time.
+//! they would make it take longer than [`GENTLE_STOP_US`], the arm's own ones; see [`crate::stop`] for its bound in time. What
+//! the joints cannot do they are not told, in a stop either: where they could not follow one of the tool, they brake by
+//! themselves. What has been commanded for a tick is done, and what has come to rest stays where it is.
 
 use std::collections::VecDeque;
 
 use nalgebra::Vector3;
-use powderline_shared::arm::{ArmError, ArmModel};
+use powderline_shared::arm::{ArmError, ArmModel, Joints};
 use powderline_shared::displacement::{Displacement, Lsb, Setpoint, pose_at};
 use powderline_shared::fault::{Fault, FaultCode, Side};
 use powderline_shared::following::{Following, FollowingWatch};
@@ -30,13 +32,13 @@ use powderline_shared::wire::message::{
 };
 use powderline_shared::wire::state::{Command, Phase, State};
 
-use crate::arm::Arm;
 use crate::arm::servo::Lag;
+use crate::arm::{Arm, JointMotion, Target};
 use crate::buffer::Refused;
-use crate::interpolator::Interpolator;
+use crate::interpolator::{Commanded, Interpolator};
 pub use crate::session::LONGEST_PERIOD_US;
 use crate::session::{self, Anchored, Session};
-use crate::stop::{GENTLE_STOP_US, StopProfile};
+use crate::stop::{GENTLE_STOP_US, JointStop, StopProfile};
 
 /// Ticks that a controller may be late before it gives up and stops, or [`OVERRUN_US`] if that is more.
 pub const OVERRUN_TICKS: u64 = 2;
@@ -131,6 +133,8 @@ pub struct Tick {
     pub period_us: u32,
     /// Where the tool was.
     pub pose: Pose,
+    /// Where the joints were, radians, if there are any.
+    pub joints: Option<Joints>,
 }
 
 /// The simulated controller, with its arm.
@@ -158,6 +162,8 @@ pub struct Controller {
     resting_since_us: Option<u64>,
     path: Interpolator,
     motion: Motion,
+    /// The same of the joints, if there are any.
+    turning: Option<JointMotion>,
     activity: Activity,
     next_tick_us: Option<u64>,
     fault: Option<Fault>,
@@ -219,7 +225,16 @@ enum Activity {
     /// On the last setpoint, for so many more ticks.
     Settling { ticks_left: u32 },
     /// A stop.
-    Stopping(StopProfile),
+    Stopping(Stop),
+}
+
+/// Which way a stop goes.
+#[derive(Clone, Copy, Debug)]
+enum Stop {
+    /// The tool's.
+    Tool(StopProfile),
+    /// That of joints which cannot follow the tool's.
+    Joints(JointStop),
 }
 
 /// Numbers that do not come again: SplitMix64 (G. L. Steele, D. Lea and C. H. Flood, OOPSLA 2014). They tell what was recorded
@@ -262,8 +277,9 @@ impl Controller {
             arm: config.arm,
             followed_us: 0,
             resting_since_us: None,
-            path: Interpolator::hold(config.arm.commanded()),
-            motion: Motion::at_rest(config.arm.commanded()),
+            path: Interpolator::hold(*config.arm.told()),
+            motion: Motion::at_rest(config.arm.told().pose),
+            turning: config.arm.told().joints.map(JointMotion::at_rest),
             activity: Activity::Still,
             next_tick_us: None,
             fault: None,
@@ -578,11 +594,10 @@ impl Controller {
 
     fn enable(&mut self) {
         // Not where the arm is, which may be a quarter of an LSB off: the command goes on without a jump.
-        let anchor = self.arm.commanded();
+        let anchor = self.arm.told().pose;
         let Some(session) = self.session.as_mut() else { return self.drop_one() };
         session.anchored = Some(Anchored::new(session, anchor));
-        self.motion = Motion::at_rest(anchor);
-        self.path = Interpolator::hold(anchor);
+        self.hold();
         self.state = State::OperationEnabled;
         self.repeat_anchor();
     }
@@ -704,16 +719,17 @@ impl Controller {
         }
     }
 
-    /// The arm goes on, along the path, to where it is due. What it does not take it says; it then holds its last command.
+    /// The arm goes on, along the path, to where it is due.
     fn move_arm(&mut self, now_us: u64) {
         #[expect(clippy::cast_precision_loss, reason = "2^53 microseconds are 285 years")]
         let dt_s = now_us.saturating_sub(self.followed_us) as f64 / 1e6;
         self.followed_us = self.followed_us.max(now_us);
-        if let Err(error) = self.arm.follow(self.path.pose_at(now_us), dt_s)
-            && self.fault.is_none()
-        {
-            self.stop(State::FaultReactionActive, error.code());
-        }
+        let target = match self.path.at(now_us) {
+            Commanded::End(target) => target,
+            Commanded::Joints(joints) => self.arm.target_of(joints),
+            Commanded::Pose(pose) => Target::pose(pose),
+        };
+        self.arm.follow(target, dt_s);
     }
 
     /// An arm that is not where it is told to be stops, whoever told it.
@@ -721,7 +737,7 @@ impl Controller {
         if self.state != State::OperationEnabled {
             return;
         }
-        let off = self.arm.commanded().displacement_to(&self.arm.pose()).components();
+        let off = self.arm.told().pose.displacement_to(&self.arm.pose()).components();
         let [x, y, z] = self.motion.linear.velocity.into();
         let [rx, ry, rz] = self.motion.angular.velocity.into();
         let tick = self.anchored().map_or(0, |anchored| anchored.applied_tick);
@@ -739,13 +755,14 @@ impl Controller {
             ticks.pop_front();
         }
         let OpenRequest { plan_hash, period_us, .. } = *request;
-        ticks.push_back(Tick { context: *context, plan_hash, period_us, pose: self.arm.pose() });
+        let (pose, joints) = (self.arm.pose(), self.arm.joints());
+        ticks.push_back(Tick { context: *context, plan_hash, period_us, pose, joints });
     }
 
     /// Whether the arm has come to where its command rests. One that never does is not waited for.
     fn has_settled(&mut self, tick_us: u64) -> bool {
         let since_us = *self.resting_since_us.get_or_insert(tick_us);
-        let off = self.arm.commanded().displacement_to(&self.arm.pose());
+        let off = self.arm.told().pose.displacement_to(&self.arm.pose());
         let lsb = self.session.as_ref().map(|session| session.request.lsb).unwrap_or_default();
         let near = |off: Vector3<f64>, lsb: f64| off.iter().all(|x| x.abs() < SETTLED_LSB * lsb);
         let settled =
@@ -787,7 +804,7 @@ impl Controller {
             Activity::Still => {}
             Activity::Following { bridge } => self.follow(tick_us, bridge),
             Activity::Settling { ticks_left } => self.settle(tick_us, ticks_left),
-            Activity::Stopping(profile) => self.brake(tick_us, profile),
+            Activity::Stopping(stop) => self.brake(tick_us, stop),
         }
     }
 
@@ -822,25 +839,34 @@ impl Controller {
     /// Commands a pose that the limit check accepts; stops otherwise. The pose after it bends the path towards it, so it
     /// has a say only if it will be accepted too.
     fn take(&mut self, tick_us: u64, pose: Pose, after: Option<Pose>) {
-        if let Err(error) = self.arm.check(&pose, f64::from(self.period_us()) / 1e6) {
-            self.latch(State::FaultReactionActive, error.code());
-            return self.brake(tick_us, self.stop_profile());
-        }
+        let target = match self.next_target(self.path.end(), &pose) {
+            Ok(target) => target,
+            Err(error) => {
+                self.latch(State::FaultReactionActive, error.code());
+                return self.brake(tick_us, self.stop_from_here());
+            }
+        };
+        let after = after.and_then(|after| self.next_target(&target, &after).ok());
         let Some(anchored) = self.anchored_mut() else { return };
         match anchored.checker.check(pose) {
             Ok(motion) => {
                 let mut probe = anchored.checker;
-                let after = after.filter(|after| probe.check(*after).is_ok());
+                let after = after.filter(|after| probe.check(after.pose).is_ok());
                 anchored.applied_tick = anchored.applied_tick.saturating_add(1);
                 let applied = anchored.applied_tick;
                 if anchored.buffer.take(applied).is_some() {
                     anchored.received = (applied, pose);
                 }
                 self.activity = Activity::Following { bridge: None };
-                self.command_pose(tick_us, motion, after);
+                self.command_target(tick_us, target, motion, after);
             }
             Err(violation) => self.refuse(tick_us, violation),
         }
+    }
+
+    /// What the arm makes of a pose one tick after a target.
+    fn next_target(&self, from: &Target, pose: &Pose) -> Result<Target, ArmError> {
+        self.arm.target(from, pose, f64::from(self.period_us()) / 1e6)
     }
 
     /// Nothing to go by: begins, or goes on with, a stop that may still be taken back.
@@ -849,7 +875,8 @@ impl Controller {
             StopProfile::within_limits(&self.motion, &self.limits(), self.period_us()).map(|stop| (stop, 0))
         };
         let Some((mut profile, ticks)) = bridge.or_else(fresh) else {
-            return self.miss(tick_us, self.stop_profile());
+            let profile = StopProfile::new(&self.motion, &self.limits(), &self.own_limits, self.period_us());
+            return self.miss(tick_us, profile);
         };
         if ticks >= BRIDGED_TICKS {
             return self.miss(tick_us, profile);
@@ -863,7 +890,7 @@ impl Controller {
 
     /// Stays on the last setpoint; also a motion, which must keep the limits.
     fn settle(&mut self, tick_us: u64, ticks_left: u32) {
-        let pose = self.motion.pose;
+        let target = *self.path.end();
         let Some(anchored) = self.anchored_mut() else { return };
         anchored.ended = true;
         if ticks_left == 0 && self.has_settled(tick_us) {
@@ -872,40 +899,68 @@ impl Controller {
             return;
         }
         let Some(anchored) = self.anchored_mut() else { return };
-        match anchored.checker.check(pose) {
+        match anchored.checker.check(target.pose) {
             Ok(motion) => {
                 self.activity = Activity::Settling { ticks_left: ticks_left.saturating_sub(1) };
-                self.command_pose(tick_us, motion, Some(pose));
+                self.command_target(tick_us, target, motion, Some(target));
             }
             Err(violation) => self.refuse(tick_us, violation),
         }
     }
 
-    fn brake(&mut self, tick_us: u64, mut profile: StopProfile) {
-        match profile.next_pose() {
-            Some(pose) => {
-                let motion = self.motion.moved_to(pose, self.period_us());
-                self.command_pose(tick_us, motion, None);
-                self.activity = Activity::Stopping(profile);
-            }
-            None if self.has_settled(tick_us) => self.stand(),
-            None => self.activity = Activity::Stopping(profile),
+    fn brake(&mut self, tick_us: u64, mut stop: Stop) {
+        let next = self.next_of(&mut stop, self.path.end());
+        self.activity = Activity::Stopping(stop);
+        if let Some(target) = next {
+            let after = self.next_of(&mut stop, &target).unwrap_or(target);
+            let motion = self.motion.moved_to(target.pose, self.period_us());
+            return self.command_target(tick_us, target, motion, Some(after));
         }
+        self.hold();
+        if self.has_settled(tick_us) {
+            self.stand();
+        }
+    }
+
+    /// The target of a stop that comes after another one; `None` at rest.
+    fn next_of(&self, stop: &mut Stop, from: &Target) -> Option<Target> {
+        if let Stop::Tool(profile) = stop {
+            match self.next_target(from, &profile.next_pose()?) {
+                Ok(target) => return Some(target),
+                // It has been tried before the stop began; should it not hold all the same, the joints brake from here.
+                Err(_) => *stop = Stop::Joints(self.joint_stop(&self.limits())?),
+            }
+        }
+        let Stop::Joints(joints) = stop else { return None };
+        joints.next_joints().map(|joints| self.arm.target_of(joints))
     }
 
     /// A stop has come to its end. Quick stop stays active until power is taken away; a fault reaction becomes a fault.
     fn stand(&mut self) {
         self.activity = Activity::Still;
         self.resting_since_us = None;
-        self.motion = Motion::at_rest(self.motion.pose);
+        self.hold();
         if self.state == State::FaultReactionActive {
             self.state = State::Fault;
         }
     }
 
-    fn command_pose(&mut self, tick_us: u64, motion: Motion, after: Option<Pose>) {
-        self.path = self.path.extended(motion.pose, after, tick_us, self.period_us());
+    /// What the arm is told it stays told.
+    fn hold(&mut self) {
+        let told = *self.arm.told();
+        self.path = Interpolator::hold(told);
+        self.motion = Motion::at_rest(told.pose);
+        self.turning = told.joints.map(JointMotion::at_rest);
+    }
+
+    fn command_target(&mut self, tick_us: u64, target: Target, motion: Motion, after: Option<Target>) {
+        self.path = self.path.extended(target, after, tick_us, self.period_us());
         self.motion = motion;
+        self.turning = self.turned_to(self.turning, &target);
+    }
+
+    fn turned_to(&self, turning: Option<JointMotion>, target: &Target) -> Option<JointMotion> {
+        turning.zip(target.joints).map(|(turning, joints)| turning.moved_to(joints, self.period_us()))
     }
 
     /// Where constant jerk leads in one tick if it is to lead to `after` in two: with d the displacement of both,
@@ -940,15 +995,15 @@ impl Controller {
             self.violation = Some(violation);
         }
         self.latch(State::FaultReactionActive, code);
-        self.brake(tick_us, self.stop_profile());
+        self.brake(tick_us, self.stop_from_here());
     }
 
     /// Setpoints are missing for too long: a stop is now latched; the one that has begun, unless it would take too long.
     fn miss(&mut self, tick_us: u64, begun: StopProfile) {
         self.latch(State::FaultReactionActive, FaultCode::SetpointMissing);
         let soon = begun.ticks().saturating_mul(self.period_us()) <= GENTLE_STOP_US;
-        let profile = if soon { begun } else { self.stop_profile() };
-        self.brake(tick_us, profile);
+        let stop = if soon { self.possible(begun, &self.limits()) } else { self.stop_from_here() };
+        self.brake(tick_us, stop);
     }
 
     /// Latches a reason between two ticks; braking begins with the next.
@@ -957,7 +1012,7 @@ impl Controller {
         if self.is_still() {
             self.stand();
         } else {
-            self.activity = Activity::Stopping(self.stop_profile());
+            self.activity = Activity::Stopping(self.stop_from_here());
             self.resting_since_us = None;
         }
         self.report();
@@ -971,13 +1026,48 @@ impl Controller {
             _ => self.report(),
         }
         if !self.is_still() {
-            let own = &self.own_limits;
-            self.activity = Activity::Stopping(StopProfile::new(&self.motion, own, own, self.period_us()));
+            self.activity = Activity::Stopping(self.stop_within(&self.own_limits));
         }
     }
 
-    fn stop_profile(&self) -> StopProfile {
-        StopProfile::new(&self.motion, &self.limits(), &self.own_limits, self.period_us())
+    fn stop_from_here(&self) -> Stop {
+        self.stop_within(&self.limits())
+    }
+
+    fn stop_within(&self, limits: &Limits) -> Stop {
+        let profile = StopProfile::new(&self.motion, limits, &self.own_limits, self.period_us());
+        self.possible(profile, limits)
+    }
+
+    /// The stop of the tool, if there are no joints that cannot follow it to its end; else theirs.
+    fn possible(&self, profile: StopProfile, limits: &Limits) -> Stop {
+        let joints = if self.is_followed(profile) { None } else { self.joint_stop(limits) };
+        joints.map_or(Stop::Tool(profile), Stop::Joints)
+    }
+
+    fn is_followed(&self, mut profile: StopProfile) -> bool {
+        let (mut target, mut turning) = (*self.path.end(), self.turning);
+        let hardness = |turning: &Option<JointMotion>| {
+            turning.map_or(0.0, |turning| {
+                turning.acceleration_rad_s2.iter().fold(0.0, |most, x| libm::fmax(most, x.abs()))
+            })
+        };
+        let hardest = libm::fmax(hardness(&turning), self.own_limits.angular_acceleration_rad_s2);
+        while turning.is_some()
+            && let Some(pose) = profile.next_pose()
+        {
+            let Ok(next) = self.next_target(&target, &pose) else { return false };
+            (target, turning) = (next, self.turned_to(turning, &next));
+            if hardness(&turning) > hardest {
+                return false;
+            }
+        }
+        true
+    }
+
+    fn joint_stop(&self, limits: &Limits) -> Option<JointStop> {
+        let (turning, model) = self.turning.as_ref().zip(self.arm.model())?;
+        Some(JointStop::new(turning, model, limits, &self.own_limits, self.period_us()))
     }
 
     /// The first reason stays.

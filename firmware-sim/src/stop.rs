@@ -24,11 +24,20 @@
 //!
 //! The workspace box has no say here: an arm that must stop while it moves along or towards a wall of the box may pass it
 //! by its stopping distance. Whoever draws the box leaves that margin.
+//!
+//! # Joints
+//! Where joints cannot follow such a stop, each of them brakes by the same polynomial, all within the same T: a [`JointStop`]. The
+//! fastest kind of joint keeps the limits on angular acceleration and jerk, a slower one as much less as it is slower. No
+//! joint turns faster than it may: its acceleration is rather taken out at once than as fast as the jerk allows. Range and
+//! neighbourhood of singularities have as little say as the workspace box, and for the same reason.
 
-use nalgebra::Vector3;
+use nalgebra::SVector;
+use powderline_shared::arm::{ArmModel, Joints};
 use powderline_shared::displacement::Displacement;
-use powderline_shared::limits::{Derivatives, Limits, Motion};
-use powderline_shared::pose::{Pose, norm};
+use powderline_shared::limits::{Limits, Motion};
+use powderline_shared::pose::Pose;
+
+use crate::arm::JointMotion;
 
 /// Longest stop that a session's limits may lead to, microseconds.
 pub const GENTLE_STOP_US: u32 = 500_000;
@@ -46,8 +55,8 @@ const DOUBLINGS: i32 = 64;
 #[derive(Clone, Copy, Debug)]
 pub struct StopProfile {
     pose: Pose,
-    linear: Ramp,
-    angular: Ramp,
+    linear: Ramp<3>,
+    angular: Ramp<3>,
     tick: u32,
     h: f64,
 }
@@ -57,10 +66,11 @@ impl StopProfile {
     #[must_use]
     pub fn new(motion: &Motion, in_force: &Limits, own: &Limits, period_us: u32) -> Self {
         let h = f64::from(period_us) / 1e6;
+        let [along, about] = ramps(motion, h);
         Self {
             pose: motion.pose,
-            linear: Ramp::bounded(&motion.linear, linear(in_force), linear(own), period_us),
-            angular: Ramp::bounded(&motion.angular, angular(in_force), angular(own), period_us),
+            linear: along.bounded(linear(in_force), linear(own), period_us),
+            angular: about.bounded(angular(in_force), angular(own), period_us),
             tick: 0,
             h,
         }
@@ -70,10 +80,11 @@ impl StopProfile {
     #[must_use]
     pub fn within_limits(motion: &Motion, limits: &Limits, period_us: u32) -> Option<Self> {
         let h = f64::from(period_us) / 1e6;
+        let [along, about] = ramps(motion, h);
         Some(Self {
             pose: motion.pose,
-            linear: Ramp::shortest(&motion.linear, linear(limits), h, MAX_TICKS)?,
-            angular: Ramp::shortest(&motion.angular, angular(limits), h, MAX_TICKS)?,
+            linear: along.shortest(linear(limits), MAX_TICKS)?,
+            angular: about.shortest(angular(limits), MAX_TICKS)?,
             tick: 0,
             h,
         })
@@ -99,6 +110,74 @@ impl StopProfile {
     }
 }
 
+/// Deceleration of all joints, in a straight line of theirs.
+#[derive(Clone, Copy, Debug)]
+pub struct JointStop {
+    /// In shares of how fast each joint is.
+    joints: SVector<f64, 6>,
+    shares: SVector<f64, 6>,
+    ramp: Ramp<6>,
+    tick: u32,
+}
+
+impl JointStop {
+    /// Brakes the joints of `model` from `motion` in bounded time: by the limits in force if they allow it, else by the arm's
+    /// own.
+    #[must_use]
+    pub fn new(
+        motion: &JointMotion,
+        model: &ArmModel,
+        in_force: &Limits,
+        own: &Limits,
+        period_us: u32,
+    ) -> Self {
+        let fastest = model.joint_speed_rad_s.into_iter().fold(0.0, libm::fmax);
+        let share = |speed: f64| if speed > 0.0 { speed / fastest } else { 1.0 };
+        let shares = SVector::from(model.joint_speed_rad_s.map(share));
+        let of_share = |values: &SVector<f64, 6>| values.component_div(&shares);
+        let ramp = Ramp {
+            v0: of_share(&motion.velocity_rad_s),
+            a0: of_share(&motion.acceleration_rad_s2),
+            ease: 0,
+            brake: 0,
+            h: f64::from(period_us) / 1e6,
+            measure: Measure::EachJoint,
+        };
+        let bounds = |limits| {
+            let [_, acceleration, jerk] = angular(limits);
+            [fastest, acceleration, jerk]
+        };
+        Self {
+            joints: of_share(&SVector::from(motion.angles_rad)),
+            shares,
+            ramp: ramp.bounded(bounds(in_force), bounds(own), period_us),
+            tick: 0,
+        }
+    }
+
+    /// The joints one tick later; `None` at rest.
+    pub fn next_joints(&mut self) -> Option<Joints> {
+        if self.tick >= self.ramp.ticks() {
+            return None;
+        }
+        self.tick = self.tick.saturating_add(1);
+        self.joints += self.ramp.velocity(self.tick) * self.ramp.h;
+        Some(self.joints.component_mul(&self.shares).into())
+    }
+}
+
+/// Those of translation and rotation, of no length yet.
+fn ramps(motion: &Motion, h: f64) -> [Ramp<3>; 2] {
+    [&motion.linear, &motion.angular].map(|from| Ramp {
+        v0: from.velocity,
+        a0: from.acceleration,
+        ease: 0,
+        brake: 0,
+        h,
+        measure: Measure::Tool,
+    })
+}
+
 /// Bounds on velocity, acceleration and jerk.
 type Bounds = [f64; 3];
 
@@ -115,71 +194,85 @@ fn ticks_in(time_us: u32, period_us: u32) -> u32 {
     time_us.checked_div(period_us).unwrap_or(time_us).max(1)
 }
 
+/// What a bound is held against.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Measure {
+    /// The norm. Where not all can be had, jerk is kept, and speed is not.
+    Tool,
+    /// The largest component. Where not all can be had, speed is kept, and jerk is not.
+    EachJoint,
+}
+
 /// First `ease` ticks in which the acceleration goes to zero, then `brake` ticks of the polynomial.
 #[derive(Clone, Copy, Debug)]
-struct Ramp {
-    v0: Vector3<f64>,
-    a0: Vector3<f64>,
+struct Ramp<const N: usize> {
+    v0: SVector<f64, N>,
+    a0: SVector<f64, N>,
     ease: u32,
     brake: u32,
     h: f64,
+    measure: Measure,
 }
 
-impl Ramp {
+impl<const N: usize> Ramp<N> {
     /// See the head of this file.
-    fn bounded(from: &Derivatives, in_force: Bounds, own: Bounds, period_us: u32) -> Self {
-        let h = f64::from(period_us) / 1e6;
+    fn bounded(self, in_force: Bounds, own: Bounds, period_us: u32) -> Self {
         let (soon, latest) = (ticks_in(GENTLE_STOP_US, period_us), ticks_in(LONGEST_STOP_US, period_us));
         let doubled = |times| own.map(|bound| bound * 2.0_f64.powi(times));
         let [_, acceleration, jerk] = own;
-        Self::shortest(from, in_force, h, soon)
-            .or_else(|| Self::of_length(from, [in_force[0], acceleration, jerk], h, soon))
-            .or_else(|| (0..DOUBLINGS).find_map(|times| Self::shortest(from, doubled(times), h, latest)))
-            .unwrap_or(Self { brake: latest, ..Self::direct(from, h) })
+        self.shortest(in_force, soon)
+            .or_else(|| self.of_length([in_force[0], acceleration, jerk], soon))
+            .or_else(|| (0..DOUBLINGS).find_map(|times| self.shortest(doubled(times), latest)))
+            .unwrap_or(Self { brake: latest, ..self })
     }
 
     /// The shortest that keeps the bounds; `None` if that is more than `longest` ticks.
-    fn shortest(from: &Derivatives, bounds: Bounds, h: f64, longest: u32) -> Option<Self> {
-        let direct = Self::direct(from, h);
-        let bounds = direct.attainable(bounds);
-        let [_, acceleration, jerk] = bounds;
-        let eased = direct.eased(jerk);
-        direct
-            .with_shortest_brake(bounds, longest)
+    fn shortest(self, bounds: Bounds, longest: u32) -> Option<Self> {
+        let bounds = self.attainable(bounds);
+        let [velocity, acceleration, jerk] = bounds;
+        let eased = self.eased(jerk);
+        let (rather, bounds_kept) = match self.measure {
+            Measure::Tool => (eased, [f64::INFINITY, acceleration, jerk]),
+            Measure::EachJoint => (Self { ease: 1, ..self }, [velocity, acceleration, f64::INFINITY]),
+        };
+        self.with_shortest_brake(bounds, longest)
             .or_else(|| eased.with_shortest_brake(bounds, longest))
-            .or_else(|| eased.with_shortest_brake([f64::INFINITY, acceleration, jerk], longest))
+            .or_else(|| rather.with_shortest_brake(bounds_kept, longest))
     }
 
     /// The one of `length` ticks, if it keeps the bounds.
-    fn of_length(from: &Derivatives, bounds: Bounds, h: f64, length: u32) -> Option<Self> {
-        let direct = Self::direct(from, h);
-        let bounds = direct.attainable(bounds);
+    fn of_length(self, bounds: Bounds, length: u32) -> Option<Self> {
+        let bounds = self.attainable(bounds);
         let [_, _, jerk] = bounds;
         let fits = |ramp: Self| {
             let brake = length.checked_sub(ramp.ease).filter(|brake| *brake > 0)?;
             Some(Self { brake, ..ramp }).filter(|ramp| ramp.keeps(bounds))
         };
-        fits(direct).or_else(|| fits(direct.eased(jerk)))
-    }
-
-    fn direct(from: &Derivatives, h: f64) -> Self {
-        Self { v0: from.velocity, a0: from.acceleration, ease: 0, brake: 0, h }
+        fits(self).or_else(|| fits(self.eased(jerk)))
     }
 
     fn eased(self, jerk: f64) -> Self {
-        Self { ease: ticks_up(norm(&self.a0) / (jerk * self.h)), ..self }
+        Self { ease: ticks_up(self.size(&self.a0) / (jerk * self.h)), ..self }
+    }
+
+    /// In a fixed order of operations.
+    fn size(&self, value: &SVector<f64, N>) -> f64 {
+        match self.measure {
+            Measure::Tool => libm::sqrt(value.iter().map(|x| x * x).sum()),
+            Measure::EachJoint => value.iter().fold(0.0, |largest, x| libm::fmax(largest, x.abs())),
+        }
     }
 
     /// What is beyond a limit already (by quantisation) need not get worse.
     fn attainable(&self, bounds: Bounds) -> Bounds {
         let [velocity, acceleration, jerk] = bounds;
-        [velocity.max(norm(&self.v0)), acceleration.max(norm(&self.a0)), jerk]
+        [velocity.max(self.size(&self.v0)), acceleration.max(self.size(&self.a0)), jerk]
     }
 
     /// Lengths that grow by a quarter until one keeps the bounds, then bisection: the shortest, or one close to it where
     /// a longer stop may break a bound that a shorter one keeps.
     fn with_shortest_brake(self, bounds: Bounds, longest: u32) -> Option<Self> {
-        if self.v0 == Vector3::zeros() && self.a0 == Vector3::zeros() {
+        if [self.v0, self.a0].iter().all(|value| value.iter().all(|x| *x == 0.0)) {
             return Some(self);
         }
         let longest = longest.checked_sub(self.ease).filter(|ticks| *ticks > 0)?;
@@ -200,14 +293,14 @@ impl Ramp {
     }
 
     fn keeps(&self, bounds: Bounds) -> bool {
-        let mut last = Derivatives { velocity: self.v0, acceleration: self.a0, jerk: Vector3::zeros() };
+        let (mut last_velocity, mut last_acceleration) = (self.v0, self.a0);
         // Two ticks beyond the end, until acceleration and jerk have come to zero as well.
         (1..=self.ticks().saturating_add(2)).all(|tick| {
             let velocity = self.velocity(tick);
-            let acceleration = (velocity - last.velocity) / self.h;
-            let jerk = (acceleration - last.acceleration) / self.h;
-            last = Derivatives { velocity, acceleration, jerk };
-            let values = [norm(&velocity), norm(&acceleration), norm(&jerk)];
+            let acceleration = (velocity - last_velocity) / self.h;
+            let jerk = (acceleration - last_acceleration) / self.h;
+            (last_velocity, last_acceleration) = (velocity, acceleration);
+            let values = [velocity, acceleration, jerk].map(|value| self.size(&value));
             values.into_iter().zip(bounds).all(|(value, bound)| value <= bound * (1.0 + 1e-9))
         })
     }
@@ -216,9 +309,9 @@ impl Ramp {
         self.ease.saturating_add(self.brake)
     }
 
-    fn velocity(&self, tick: u32) -> Vector3<f64> {
+    fn velocity(&self, tick: u32) -> SVector<f64, N> {
         if tick >= self.ticks() {
-            return Vector3::zeros();
+            return SVector::zeros();
         }
         if tick <= self.ease {
             return self.easing_velocity(tick);
@@ -227,7 +320,7 @@ impl Ramp {
         let (v1, a1) = if self.ease == 0 {
             (self.v0, self.a0)
         } else {
-            (self.easing_velocity(self.ease), Vector3::zeros())
+            (self.easing_velocity(self.ease), SVector::zeros())
         };
         let s = f64::from(tick.saturating_sub(self.ease)) / f64::from(self.brake);
         let length_s = f64::from(self.brake) * self.h;
@@ -235,7 +328,7 @@ impl Ramp {
     }
 
     /// v0 + h a0 sum over i = 1..=tick of (1 - i / ease).
-    fn easing_velocity(&self, tick: u32) -> Vector3<f64> {
+    fn easing_velocity(&self, tick: u32) -> SVector<f64, N> {
         if self.ease == 0 {
             return self.v0;
         }
@@ -256,6 +349,9 @@ fn ticks_up(value: f64) -> u32 {
 mod tests {
     use super::*;
     use crate::controller::ArmConfig;
+    use nalgebra::Vector3;
+    use powderline_shared::limits::Derivatives;
+    use powderline_shared::pose::norm;
     use proptest::prelude::*;
 
     fn limits(jerk: f64) -> Limits {
@@ -395,6 +491,41 @@ mod tests {
             for ((limit, bound), value) in limits.derivative_bounds().into_iter().zip(peak) {
                 prop_assert!(value <= bound * (1.0 + 1e-6), "{limit}: {value} > {bound}");
             }
+        }
+
+        /// Whatever the joints do when they have to, each keeps its speed and all the arm's own limit, beside one another.
+        #[test]
+        fn joints_brake_within_what_they_can(
+            shares in prop::array::uniform6(-1.0..1.0f64), speeding_up in prop::array::uniform6(-1.0..1.0f64),
+            tightness in -6.0..0.0f64, slow: bool, period_us in prop::sample::select(vec![500, 1_000, 10_000]),
+        ) {
+            let mut model = ArmModel::bench();
+            if slow {
+                model.joint_speed_rad_s = [2.0, 2.0, 3.0, 4.0, 4.0, 4.0];
+            }
+            let session = Limits { angular_acceleration_rad_s2: 50.0 * 10.0_f64.powf(tightness), ..own() };
+            let from = JointMotion {
+                angles_rad: [0.5; 6],
+                velocity_rad_s: SVector::from(shares).component_mul(&SVector::from(model.joint_speed_rad_s)),
+                acceleration_rad_s2: SVector::from(speeding_up) * 25.0,
+            };
+            let mut stop = JointStop::new(&from, &model, &session, &own(), period_us);
+            let (mut motion, mut ticks) = (from, 0);
+            let mut next = || {
+                ticks += 1;
+                stop.next_joints()
+            };
+            while let Some(joints) = next() {
+                motion = motion.moved_to(joints, period_us);
+                for ((speed, bound), acceleration) in
+                    motion.velocity_rad_s.iter().zip(model.joint_speed_rad_s).zip(&motion.acceleration_rad_s2)
+                {
+                    prop_assert!(speed.abs() <= bound * (1.0 + 1e-9), "{speed} rad/s");
+                    prop_assert!(acceleration.abs() <= 50.0 * (1.0 + 1e-6), "{acceleration} rad/s^2");
+                }
+            }
+            prop_assert!(motion.velocity_rad_s.iter().all(|speed| speed.abs() < 1e-9));
+            prop_assert!((ticks - 1) * period_us <= LONGEST_STOP_US, "{ticks} ticks of {period_us} us");
         }
 
         /// Whatever a session's limits and the state of the arm within its own.

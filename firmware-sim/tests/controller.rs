@@ -3,7 +3,9 @@
 use nalgebra::Vector3;
 use powderline_firmware_sim::arm::Arm;
 use powderline_firmware_sim::arm::servo::Lag;
-use powderline_firmware_sim::controller::{ArmConfig, Controller, DEFAULT_WATCHDOG_US, LONGEST_PERIOD_US};
+use powderline_firmware_sim::controller::{
+    ArmConfig, Controller, DEFAULT_WATCHDOG_US, LONGEST_PERIOD_US, Tick,
+};
 use powderline_firmware_sim::stop::GENTLE_STOP_US;
 use powderline_shared::arm::ArmModel;
 use powderline_shared::displacement::{Displacement, Lsb, Setpoint, pose_at};
@@ -1126,13 +1128,49 @@ fn an_arm_with_joints_that_lag_settles_on_the_last_setpoint_before_it_says_so() 
     assert_eq!(reached, Some(setpoint_of(END, 0.1, 0.5)));
 }
 
-#[test]
-fn what_the_joints_cannot_do_stops_the_arm_with_their_reason() {
-    let turned = |length_m, angle_rad, ticks: u32, joint_speed_rad_s: f64| {
-        let model = ArmModel { joint_speed_rad_s: [joint_speed_rad_s; 6], ..ArmModel::bench() };
-        let arm = Arm::new(model, Lag::default(), over_the_bench()).unwrap();
+/// How time passes for an arm between two setpoints: when it is looked at, in tenths of a period, and how long whoever looks
+/// at it stays away once it stops, periods.
+#[derive(Clone, Copy, Debug)]
+struct Looks {
+    tenths: &'static [u64],
+    away: u64,
+}
+
+const LOOKS: [Looks; 4] = [
+    Looks { tenths: &[10], away: 1 },
+    Looks { tenths: &[5, 10], away: 1 },
+    Looks { tenths: &[1, 2, 3, 4, 5, 6, 7, 8, 9, 10], away: 10 },
+    Looks { tenths: &[10], away: 10 },
+];
+
+/// An arm with joints, on its way over the bench.
+struct Jointed {
+    bench: Bench,
+    model: ArmModel,
+    looks: Looks,
+    length_m: f64,
+    angle_rad: f64,
+    ticks: u32,
+    sent: u32,
+}
+
+impl Jointed {
+    fn new(
+        (model, lag): (ArmModel, Lag),
+        (length_m, angle_rad): (f64, f64),
+        ticks: u32,
+        looks: Looks,
+    ) -> Self {
+        let arm = Arm::new(model, lag, over_the_bench()).unwrap();
         let mut bench = Bench::new();
         bench.arm = Controller::new(ArmConfig { arm, ..ArmConfig::ideal(over_the_bench()) });
+        bench.arm.take_ticks().for_each(drop);
+        let mut jointed = Self { bench, model, looks, length_m, angle_rad, ticks, sent: 0 };
+        jointed.enable(SESSION);
+        jointed
+    }
+
+    fn enable(&mut self, session: u16) {
         let wide = Limits {
             workspace_min_m: [-2.0; 3],
             workspace_max_m: [2.0; 3],
@@ -1143,29 +1181,143 @@ fn what_the_joints_cannot_do_stops_the_arm_with_their_reason() {
             angular_acceleration_rad_s2: 40.0,
             angular_jerk_rad_s3: 2_000.0,
         };
-        bench.tell(ToArm::Open(OpenRequest { limits: wide, ..request() }));
-        [Command::Shutdown, Command::SwitchOn, Command::EnableOperation]
-            .iter()
-            .for_each(|command| bench.command(*command));
-        let sent = |tick: u32| {
-            let s = smooth(f64::from(tick) / f64::from(ticks));
-            let cumulative = Displacement {
-                translation_m: [length_m * s, 0.0, 0.0],
-                rotation_rad: [0.0, angle_rad * s, 0.0],
-            };
-            Setpoint::from_cumulative(tick, &cumulative, Lsb::default()).unwrap()
-        };
-        (1..=DEPTH).for_each(|tick| bench.set(sent(tick)));
-        for tick in 1..ticks {
-            bench.period();
-            bench.set(sent((tick + DEPTH).min(ticks)));
+        self.bench.tell(ToArm::Open(OpenRequest {
+            limits: wide,
+            session,
+            end_tick: self.ticks,
+            ..request()
+        }));
+        for command in [Command::Shutdown, Command::SwitchOn, Command::EnableOperation] {
+            self.bench.tell(ToArm::Control { session, command });
         }
-        bench.rest();
-        assert_eq!(bench.arm.state(), State::Fault);
-        bench.fault()
-    };
-    // Pitch is one joint, which turns at pi rad/s at the most; here at 3.5 at its fastest.
-    assert_eq!(turned(0.0, 1.8, 96, std::f64::consts::PI), Some(FaultCode::ArmJointSpeed));
-    // A metre to the side, with joints for which nothing is too fast.
-    assert_eq!(turned(1.0, 0.0, 100, 1e3), Some(FaultCode::ArmUnreachable));
+        assert_eq!(self.bench.arm.state(), State::OperationEnabled);
+    }
+
+    fn send(&mut self, upto: u32) {
+        while self.sent < upto.min(self.ticks) {
+            self.sent += 1;
+            let s = smooth(f64::from(self.sent) / f64::from(self.ticks));
+            let cumulative = Displacement {
+                translation_m: [self.length_m * s, 0.0, 0.0],
+                rotation_rad: [0.0, self.angle_rad * s, 0.0],
+            };
+            self.bench.set(Setpoint::from_cumulative(self.sent, &cumulative, Lsb::default()).unwrap());
+        }
+    }
+
+    /// So many ticks, or until something stops it.
+    fn go(&mut self, ticks: u32) {
+        self.send(DEPTH);
+        for tick in 1..=ticks {
+            let begun_us = self.bench.now_us;
+            for tenth in self.looks.tenths {
+                self.bench.now_us = begun_us + tenth * u64::from(PERIOD_US) / 10;
+                self.bench.tell(ToArm::Heartbeat { session: SESSION });
+            }
+            if self.bench.arm.state() != State::OperationEnabled {
+                return;
+            }
+            self.send(tick + DEPTH);
+        }
+    }
+
+    /// Until long after it stands; from then on it may settle by a fraction of a count, and no more.
+    fn stand(&mut self) -> Pose {
+        let mut stands_at = None;
+        for _ in 0..200 / self.looks.away {
+            self.bench.now_us += self.looks.away * u64::from(PERIOD_US);
+            self.bench.tell(ToArm::Heartbeat { session: SESSION });
+            if self.bench.arm.status().standstill {
+                let pose = self.bench.arm.pose();
+                let moved = stands_at.get_or_insert(pose).displacement_to(&pose);
+                assert!(moved.components().iter().all(|x| x.abs() < 1e-7), "{moved:?} after it stood");
+            }
+        }
+        stands_at.unwrap()
+    }
+
+    /// At each tick the most that a joint turned at, as a share of its speed, and sped up or slowed down with, rad/s^2.
+    fn hardness(&mut self) -> Vec<[f64; 2]> {
+        let h = f64::from(PERIOD_US) / 1e6;
+        let (mut last, mut speeds) = (None, [0.0; 6]);
+        let hardness = |tick: Tick| {
+            let joints = tick.joints.unwrap();
+            let moves = std::iter::zip(last.replace(joints).unwrap_or(joints), joints);
+            let mut hardness = [0.0_f64; 2];
+            for (((from, to), bound), speed) in moves.zip(self.model.joint_speed_rad_s).zip(&mut speeds) {
+                let before = std::mem::replace(speed, (to - from) / h);
+                hardness[0] = hardness[0].max(speed.abs() / bound);
+                hardness[1] = hardness[1].max((*speed - before).abs() / h);
+            }
+            hardness
+        };
+        self.bench.arm.take_ticks().map(hardness).collect()
+    }
+
+    /// No joint turns faster than it may, nor brakes harder than the arm's own limit of 50 rad/s^2, or than the motion was at its
+    /// hardest.
+    fn assert_smooth(&mut self) {
+        let taken = self.bench.arm.fault().unwrap().tick as usize;
+        let hardness = self.hardness();
+        let hardest = hardness.iter().take(taken + 2).fold(50.0_f64, |most, [_, of]| most.max(*of));
+        for (tick, [speed, acceleration]) in hardness.iter().enumerate() {
+            let smooth = *speed <= 1.0 && *acceleration <= hardest;
+            assert!(smooth, "{speed} of its speed, {acceleration} rad/s^2 at {tick}, stopped at {taken}");
+        }
+    }
+}
+
+#[test]
+fn what_the_joints_cannot_do_stops_the_arm_with_their_reason() {
+    // Pitch is one joint, which turns at pi rad/s at the most: here at 4.8 and at 3.5 at its fastest. Then a metre to the side,
+    // with joints for which nothing is too fast; less far and more slowly; and pitch with a joint that does not turn so far.
+    let short = ArmModel { joint_range_rad: [2.5; 6], ..ArmModel::bench() };
+    let fast = ArmModel { joint_speed_rad_s: [1e3; 6], ..ArmModel::bench() };
+    let cases = [
+        ((ArmModel::bench(), Lag::default()), (0.0, 1.8), 70, FaultCode::ArmJointSpeed),
+        ((ArmModel::bench(), Lag::NONE), (0.0, 1.8), 96, FaultCode::ArmJointSpeed),
+        ((fast, Lag::NONE), (1.0, 0.0), 100, FaultCode::ArmUnreachable),
+        ((ArmModel::bench(), Lag::default()), (0.83, 0.0), 900, FaultCode::ArmSingular),
+        ((short, Lag::default()), (0.0, -1.6), 100, FaultCode::ArmJointLimit),
+    ];
+    for (arm, way, ticks, code) in cases {
+        let mut faults = Vec::new();
+        for looks in LOOKS {
+            let mut arm = Jointed::new(arm, way, ticks, looks);
+            arm.go(ticks);
+            let stands_at = arm.stand();
+            assert_eq!((arm.bench.fault(), arm.bench.arm.state()), (Some(code), State::Fault), "{looks:?}");
+            arm.assert_smooth();
+            faults.push(arm.bench.arm.fault());
+            // Nor does it leap when the next session takes it over.
+            arm.bench.command(Command::FaultReset);
+            arm.enable(SESSION + 1);
+            (0..20).for_each(|_| arm.bench.period());
+            let moved = stands_at.displacement_to(&arm.bench.arm.pose());
+            assert!(moved.components().iter().all(|x| x.abs() < 1e-7), "{moved:?}");
+        }
+        // Whoever looks, and when, has no say in it.
+        faults.dedup();
+        assert_eq!(faults.len(), 1, "{faults:?}");
+    }
+}
+
+#[test]
+fn a_commanded_stop_keeps_what_the_joints_can_at_any_moment() {
+    // At its fastest 3.1 rad/s of pi; and up to the tick from which on it would be faster. A stop while it speeds up must not be.
+    let slow = (1..END).step_by(3).map(|after| (1.655, END, after));
+    let fast = (1..=19).map(|after| (1.8, 70, after));
+    for (angle_rad, ticks, after) in slow.chain(fast) {
+        for looks in LOOKS {
+            for stop in [ToArm::Stop, ToArm::Control { session: SESSION, command: Command::QuickStop }] {
+                let arm = (ArmModel::bench(), Lag::default());
+                let mut arm = Jointed::new(arm, (0.0, angle_rad), ticks, looks);
+                arm.go(after);
+                arm.bench.tell(stop);
+                arm.stand();
+                assert_eq!(arm.bench.arm.state(), State::QuickStopActive);
+                arm.assert_smooth();
+            }
+        }
+    }
 }

@@ -211,7 +211,7 @@ impl Server<'_> {
             }
             self.queue.push_back(frame);
         }
-        for Tick { context, plan_hash, period_us, pose } in self.endpoint.controller_mut().take_ticks() {
+        for Tick { context, plan_hash, period_us, pose, .. } in self.endpoint.controller_mut().take_ticks() {
             // In each session there is one motion at the most.
             match self.motions.last_mut() {
                 Some(motion) if motion.context == context => motion.poses.push(pose),
