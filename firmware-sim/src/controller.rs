@@ -762,12 +762,14 @@ impl Controller {
     /// Whether the arm has come to where its command rests. One that never does is not waited for.
     fn has_settled(&mut self, tick_us: u64) -> bool {
         let since_us = *self.resting_since_us.get_or_insert(tick_us);
+        self.is_there() || tick_us.saturating_sub(since_us) >= LONGEST_SETTLING_US
+    }
+
+    fn is_there(&self) -> bool {
         let off = self.arm.told().pose.displacement_to(&self.arm.pose());
         let lsb = self.session.as_ref().map(|session| session.request.lsb).unwrap_or_default();
         let near = |off: Vector3<f64>, lsb: f64| off.iter().all(|x| x.abs() < SETTLED_LSB * lsb);
-        let settled =
-            near(off.translation(), lsb.translation_m()) && near(off.rotation(), lsb.rotation_rad());
-        settled || tick_us.saturating_sub(since_us) >= LONGEST_SETTLING_US
+        near(off.translation(), lsb.translation_m()) && near(off.rotation(), lsb.rotation_rad())
     }
 
     /// The drives were left alone for too long. They have not stood meanwhile, for that would have been abrupt, and to go on from
@@ -935,10 +937,14 @@ impl Controller {
         joints.next_joints().map(|joints| self.arm.target_of(joints))
     }
 
-    /// A stop has come to its end. Quick stop stays active until power is taken away; a fault reaction becomes a fault.
+    /// A stop has come to its end. Quick stop stays active until power is taken away; a fault reaction becomes a fault. An arm that
+    /// was not waited for any longer gets no further: what is said to stand does.
     fn stand(&mut self) {
         self.activity = Activity::Still;
         self.resting_since_us = None;
+        if !self.is_there() {
+            self.arm.stay();
+        }
         self.hold();
         if self.state == State::FaultReactionActive {
             self.state = State::Fault;

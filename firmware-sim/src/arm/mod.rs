@@ -126,6 +126,11 @@ impl Arm {
         self.pose = if there { target.pose } else { arm.model.world_from_tool(&arm.real) };
     }
 
+    /// Tells it to be where it is.
+    pub fn stay(&mut self) {
+        self.told = Target { pose: self.pose, joints: self.joints() };
+    }
+
     /// Where the tool is.
     #[must_use]
     pub fn pose(&self) -> Pose {
