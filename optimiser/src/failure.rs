@@ -91,7 +91,10 @@ impl From<RolloutError> for Failure {
             RolloutError::Stopped => Self::Interrupted(error.to_string()),
             RolloutError::Skill(skill) => skill.into(),
             RolloutError::Theta(theta) => theta.into(),
-            RolloutError::Memory { .. } | RolloutError::Threads { .. } => Self::Input(error.to_string()),
+            RolloutError::Memory { .. }
+            | RolloutError::Threads { .. }
+            | RolloutError::Motion { .. }
+            | RolloutError::Lengths { .. } => Self::Input(error.to_string()),
             _ => Self::Failed(error.to_string()),
         }
     }

@@ -243,9 +243,13 @@ fn split<'a, U>(layout: &Layout, mut groups: &'a mut [U]) -> Vec<&'a mut [U]> {
     out
 }
 
-/// Of so many, those that are there, or none.
-fn each_if_any<U>(items: &mut [U], count: usize) -> Vec<Option<&mut U>> {
-    if items.is_empty() { (0..count).map(|_| None).collect() } else { items.iter_mut().map(Some).collect() }
+/// All of so many, or none of them where they are not needed: another model may have left some.
+fn each_if<U>(are_needed: bool, items: &mut [U], count: usize) -> Vec<Option<&mut U>> {
+    if !are_needed {
+        return (0..count).map(|_| None).collect();
+    }
+    assert_eq!(items.len(), count, "memory was taken for all");
+    items.iter_mut().map(Some).collect()
 }
 
 impl<T: Real> Workspace<T> {
@@ -414,7 +418,7 @@ impl<T: Real> Workspace<T> {
         state: &mut [Group<T>],
     ) {
         self.fit(model, layout);
-        let unforced = each_if_any(&mut self.unforced_tiles, layout.blocks.len());
+        let unforced = each_if(model.residue.is_some(), &mut self.unforced_tiles, layout.blocks.len());
         let tiles = self.tiles.par_iter_mut().zip(unforced).zip(&mut self.reached);
         let jobs = split(layout, state).into_par_iter().zip(tiles).zip(&layout.blocks).zip(rest);
         let jobs = jobs.with_max_len(MAX_BLOCKS);
@@ -427,7 +431,7 @@ impl<T: Real> Workspace<T> {
         });
         self.timings.mark(Stage::ParticlesToGrid);
         let OnGrid { momentum, velocity, unforced } = &mut self.on_grid;
-        let unforced = each_if_any(unforced, layout.nodes.len());
+        let unforced = each_if(model.residue.is_some(), unforced, layout.nodes.len());
         let unforced_tiles = &self.unforced_tiles[..];
         let (fresh, reached) = (&self.tiles[..], Some(&self.reached[..]));
         let tiles = Tiles { fresh, rest, reached, sleepers_send: true };
@@ -475,7 +479,7 @@ impl<T: Real> Workspace<T> {
         }
         let OnGrid { momentum, velocity, unforced } = known.unwrap_or(&self.on_grid);
         let unforced = model.residue.map(|_| &unforced[..]);
-        let unforced_tiles = each_if_any(&mut self.unforced_tiles, layout.blocks.len());
+        let unforced_tiles = each_if(model.residue.is_some(), &mut self.unforced_tiles, layout.blocks.len());
         let at_particles: Vec<BodyStateBar> = split(layout, bar)
             .into_par_iter()
             .zip(self.tiles.par_iter_mut().zip(unforced_tiles).zip(&mut self.reached))
@@ -505,7 +509,7 @@ impl<T: Real> Workspace<T> {
         let (fresh, reached) = (&self.tiles[..], Some(&self.reached[..]));
         let tiles = Tiles { fresh, rest: &state.rest, reached, sleepers_send: false };
         let unforced_tiles = &self.unforced_tiles[..];
-        let unforced_bar = each_if_any(&mut self.unforced_bar, layout.nodes.len());
+        let unforced_bar = each_if(model.residue.is_some(), &mut self.unforced_bar, layout.nodes.len());
         let at_nodes: Vec<BodyStateBar> = layout
             .nodes
             .par_iter()

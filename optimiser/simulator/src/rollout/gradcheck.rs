@@ -94,7 +94,8 @@ fn checked<T: Real>(
     let beginning = simulator.initial_state(progress)?;
     let from = simulator.advanced(&beginning, &linear.controls[..stretch.start], progress)?;
     let controls = linear.controls[stretch.clone()].to_vec();
-    let (at, bars) = simulator.control_gradient(&from, &controls, progress)?;
+    let in_stretch = |error: RolloutError| error.later_by(stretch.start);
+    let (at, bars) = simulator.control_gradient(&from, &controls, progress).map_err(in_stretch)?;
     let mut by_displacement = vec![DisplacementGradient::default(); stretch.start];
     by_displacement.extend(bars.into_iter().map(DisplacementGradient::from));
     let gradient = linear.pull_back(&by_displacement);
@@ -110,7 +111,8 @@ fn checked<T: Real>(
             Ok(map.controls(&theta)?[stretch.clone()].to_vec())
         };
         let both_ways = half_steps.iter().flat_map(|h| [moved(*h), moved(-h)]);
-        let ends = simulator.evaluate_motions(&from, both_ways.collect::<Result<_, _>>()?, progress)?;
+        let motions = both_ways.collect::<Result<_, _>>()?;
+        let ends = simulator.evaluate_motions(&from, motions, progress).map_err(in_stretch)?;
         let slope = |(h, pair): (&f64, &[Evaluation])| (*h, (pair[0].loss - pair[1].loss) / (2.0 * h));
         let differences: Vec<_> = half_steps.iter().zip(ends.chunks_exact(2)).map(slope).collect();
         let scale = adjoint.abs().max(1e-3 * length).max(f64::MIN_POSITIVE);

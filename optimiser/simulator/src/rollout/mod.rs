@@ -174,6 +174,25 @@ pub enum RolloutError {
         /// Particle.
         particle: u32,
     },
+    /// What happened while the powder settled: then no motion is to blame.
+    #[error("while the powder settles, before any motion: {0}")]
+    Settling(Box<RolloutError>),
+    /// A displacement takes the tool to where no numbers are.
+    #[error("the displacement of control step {step} takes the tool to no finite place")]
+    Motion {
+        /// Control step.
+        step: u32,
+    },
+    /// Motions that are simulated side by side have one length.
+    #[error(
+        "the motions have {first} and {other} control steps, and motions that are simulated side by side have as many each"
+    )]
+    Lengths {
+        /// Control steps of the first.
+        first: usize,
+        /// And of another one.
+        other: usize,
+    },
     /// The operating system refused to start the threads.
     #[error("{threads} threads could not be started: ask for fewer")]
     Threads {
@@ -225,6 +244,7 @@ impl RolloutError {
             Self::Escaped { step, substep, particle } => {
                 Self::Escaped { step: step + more, substep, particle }
             }
+            Self::Motion { step } => Self::Motion { step: step + more },
             other => other,
         }
     }

@@ -95,6 +95,15 @@ impl Trajectory {
             .unwrap_or_else(|| self.poses[step - 1].displaced(&self.controls[step - 1]))
     }
 
+    /// The first control step that leads to where no numbers are.
+    pub(crate) fn first_not_finite(&self) -> Option<usize> {
+        let is_finite = |pose: Pose| {
+            pose.position_m.iter().all(|x| x.is_finite())
+                && pose.orientation.coords.iter().all(|x| x.is_finite())
+        };
+        (0..self.steps()).find(|step| !is_finite(self.pose_before(step + 1)))
+    }
+
     /// Pose after the last step.
     pub(crate) fn end(&self) -> Option<Pose> {
         Some(self.poses.last()?.displaced(self.controls.last()?))

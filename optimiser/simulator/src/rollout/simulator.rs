@@ -202,9 +202,13 @@ impl<T: Real> Simulator<T> {
         self.in_pool(job, &mut quiet)
     }
 
-    fn path(&self, from: &RolloutState<T>, controls: Vec<Displacement>) -> Trajectory {
+    fn path(&self, from: &RolloutState<T>, controls: Vec<Displacement>) -> Result<Trajectory, RolloutError> {
         let time = &self.scene.time;
-        Trajectory::new(from.done, from.tool, controls, time.substeps, time.control_period_s())
+        let path = Trajectory::new(from.done, from.tool, controls, time.substeps, time.control_period_s());
+        match path.first_not_finite() {
+            None => Ok(path),
+            Some(step) => Err(RolloutError::Motion { step: step as u32 }),
+        }
     }
 
     /// The settled powder under the tool's start pose.
@@ -233,7 +237,7 @@ impl<T: Real> Simulator<T> {
         controls: &[Displacement],
         progress: Tick<'_>,
     ) -> Result<RolloutState<T>, RolloutError> {
-        let path = self.path(from, controls.to_vec());
+        let path = self.path(from, controls.to_vec())?;
         let state = self.in_pool(|r| r.forward(&from.state, &path), progress)?;
         Ok(RolloutState { state, tool: path.end().unwrap_or(from.tool), done: path.ends_after() })
     }
@@ -267,7 +271,7 @@ impl<T: Real> Simulator<T> {
         controls: &[Displacement],
         progress: Tick<'_>,
     ) -> Result<(Evaluation, Vec<Control>, Vec<CutReport>), RolloutError> {
-        let path = self.path(from, controls.to_vec());
+        let path = self.path(from, controls.to_vec())?;
         let reserved_bytes = self.bytes_of_workers_to_come();
         self.in_pool_for(asked, |r| r.gradient(&from.state, &path, reserved_bytes), progress)
     }
@@ -297,7 +301,8 @@ impl<T: Real> Simulator<T> {
         let mut on_body = vec![self.on_tool(&before, restarts)];
         let mut end = self.copied(&before);
         for step in over.start..steps {
-            let next = self.advanced(&end, &controls[step..=step], &mut |d, t| part(step, 1, d, t))?;
+            let next = self.advanced(&end, &controls[step..=step], &mut |d, t| part(step, 1, d, t));
+            let next = next.map_err(|error| error.later_by(step))?;
             self.recycle(std::mem::replace(&mut end, next));
             on_body.push(self.on_tool(&end, restarts));
         }
@@ -310,7 +315,8 @@ impl<T: Real> Simulator<T> {
             part(steps, branched, d, t)
         });
         self.recycle(before);
-        let ends: Vec<[f64; 2]> = ends?.chunks_exact(2).map(|ends| [ends[0].loss, ends[1].loss]).collect();
+        let ends = ends.map_err(|error| error.later_by(over.start))?;
+        let ends: Vec<[f64; 2]> = ends.chunks_exact(2).map(|ends| [ends[0].loss, ends[1].loss]).collect();
         let body = carrying.body(&ends);
         let asked = Asked { goes_on: Some(GoesOn { values: &values, body }), ..asked };
         let work = GRADIENT_STEPS * from;
@@ -353,7 +359,12 @@ impl<T: Real> Simulator<T> {
         if motions.is_empty() {
             return Ok(Vec::new());
         }
-        let paths: Vec<Trajectory> = motions.into_iter().map(|controls| self.path(from, controls)).collect();
+        let first = motions[0].len();
+        if let Some(other) = motions.iter().map(Vec::len).find(|other| *other != first) {
+            return Err(RolloutError::Lengths { first, other });
+        }
+        let paths = motions.into_iter().map(|controls| self.path(from, controls));
+        let paths: Vec<Trajectory> = paths.collect::<Result<_, _>>()?;
         let count = self.worker_count(paths.len());
         self.ensure_workers(count)?;
         let Self { scene, model, pool, workspace, workers, .. } = self;
@@ -484,17 +495,21 @@ impl<T: Real> Simulator<T> {
         let mut state = self.initial_state_under(recording.anchor, progress)?;
         let (total, mut step) = (recording.controls.len(), 0);
         let mut shown = recording.controls.chunks(recording.every.max(1)).peekable();
+        // In thousandths of a control step.
+        let mut part = |before: usize, steps: usize, done: u64, of: u64| {
+            progress(before as u64 * 1000 + steps as u64 * 1000 * done / of.max(1), total as u64 * 1000)
+        };
         loop {
             go_on(state.show(step, observer))?;
             // What is left after the last snapshot belongs to the motion all the same.
             let whole = shown.next_if(|controls| controls.len() == recording.every.max(1));
             let Some(controls) = whole else { break };
-            let next = self.advanced(&state, controls, &mut quiet);
+            let next = self.advanced(&state, controls, &mut |d, t| part(step, controls.len(), d, t));
             self.recycle(std::mem::replace(&mut state, next.map_err(|error| error.later_by(step))?));
             step += controls.len();
-            go_on(progress(step as u64, total as u64))?;
         }
-        let end = self.advanced(&state, &recording.controls[step..], &mut quiet);
+        let left = &recording.controls[step..];
+        let end = self.advanced(&state, left, &mut |d, t| part(step, left.len(), d, t));
         let end = end.map_err(|error| error.later_by(step))?;
         let (positions, velocities) = where_and_how_fast(&end.state.particles);
         let grains = Grains { positions: &positions, velocities: &velocities };
@@ -742,6 +757,13 @@ impl<T: Real> Rollout<'_, T> {
 
     /// The powder at rest under a tool that stands still.
     fn settle_under(&mut self, tool: &Pose) -> Result<State<T>, RolloutError> {
+        self.settled_powder_under(tool).map_err(|error| match error {
+            error if error.is_of_motion() => RolloutError::Settling(Box::new(error)),
+            error => error,
+        })
+    }
+
+    fn settled_powder_under(&mut self, tool: &Pose) -> Result<State<T>, RolloutError> {
         let (particles, bodies) = (Particles::at_rest(self.packing), self.at_rest(tool));
         let mut state = State::new(self.model, &bodies, &particles)
             .map_err(|l| lost_error::<T>(self.scene, 0, l, None))?;

@@ -16,8 +16,8 @@ use crate::rollout::{
     Snapshot, gradcheck, loss, outcome, quiet,
 };
 use crate::scene::{
-    Aim, Cuboid, Flow, Infeasible, Scene, SleepBy, Tool, ToolShape, Transfer, VolumeCorrection, Walls,
-    YieldSurface,
+    Aim, Cuboid, Flow, Infeasible, Scene, SleepBy, Sleepers, Tool, ToolShape, Transfer, VolumeCorrection,
+    Walls, YieldSurface,
 };
 use crate::skill::{SkillMap, SkillParameter, Theta};
 
@@ -29,6 +29,9 @@ fn benches() -> [Scene; 6] {
     scene.powder.volume_correction = VolumeCorrection::Strain;
     scene.powder.transfer = None;
     scene.powder.viscosity_pa_s = 0.08;
+    scene.domain.walls = Walls::Shared;
+    scene.domain.sleep_by = SleepBy::Largest;
+    scene.domain.sleepers = Sleepers::Moving;
     let mut other = scene.clone();
     other.powder.yield_surface = YieldSurface::MatsuokaNakai;
     other.powder.volume_correction = VolumeCorrection::Grid;
@@ -42,6 +45,7 @@ fn benches() -> [Scene; 6] {
     };
     let [of_simple, mut of_all] = [two_sided(&scene), two_sided(&gets_back)];
     of_all.domain.sleep_by = SleepBy::MeanSquare;
+    of_all.domain.sleepers = Sleepers::Still;
     let mut by_shear = of_all.clone();
     by_shear.powder.loosening_strain = Some(1.0);
     [scene, other, gets_back, of_simple, of_all, by_shear]
@@ -77,7 +81,8 @@ fn no_bit_changes(mut scene: Scene) {
 /// is another.
 #[test]
 fn restarts_change_no_bit_by_threads_or_memory_and_are_what_makes_the_difference() {
-    let mut scene = benches()[1].clone();
+    // Powder that is given back what the grid cannot hold.
+    let mut scene = benches()[2].clone();
     scene.domain.cell_m *= 2.0;
     scene.time.substeps /= 2;
     let theta = gradcheck::CHECKED_THETA;
@@ -93,6 +98,14 @@ fn restarts_change_no_bit_by_threads_or_memory_and_are_what_makes_the_difference
     let one = restarted(1, 1 << 30, &usual);
     assert_eq!(one, restarted(2, 1 << 30, &usual), "two threads");
     assert_eq!(one, restarted(16, 48 << 20, &usual), "sixteen threads and few checkpoints");
+    // The same where the way back does not go through that, whatever the simulator did before.
+    let past = Restarts { through_residue: false, ..usual.clone() };
+    let of_past = restarted(1, 1 << 30, &past);
+    assert_eq!(of_past, restarted(3, 48 << 20, &past), "few checkpoints");
+    let mut used = simulator(2, 1 << 30);
+    used.evaluate_restarted(&theta, &usual).expect("runs");
+    assert_eq!(of_past, used.evaluate_restarted(&theta, &past).expect("runs"), "after another one");
+    assert_ne!(of_past.gradient, one.gradient);
     let (exact, gradient) = simulator(2, 1 << 30).evaluate_with_gradient(&theta).expect("runs");
     let bits = |gradient: &[f64; 5]| gradient.map(f64::to_bits);
     assert_eq!(one.evaluation.loss.to_bits(), exact.loss.to_bits());
@@ -336,6 +349,50 @@ fn a_motion_that_is_looked_at_ends_as_one_that_is_not() {
         let refused = s.record(&recording, &mut |_| ControlFlow::Break(()));
         assert_eq!(refused.err(), Some(RolloutError::Stopped));
     }
+    // Who asks for a stop is heard at each control step, however seldom somebody looks; and the end is told.
+    for (every, stops_at) in [(40, 0.5), (10, 0.9), (25, 2.0)] {
+        let (reached, steps) = (Arc::new(AtomicUsize::new(0)), 25.0);
+        let told = Arc::clone(&reached);
+        s.set_progress(Box::new(move |share| {
+            told.store((share * steps) as usize, Ordering::Relaxed);
+            if share >= stops_at { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        }));
+        let recording = Recording { anchor: map.start_pose(), controls: &controls, every };
+        let found = s.record(&recording, &mut |_| ControlFlow::Continue(()));
+        assert_eq!(found.is_ok(), stops_at > 1.0, "{every}");
+        let reached = reached.load(Ordering::Relaxed) as f64;
+        assert!((reached - steps * f64::min(stops_at, 1.0)).abs() <= 1.0, "{every} {reached}");
+    }
+}
+
+#[test]
+fn a_motion_to_nowhere_and_motions_of_several_lengths_are_refused() {
+    let (mut s, map, controls) = beginning(4);
+    for broken in [f64::NAN, f64::INFINITY] {
+        let mut nowhere = controls.clone();
+        nowhere[2].translation_m[1] = broken;
+        let refused = Some(RolloutError::Motion { step: 2 });
+        assert_eq!(s.simulate(&nowhere).err(), refused);
+        assert_eq!(s.simulate_with_gradient(&nowhere).err(), refused);
+        let mut state = s.begin(map.start_pose()).expect("settles");
+        s.advance(&mut state, &controls[..1]).expect("runs");
+        assert_eq!(s.advance(&mut state, &nowhere[1..]).err(), refused);
+    }
+    let lengths = s.simulate_all(&[controls.clone(), controls[..3].to_vec()]).unwrap_err();
+    assert_eq!(lengths, RolloutError::Lengths { first: 4, other: 3 });
+}
+
+/// Then it is no motion's fault, and no other one would do.
+#[test]
+fn powder_that_does_not_settle_is_said_to_be_that() {
+    let mut scene = Scene::load("bench-small").expect("shipped");
+    // Thrown out of the grid before anything moves.
+    scene.domain.gravity_m_s2 = [0.0, 0.0, 5e3];
+    let map = SkillMap::new(&scene);
+    let mut s = Simulator::<f32>::new(&scene, &SimulatorSettings::default()).expect("threads");
+    let error = s.simulate(&map.controls(&Theta::MIDDLE).expect("fits")).unwrap_err();
+    assert!(matches!(error, RolloutError::Settling(_)) && !error.is_of_motion(), "{error}");
+    assert!(error.to_string().starts_with("while the powder settles, before any motion: "), "{error}");
 }
 
 #[test]
@@ -355,12 +412,13 @@ fn a_motion_in_pieces_comes_to_the_same_bits_as_whole() {
     assert!(state.positions_m().iter().zip(&positions).all(same_place));
     let before = state.positions_m();
     let outwards = Displacement { translation_m: [-1.0, 0.0, 0.0], ..Displacement::default() };
-    if let Err(RolloutError::Escaped { step, .. } | RolloutError::NonFinite { step, .. }) =
-        s.advance(&mut state, &[outwards])
-    {
-        assert!(step >= 40, "{step}");
-        assert_eq!(state.positions_m(), before);
-    }
+    // So fast that powder is thrown out of the grid.
+    let error = s.advance(&mut state, &[outwards; 3]).unwrap_err();
+    let (RolloutError::Escaped { step, .. } | RolloutError::NonFinite { step, .. }) = error else {
+        panic!("{error}")
+    };
+    assert!((40..43).contains(&step), "{step}");
+    assert_eq!(state.positions_m(), before);
 }
 
 #[test]
