@@ -30,7 +30,7 @@ pub struct Collision {
 /// The first collision of a motion that begins at `start`; none if the tool stays clear.
 ///
 /// Between two samples no point of the tool moves as far, seen from any wall, as the thinnest wall or tool part is thick (no
-/// tunnelling), whatever the control period.
+/// tunnelling), whatever the control period. Where the tool comes to rest, as between two segments and at the end, there is always a sample.
 pub fn collision(scene: &Scene, start: &Pose, controls: &[Displacement]) -> Option<Collision> {
     collision_by(scene, start, controls, |steps| steps * scene.time.control_period_s())
 }
@@ -53,24 +53,38 @@ fn collision_by(
     clock: impl Fn(f64) -> f64,
 ) -> Option<Collision> {
     let (solids, stride_m) = (scene.solids(), stride_m(scene));
-    let (mut pose, mut unseen_m) = (*start, 0.0);
+    let inside = |pose: &Pose, at_s: f64| {
+        let (part, obstacle) = PlacedTool::at(&scene.tool, pose).inside_of(&solids, at_s)?;
+        Some(Collision { part, obstacle: obstacle.clone(), at_s })
+    };
+    let (mut pose, mut unseen_m, mut last_m, mut slows) = (*start, 0.0, f64::INFINITY, false);
     for (step, control) in controls.iter().enumerate() {
         let at_s = |part: f64| clock(step as f64 + part);
         let travel_m = travel_m(scene, control) + gates_travel_m(&scene.gates, [at_s(0.0), at_s(1.0)]);
+        // Where it was slowest it may have turned.
+        let turns = std::mem::replace(&mut slows, travel_m < last_m) && travel_m > last_m;
+        last_m = travel_m;
+        if turns && unseen_m > 0.0 {
+            if let Some(collision) = inside(&pose, at_s(0.0)) {
+                return Some(collision);
+            }
+            unseen_m = 0.0;
+        }
         // A step that is long is looked at on the way, short ones at the end of a stride.
         let strides = (unseen_m + travel_m) / stride_m;
         let looks = if strides < 1.0 { 0.0 } else { strides.ceil().min(MOST_LOOKS) };
         for look in 1..=looks as u32 {
             let part = f64::from(look) / looks;
             let (seen, at_s) = (pose.displaced(&fraction(control, part)), at_s(part));
-            if let Some((part, obstacle)) = PlacedTool::at(&scene.tool, &seen).inside_of(&solids, at_s) {
-                return Some(Collision { part, obstacle: obstacle.clone(), at_s });
+            if let Some(collision) = inside(&seen, at_s) {
+                return Some(collision);
             }
         }
         unseen_m = if looks > 0.0 { 0.0 } else { unseen_m + travel_m };
         pose = pose.displaced(control);
     }
-    None
+    let end_s = clock(controls.len() as f64);
+    if unseen_m > 0.0 { inside(&pose, end_s) } else { None }
 }
 
 fn stride_m(scene: &Scene) -> f64 {
@@ -172,6 +186,44 @@ mod tests {
         scene.arm = None;
         assert_eq!(inside(&scene, 0.030), Some((ToolPart::Handle, Obstacle::Table)));
         assert_eq!(inside(&scene, 0.060), None);
+    }
+
+    /// Down to where the body is less than half a stride deep in the floor, and back: neither the turn nor the end goes unseen.
+    #[test]
+    fn where_it_turns_and_where_it_ends_is_looked_at() {
+        let scene = Scene::load("bench").unwrap();
+        let stride_m = stride_m(&scene);
+        let start = *SkillMap::new(&scene).start_pose();
+        let down = |way_m: f64, steps: u32| {
+            let place = move |step: u32| {
+                way_m * crate::skill::minimum_jerk_position(f64::from(step) / f64::from(steps))
+            };
+            (0..steps).map(move |step| Displacement {
+                translation_m: [0.0, 0.0, place(step) - place(step + 1)],
+                ..Displacement::default()
+            })
+        };
+        let touches = |way_m: f64| {
+            let solids = scene.solids();
+            let pose = start
+                .displaced(&Displacement { translation_m: [0.0, 0.0, -way_m], ..Displacement::default() });
+            PlacedTool::at(&scene.tool, &pose).inside_of(&solids, 0.0).is_some()
+        };
+        let mut touching_m = 0.0;
+        while !touches(touching_m) {
+            touching_m += 1e-5;
+        }
+        for share in [0.05, 0.3, 0.6, 0.95] {
+            let way_m = touching_m + share * stride_m;
+            let there: Vec<_> = down(way_m, 40).collect();
+            let up = there
+                .iter()
+                .map(|step| Displacement { translation_m: step.translation_m.map(|x| -x), ..*step });
+            let and_back: Vec<_> = there.iter().copied().chain(up).collect();
+            assert!(collision(&scene, &start, &there).is_some(), "{share}");
+            assert!(collision(&scene, &start, &and_back).is_some(), "{share}");
+            assert_eq!(collision(&scene, &start, &down(touching_m - 1e-4, 40).collect::<Vec<_>>()), None);
+        }
     }
 
     #[test]
