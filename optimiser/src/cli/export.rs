@@ -7,9 +7,10 @@ use super::{
     CliError, Context, PrecisionArg, Resources,
     arm_words::{ArmUse, clearance_words},
     film::Film,
-    motion::{MotionArgs, Task, scene_of_plan},
+    motion::{MotionArgs, Task, scene_found},
     run::safe_name,
 };
+use crate::report::folder::SCENE;
 use clap::{Args, ValueEnum, builder::PossibleValuesParser, builder::TypedValueParser};
 use destination::{Destination, STDOUT};
 use powderline_shared::{
@@ -23,7 +24,7 @@ use powderline_shared::{
 };
 use powderline_simulator::{
     arm::{self, ArmMotion, Around, CYCLE_US, Figures, Mount, Surroundings, Transit},
-    scene::Scene,
+    scene::{Gate, Scene, figures::about},
 };
 use powderline_view::{
     Bench,
@@ -345,6 +346,15 @@ impl ExportArgs {
                 urscript::MAX_TICKS
             )));
         }
+        if self.arm.cycle_us() > motion.path.period_us {
+            let [asked, ticks] =
+                [self.arm.cycle_us(), motion.path.period_us].map(|period_us| 1_000_000 / period_us);
+            return Err(CliError::Input(format!(
+                "--rate is {asked}, but {} has {ticks} ticks a second, and what is between fewer setpoints nobody looks at; {ticks} or \
+                 more would be right",
+                path.display()
+            )));
+        }
         let Some(setting) = self.setting(path, plan.header())? else { return Ok((motion, None)) };
         let Setting { mount, surroundings, .. } = &setting;
         let arm =
@@ -367,7 +377,12 @@ impl ExportArgs {
     fn setting(&self, path: &Path, header: &PlanHeader) -> Result<Option<Setting>, CliError> {
         let scene = match &self.powder.scene {
             Some(_) => Some(self.task()?.scene),
-            None => scene_of_plan(path, header),
+            None => match scene_found(path, header) {
+                Ok(scene) => Some(scene),
+                // What lies beside the plan and is not its scene is no scene that is not known.
+                Err(error) if path.with_file_name(SCENE).exists() => return Err(error),
+                Err(_) => None,
+            },
         };
         let Some(mount) = self.arm.mount(header, scene.as_ref()) else {
             return match self.needs_arm() {
@@ -398,12 +413,24 @@ impl ExportArgs {
         let transit = Transit::new(&motion.path, arm, &around)
             .map_err(|error| CliError::Input(format!("{} gets no program: {error}", path.display())))?;
         let payload_kg = scene.and_then(|scene| scene.arm.as_ref()?.payload_kg);
-        Ok(Program {
-            transit,
-            payload_kg,
-            speed: self.arm.speed.unwrap_or(1.0),
-            knows_scene: scene.is_some(),
-        })
+        let (label, most_kg) = (mount.kind.label(), mount.kind.figures().payload_kg);
+        if let Some(payload_kg) = payload_kg.filter(|payload_kg| *payload_kg > most_kg) {
+            return Err(CliError::Input(format!(
+                "the scene's arm.payload_kg is {payload_kg}, but the {label} of --arm carries {most_kg} kg at the most"
+            )));
+        }
+        let speed = self.arm.speed.unwrap_or(1.0);
+        let opens = |gate: &&Gate| gate.opens_at_s < motion.path.duration_s();
+        let gate = scene.and_then(|scene| scene.gates.iter().find(opens)).filter(|_| speed < 1.0);
+        if let Some(gate) = gate {
+            return Err(CliError::Input(format!(
+                "--speed is {speed}, but gate {:?} opens by the clock, {} s after the motion's start, and a slower tool would meet it \
+                 elsewhere; no --speed would be right",
+                gate.name,
+                about(gate.opens_at_s, 3)
+            )));
+        }
+        Ok(Program { transit, payload_kg, speed, knows_scene: scene.is_some() })
     }
 
     /// What was asked for that goes with an arm only.
@@ -421,9 +448,11 @@ impl ExportArgs {
 
     fn write_to(&self, out: &mut dyn Write, motion: &Motion, program: Option<&Program>) -> io::Result<()> {
         match (self.format, &motion.arm, program) {
-            (_, Some(arm), Some(Program { transit, payload_kg, speed, .. })) => {
+            (_, Some(arm), Some(Program { transit, payload_kg, speed, knows_scene })) => {
                 let (cycle_us, speed, payload_kg) = (self.arm.cycle_us(), *speed, *payload_kg);
-                urscript::Program { motion, arm, transit, cycle_us, speed, payload_kg }.write(out)
+                let knows_scene = *knows_scene;
+                urscript::Program { motion, arm, transit, cycle_us, speed, payload_kg, knows_scene }
+                    .write(out)
             }
             (FormatArg::Json, ..) => table::write_json(out, motion),
             (FormatArg::Mcap, ..) => mcap::write(out, motion),

@@ -236,7 +236,10 @@ pub fn scene_of_plan(plan: &Path, header: &PlanHeader) -> Option<Scene> {
 }
 
 /// The plan's scene: that beside it, or else the embedded one that it was made for, wherever the plan is now.
-fn scene_found(plan: &Path, header: &PlanHeader) -> Result<Scene, CliError> {
+///
+/// # Errors
+/// There is none, or what lies beside the plan is another one.
+pub(super) fn scene_found(plan: &Path, header: &PlanHeader) -> Result<Scene, CliError> {
     // A bare `scene.toml` is fine: no embedded scene has a dot in its name.
     let beside = plan.with_file_name(folder::SCENE);
     let beside = beside.exists().then(|| scene_given(&beside.to_string_lossy(), plan, header));

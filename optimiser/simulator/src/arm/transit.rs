@@ -2,8 +2,8 @@
 //! start straight down to it; from the end straight up, and level back to above the start, with the tool turned back above target or source.
 //!
 //! Each leg is a straight line with the tool turning about one axis, from rest to rest in minimum jerk as the skill's own
-//! segments ([`crate::skill`]), at half of the motion's limits. Before the motion gates are where they are at its start, after it
-//! where they are at its end.
+//! segments ([`crate::skill`]), at half of the motion's limits. Before the motion gates are shut, after it they are where they are at
+//! its end: none may still be sliding then.
 
 use nalgebra::Vector3;
 use powderline_shared::arm::{ArmModel, Joints};
@@ -19,6 +19,9 @@ use crate::skill::{Collision, minimum_jerk_position, rest_to_rest_steps, standin
 
 /// Share of the motion's limits.
 const SHARE: f64 = 0.5;
+
+/// When all gates are shut, seconds from the motion's start: one may open with it.
+const BEFORE_S: f64 = -1.0;
 
 /// From one height that is tried to the next, metres.
 const RISE_M: f64 = 0.005;
@@ -82,6 +85,15 @@ pub enum TransitError {
         /// Top of the workspace, metres.
         top_m: f64,
     },
+    /// Nobody knows where a gate is on the way back.
+    #[error(
+        "{gate} is still sliding when the motion ends; one that opens earlier, slides faster or less far, or a longer rest at the end, \
+         would be right"
+    )]
+    GateSlides {
+        /// Which.
+        gate: Obstacle,
+    },
     /// The arm cannot.
     #[error("on the way {way} {refusal}")]
     Arm {
@@ -133,17 +145,21 @@ impl Transit {
     pub fn new(path: &ToolPath, arm: &ArmMotion, around: &Around<'_>) -> Result<Self, TransitError> {
         let turn_back =
             around.scene.and_then(|scene| scene.arm.as_ref()?.turn_back_above).unwrap_or_default();
+        let end_s = path.duration_s();
+        let gates = around.scene.map_or(&[][..], |scene| &scene.gates);
+        if let Some(gate) = gates.iter().find(|gate| gate.is_sliding(end_s)) {
+            return Err(TransitError::GateSlides { gate: Obstacle::Gate(gate.name.clone()) });
+        }
         let height_m = height_m(path, around.scene, turn_back)?;
         let [up, back] = ways(path, height_m, turn_back);
-        let end_s = path.duration_s();
         let made = |way: &Way, joints: &Joints, time_s: f64, named| {
             let mount = Mount { posture: Some(arm.model.posture), near: Some(*joints), ..*around.mount };
             let surroundings = around.surroundings.standing(time_s);
             ArmMotion::new(&way.path(path), &mount, &surroundings, around.cycle_us)
                 .map_err(|refusal| TransitError::Arm { way: named, refusal })
         };
-        let approach = made(&up, &arm.joints[0], 0.0, "to the start")?.reversed();
-        let retreat = made(&back, &arm.joints[path.last_tick()], 0.0, "back")?;
+        let approach = made(&up, &arm.joints[0], BEFORE_S, "to the start")?.reversed();
+        let retreat = made(&back, &arm.joints[path.last_tick()], end_s, "back")?;
         let (first, last) = (approach.joints[0], retreat.joints[retreat.joints.len() - 1]);
         for (joint, (from, to)) in (1..).zip(first.iter().zip(last)) {
             if (to - from).abs() > SAME_RAD {
@@ -153,7 +169,7 @@ impl Transit {
         let mut found = vec![approach.figures.nearest().clone(), retreat.figures.nearest().clone()];
         if let Some(home) = &around.home {
             check_range(&arm.model, home)?;
-            for time_s in [0.0, end_s] {
+            for time_s in [BEFORE_S, end_s] {
                 found.push(home_clearance(&arm.model, [home, &first], around, time_s)?);
             }
         }
@@ -232,7 +248,7 @@ fn turned_back(path: &ToolPath) -> [f64; 3] {
 fn in_the_way(path: &ToolPath, scene: &Scene, turn_back: TurnBack, height_m: f64) -> Option<Collision> {
     let [up, back] = ways(path, height_m, turn_back);
     let hit = |way: &Way, time_s| standing_collision(scene, &way.poses[0], &way.controls(), time_s);
-    hit(&up, 0.0).or_else(|| hit(&back, path.duration_s()))
+    hit(&up, BEFORE_S).or_else(|| hit(&back, path.duration_s()))
 }
 
 /// The lowest height at which both ways are clear, and a margin.
@@ -305,6 +321,7 @@ mod tests {
     use crate::arm::CYCLE_US;
     use crate::scene::{Gate, GateOpening, GateShape};
     use crate::skill::{SkillMap, Theta};
+    use powderline_shared::arm::links::axes;
 
     struct Case {
         scene: Scene,
@@ -457,10 +474,42 @@ mod tests {
         let between = |opens_at_s| height([0.116, 0.048, 0.0], [0.004, 0.09, 0.25], opens_at_s);
         assert_eq!(between(1.0), Ok(free_m));
         assert!(between(1e4).is_err_and(|error| error.contains("gate \"plate\"")));
-        // Above the start alone, where the way back ends as well: only what is there before counts.
+        // Above the start alone, where the way back ends as well: what is there before counts, also if it opens with the motion.
         let above = |opens_at_s| height([0.0455, 0.048, 0.092], [0.03, 0.03, 0.004], opens_at_s);
-        assert_eq!(above(-1.0), Ok(free_m));
-        assert!(above(1.0).is_err_and(|error| error.contains("gate \"plate\"")));
+        for opens_at_s in [0.0, 1.0] {
+            assert!(above(opens_at_s).is_err_and(|error| error.contains("gate \"plate\"")), "{opens_at_s}");
+        }
+    }
+
+    /// A gate that slides to where the wrist goes on the way back is in its way, also if it was far off before; one that slides yet is
+    /// refused.
+    #[test]
+    fn links_keep_from_a_gate_where_it_is_when_they_go_by() {
+        let free = Case::new("bench", |_| ()).transit(None).unwrap();
+        let model = &free.retreat.model;
+        let above = free.retreat.joints[free.retreat.joints.len() - 1];
+        let [wrist, _] = axes(model.kind, &above)[2];
+        let wrist = model.world_from_base.then(&Pose { position_m: wrist, ..Pose::identity() }).position_m;
+        let sliding = |opens_at_s: f64, velocity_m_s: f64| {
+            let case = Case::new("bench", |scene| {
+                scene.gates = vec![Gate {
+                    name: "plate".into(),
+                    position_m: [wrist.x, wrist.y, wrist.z + 0.5],
+                    yaw_deg: 0.0,
+                    friction: 0.4,
+                    opens_at_s,
+                    shape: GateShape::Box { size_m: [0.004, 0.004, 0.004] },
+                    opening: GateOpening::Slide { velocity_m_s: [0.0, 0.0, -velocity_m_s], travel_m: 0.5 },
+                }];
+            });
+            case.transit(None).map(|found| found.nearest.distance_m).map_err(|error| error.to_string())
+        };
+        // It opens after the motion, and so never; at its end; and too late to be there by then.
+        assert_eq!(sliding(9.0, 1.0), Ok(free.nearest.distance_m));
+        let error = sliding(4.2, 1.0).unwrap_err();
+        assert!(error.starts_with("on the way back ") && error.contains("gate \"plate\""), "{error}");
+        let error = sliding(4.8, 1.0).unwrap_err();
+        assert!(error.starts_with("gate \"plate\" is still sliding when the motion ends; "), "{error}");
     }
 
     #[test]

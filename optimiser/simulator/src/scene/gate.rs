@@ -100,6 +100,17 @@ impl GateOpening {
 }
 
 impl Gate {
+    /// Whether it moves so long after the motion's start, seconds.
+    pub(crate) fn is_sliding(&self, time_s: f64) -> bool {
+        match self.opening {
+            GateOpening::Vanish {} => false,
+            GateOpening::Slide { travel_m, .. } => {
+                let open_s = time_s - self.opens_at_s;
+                open_s > 0.0 && open_s + SLACK_S < travel_m / self.opening.speed_m_s()
+            }
+        }
+    }
+
     /// How far it is from its shut place so long after the motion's start, metres, world frame;
     /// none if it is no longer there. Before the motion it is shut.
     pub fn displacement_m(&self, time_s: f64) -> Option<[f64; 3]> {

@@ -56,6 +56,8 @@ pub(super) struct TransitUse {
     /// Share of full speed.
     speed: f64,
     payload_kg: Option<f64>,
+    /// Otherwise nobody has looked what the tool may run into.
+    knows_scene: bool,
     height_m: f64,
     turn_back_above: TurnBack,
     begin_rad: Joints,
@@ -71,6 +73,7 @@ impl From<&Program> for TransitUse {
         Self {
             speed: program.speed,
             payload_kg: program.payload_kg,
+            knows_scene: program.knows_scene,
             height_m: transit.height_m,
             turn_back_above: transit.turn_back,
             begin_rad: *transit.begin(),

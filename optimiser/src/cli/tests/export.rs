@@ -2,6 +2,7 @@
 
 use super::*;
 use powderline_shared::plan::PlanHeader;
+use powderline_simulator::scene::{Gate, GateOpening, GateShape, SceneSpec};
 
 /// A plan of 100 ticks that an arm can make, pinned where plans are at home.
 const GOLDEN: &[u8] = include_bytes!("../../../../shared/tests/golden/plan-v4.plan");
@@ -140,9 +141,47 @@ fn a_program_begins_at_a_home_that_it_can_leave() {
     );
 
     // Nobody knows what is there where no scene is known.
-    let (_place, plan) = with_plan();
-    let alone = export(&plan, "urscript", &[]);
-    assert!(alone.out.contains("Without the plan's scene nobody has looked"), "{}", alone.out);
+    let (other, alone) = with_plan();
+    let done = export(&alone, "urscript", &[]);
+    assert!(done.out.contains("Without the plan's scene nobody has looked"), "{}", done.out);
+    let said: Value = serde_json::from_str(&export(&alone, "urscript", &["--force", "--json"]).out).unwrap();
+    assert_eq!((&said["transit"]["knows_scene"], &transit["knows_scene"]), (&false.into(), &true.into()));
+    let script = fs::read_to_string(other.path("skill.script")).unwrap();
+    assert!(script.contains("# NOT LOOKED AT: "), "{script:.2000}");
+    // What lies beside a plan and is another scene is not passed over in silence.
+    fs::write(other.path("scene.toml"), Scene::load("vial").unwrap().to_toml()).unwrap();
+    assert_sentence(&export(&alone, "urscript", &["--force"]), 2, "was made for another scene than ");
+    // Between fewer setpoints than ticks nobody looks.
+    assert_sentence(&program(&["--rate", "50"]), 2, "--rate is 50, but ");
+    assert_sentence(&program(&["--rate", "50"]), 2, "skill.plan has 100 ticks a second, and what is between");
+}
+
+/// A gate that opens by the clock does not wait for a tool that is slower, and an arm carries no more than it can.
+#[test]
+fn what_goes_by_the_clock_or_is_too_heavy_gets_no_program() {
+    let place = Place::new();
+    let changed = |spec: &mut SceneSpec| {
+        spec.arm.as_mut().unwrap().payload_kg = Some(2.9);
+        spec.gates = vec![Gate {
+            name: "lid".into(),
+            position_m: [0.17, 0.02, 0.11],
+            yaw_deg: 0.0,
+            friction: 0.4,
+            opens_at_s: 0.05,
+            shape: GateShape::Box { size_m: [0.01, 0.01, 0.01] },
+            opening: GateOpening::Vanish {},
+        }];
+    };
+    let scene = Scene::load("bench-small").unwrap().with(changed).unwrap();
+    fs::write(place.path("gated.toml"), scene.to_toml()).unwrap();
+    let (file, folder) = (place.text("gated.toml"), place.text("run"));
+    let search = ["--method", "mixed", "--no-refine", "--epochs", "1", "--out", &folder];
+    assert!(optimise(&[&[file.as_str()][..], &search].concat()).is_finished());
+    let plan = format!("{folder}/skill.plan");
+    let full = export(&plan, "urscript", &[]);
+    assert!(full.code == 0, "{}", full.err);
+    let slow = export(&plan, "urscript", &["--force", "--speed", "0.5"]);
+    assert_sentence(&slow, 2, "--speed is 0.5, but gate \"lid\" opens by the clock, 0.05 s after");
 }
 
 #[test]

@@ -64,6 +64,8 @@ pub struct Program<'a> {
     pub speed: f64,
     /// Mass at the flange, kilograms; the controller keeps what it has been told if it is not known.
     pub payload_kg: Option<f64>,
+    /// Whether containers and gates were known, to stay clear of; otherwise the program says that they were not.
+    pub knows_scene: bool,
 }
 
 impl Program<'_> {
@@ -87,14 +89,14 @@ impl Program<'_> {
     }
 
     fn write_header(&self, out: &mut dyn Write) -> io::Result<()> {
-        let Self { motion, arm, transit, cycle_us, speed, payload_kg } = self;
+        let Self { motion, arm, transit, cycle_us, speed, payload_kg, knows_scene } = self;
         let ArmModel { world_from_base, flange_from_tool, .. } = &arm.model;
         let rate_hz = 1e6 / f64::from(*cycle_us);
         let above = 1e3 * (transit.height_m - motion.path.poses[0].position_m.z);
         let (to_above, back, begin) = match transit.home {
             Some(_) => (
-                format!("joint by joint to {above:.0} mm above the start, then "),
-                "joint by joint to its home",
+                format!("all joints at once to {above:.0} mm above the start, then "),
+                "all joints at once to its home",
                 "its home",
             ),
             None => (String::new(), "stops there", "its place above the start"),
@@ -116,7 +118,7 @@ impl Program<'_> {
 # (position in m, rotation vector in rad)
 #
 # What it does, when it is run:
-#   1. It stops at once if the arm is not like a {label} by more than a calibration, or farther than {NEAR_RAD} rad from {begin}:
+#   1. It stops at once if the arm is not like a {label} (its flange is 20 mm or more from where it should be), or farther than {NEAR_RAD} rad from {begin}:
 #      {begin_deg} degrees. Bring it there first; nobody looks what is in the way.
 #   2. It goes there slowly, {to_above}straight down {above:.0} mm to the start.
 #   3. It plays the motion: {duration} s, new joints for servoj {rate_hz} times a second.
@@ -132,6 +134,10 @@ impl Program<'_> {
             duration = decimals(motion.path.duration_s() / speed),
             height = 1e3 * transit.height_m,
         )?;
+        if !knows_scene {
+            let not_known = "# NOT LOOKED AT: what tool and arm may run into, for the plan's scene was not known. Free the whole way first.";
+            writeln!(out, "{not_known}")?;
+        }
         if *speed < 1.0 {
             let percent = percent(*speed);
             writeln!(
@@ -153,7 +159,7 @@ impl Program<'_> {
     }
 
     fn write_functions(&self, out: &mut dyn Write) -> io::Result<()> {
-        let Self { motion, arm, transit, cycle_us, speed, payload_kg } = self;
+        let Self { motion, arm, transit, cycle_us, speed, payload_kg, .. } = self;
         let [lookahead_s, gain] = FOLLOWING;
         let cycle_s = f64::from(*cycle_us) / 1e6;
         let advance_us = decimals(f64::from(*cycle_us) * speed);
