@@ -48,6 +48,9 @@ const MARGIN: f64 = 0.002;
 /// A step's shortest way that is still worth a trial.
 const SHORTEST: f64 = 1e-3;
 
+/// How far from a place that has no gradient the next one is taken, in units of coefficients.
+const NEAR_BY: f64 = 0.1;
+
 /// Gradients in the bundle at most, and how far away they may be taken, over the present length.
 const BUNDLE: usize = 5;
 const REACH: f64 = 2.0;
@@ -185,6 +188,8 @@ struct Descent {
     bundle: Vec<(Vec<f64>, Vec<f64>)>,
     /// Of the last step.
     length: f64,
+    /// Places that had no gradient, for the motion came to no end there.
+    without: u32,
     /// Asked for last and not told yet, and how far each goes.
     asked: Vec<Trial>,
     lengths: Vec<f64>,
@@ -195,7 +200,7 @@ impl Descent {
         let at = vec![0.0; near.dimensions()];
         let place = Some(at.clone());
         let (asked, lengths) = (Vec::new(), Vec::new());
-        Self { near, at, loss, place, bundle: Vec::new(), length: FIRST_LENGTH, asked, lengths }
+        Self { near, at, loss, place, bundle: Vec::new(), length: FIRST_LENGTH, without: 0, asked, lengths }
     }
 
     /// Against the shortest vector of the convex hull of the gradients near by; none if there is no way to go.
@@ -229,8 +234,9 @@ impl Descent {
 
     fn take_gradient(&mut self, place: Vec<f64>, found: &Found) -> Result<(), SearchError> {
         let Some(gradient) = found.gradient.clone() else {
-            // The motion there comes to no end: nearer by those that are known.
+            // Nearer, by those that are known.
             self.length *= 0.5;
+            self.without += 1;
             return Ok(());
         };
         if let Some(k) = gradient.iter().position(|slope| !slope.is_finite()) {
@@ -255,13 +261,26 @@ impl Descent {
             return lowest;
         }
         self.length *= 0.5;
-        if self.length >= LEAST_LENGTH {
-            return lowest;
+        if self.length < LEAST_LENGTH {
+            self.length = NEW_LENGTH;
+            self.bundle.clear();
+            self.place = Some(self.at.clone());
         }
-        self.length = NEW_LENGTH;
-        self.bundle.clear();
-        self.place = Some(self.at.clone());
+        if self.bundle.is_empty() && self.without > 0 {
+            self.place = Some(self.near_by());
+        }
         lowest
+    }
+
+    /// A place near by, each time in another direction: at the present one there is no gradient.
+    fn near_by(&self) -> Vec<f64> {
+        let size = 1.0 / libm::sqrt(self.at.len() as f64);
+        // Signs as good as drawn, by the golden ratio.
+        let is_up = |k: u32| self.without.wrapping_mul(k + 1).wrapping_mul(0x9e37_79b9) >> 31 == 0;
+        let direction: Vec<f64> =
+            (0..).zip(&self.at).map(|(k, _)| if is_up(k) { size } else { -size }).collect();
+        let there = self.near.able(&self.at, &direction, NEAR_BY).and_then(|(_, trial)| trial.splines);
+        there.map_or_else(|| self.at.clone(), |added| added.coefficients)
     }
 }
 
@@ -532,7 +551,9 @@ mod tests {
             let told = |trial: &Trial| {
                 let found = found(trial);
                 asked += u32::from(trial.adjoint.is_some());
-                let is_lost = trial.adjoint.is_some() && asked % 3 == 2;
+                // Nor is there ever one where it begins.
+                let begins = trial.splines.as_ref().unwrap().coefficients.iter().all(|c| *c == 0.0);
+                let is_lost = trial.adjoint.is_some() && (begins || asked % 3 == 2);
                 Found { gradient: found.gradient.filter(|_| !is_lost), ..found }
             };
             let told: Vec<_> = trials.iter().map(told).collect();
