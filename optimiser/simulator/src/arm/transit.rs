@@ -487,11 +487,23 @@ mod tests {
     fn links_keep_from_a_gate_where_it_is_when_they_go_by() {
         let free = Case::new("bench", |_| ()).transit(None).unwrap();
         let model = &free.retreat.model;
-        let above = free.retreat.joints[free.retreat.joints.len() - 1];
-        let [wrist, _] = axes(model.kind, &above)[2];
-        let wrist = model.world_from_base.then(&Pose { position_m: wrist, ..Pose::identity() }).position_m;
+        // Of the arm above the start that is farthest from the arm at the motion's end.
+        let places = |joints: &Joints| {
+            let along = |[from, to]: [Vector3<f64>; 2]| {
+                (0..=10).map(move |k| from + (to - from) * (0.1 * f64::from(k)))
+            };
+            axes(model.kind, joints).into_iter().flat_map(along).collect::<Vec<_>>()
+        };
+        let [above, end] = [free.retreat.joints.len() - 1, 0].map(|at| places(&free.retreat.joints[at]));
+        let off = |place: &Vector3<f64>| {
+            end.iter().map(|other| (place - other).norm()).fold(f64::INFINITY, f64::min)
+        };
+        let farthest = above.iter().copied().max_by(|a, b| off(a).total_cmp(&off(b))).unwrap();
+        assert!(off(&farthest) > 0.09, "{}", off(&farthest));
+        let wrist = model.world_from_base.then(&Pose { position_m: farthest, ..Pose::identity() }).position_m;
         let sliding = |opens_at_s: f64, velocity_m_s: f64| {
             let case = Case::new("bench", |scene| {
+                scene.arm.as_mut().unwrap().clearance_m = 0.005;
                 scene.gates = vec![Gate {
                     name: "plate".into(),
                     position_m: [wrist.x, wrist.y, wrist.z + 0.5],
