@@ -66,7 +66,7 @@ pub fn hastened(scene: &Scene, theta: &Theta, haste: &Haste) -> Result<Scene, Fa
     let longest = ((quick.longest_skill_s() - 1e-9) / period_s).ceil() as u32;
     let steps = scene.time.horizon_steps;
     quick
-        .with(|spec| spec.time.horizon_steps = (steps - saved.min(steps)).max(longest.min(steps)))
+        .with(|spec| spec.time.horizon_steps = steps.saturating_sub(saved).max(longest.min(steps)))
         .map_err(unfit)
 }
 

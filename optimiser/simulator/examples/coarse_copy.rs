@@ -52,7 +52,7 @@ fn simulated(scene: &Scene, thetas: &[Theta]) -> Result<(Vec<Option<Evaluation>>
     let mut found = Vec::new();
     for theta in thetas {
         found.push(match simulator.evaluate(theta) {
-            Err(RolloutError::Escaped { .. } | RolloutError::NonFinite { .. }) => None,
+            Err(error) if error.is_of_motion() => None,
             other => Some(other?),
         });
     }

@@ -62,7 +62,7 @@ fn collision_by(
         let at_s = |part: f64| clock(step as f64 + part);
         let travel_m = travel_m(scene, control) + gates_travel_m(&scene.gates, [at_s(0.0), at_s(1.0)]);
         // Where it was slowest it may have turned.
-        let turns = std::mem::replace(&mut slows, travel_m < last_m) && travel_m > last_m;
+        let turns = std::mem::replace(&mut slows, travel_m <= last_m) && travel_m > last_m;
         last_m = travel_m;
         if turns && unseen_m > 0.0 {
             if let Some(collision) = inside(&pose, at_s(0.0)) {
@@ -219,7 +219,10 @@ mod tests {
             let up = there
                 .iter()
                 .map(|step| Displacement { translation_m: step.translation_m.map(|x| -x), ..*step });
-            let and_back: Vec<_> = there.iter().copied().chain(up).collect();
+            let rest = [Displacement::default(); 2];
+            let and_back: Vec<_> = there.iter().copied().chain(up.clone()).collect();
+            let after_a_rest: Vec<_> = there.iter().copied().chain(rest).chain(up).collect();
+            assert!(collision(&scene, &start, &after_a_rest).is_some(), "{share}");
             assert!(collision(&scene, &start, &there).is_some(), "{share}");
             assert!(collision(&scene, &start, &and_back).is_some(), "{share}");
             assert_eq!(collision(&scene, &start, &down(touching_m - 1e-4, 40).collect::<Vec<_>>()), None);
