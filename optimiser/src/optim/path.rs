@@ -15,8 +15,12 @@
 //! gradients of both sides are known, that leads along the edge; where they are noisy, it averages them.
 //!
 //! An epoch takes a gradient, by the restarted adjoint, and makes [`LINE_TRIALS`] trials along the direction, each half as far as the one before
-//! and all as a plan would ship them. If one of them is lower, the search is there from now on, and the next epoch begins with twice its
-//! length. If none is, the next gradient is taken at the lowest of them (a null step) and the lengths are halved.
+//! and all as a plan would ship them. The search goes on from the lowest of them, and the next epoch begins with twice its length.
+//!
+//! That need not be lower than where it stood. Which grain falls off the rim is chance, and the loss of a motion is known no better than to
+//! some per cent: 0.16 m of 3 m on `bench-small`, over packings as over steps of a hundredth. The skill that a path begins with is the luckiest
+//! of dozens, and a search that wants to be lower than that never leaves it. Only where all trials are worse by more than [`CHANCE`] does it
+//! stay, take the next gradient at the lowest of them (a null step) and halve the lengths.
 //!
 //! A motion that the arm cannot perform is never asked for. One that is too fast or too rough is moved to the nearest that is not
 //! ([`SplinePath::within_limits`]), so that the search slides along the limits. Where a wall, the workspace or the arm's reach is in the way,
@@ -37,10 +41,12 @@ const SKILL_GAIN: f64 = 0.05;
 /// Trials along a direction.
 const LINE_TRIALS: usize = 4;
 
-/// Lengths of steps, in units of coefficients: of the first, the least, and the one with which the search begins anew after that.
-const FIRST_LENGTH: f64 = 1.0;
-const LEAST_LENGTH: f64 = 0.02;
-const NEW_LENGTH: f64 = 0.25;
+/// Lengths of steps, in units of coefficients: of the first, and the least, below which chance is all that is seen.
+const FIRST_LENGTH: f64 = 0.25;
+const LEAST_LENGTH: f64 = 0.1;
+
+/// How much higher a loss may be by chance, as a share of it.
+const CHANCE: f64 = 0.1;
 
 /// Share of the arm's limits that is left free: a motion in whole counts is rougher.
 const MARGIN: f64 = 0.002;
@@ -188,8 +194,8 @@ struct Descent {
     bundle: Vec<(Vec<f64>, Vec<f64>)>,
     /// Of the last step.
     length: f64,
-    /// Places that had no gradient, for the motion came to no end there.
-    without: u32,
+    /// How often it took a gradient near by instead, since none led on.
+    anew: u32,
     /// Asked for last and not told yet, and how far each goes.
     asked: Vec<Trial>,
     lengths: Vec<f64>,
@@ -200,7 +206,7 @@ impl Descent {
         let at = vec![0.0; near.dimensions()];
         let place = Some(at.clone());
         let (asked, lengths) = (Vec::new(), Vec::new());
-        Self { near, at, loss, place, bundle: Vec::new(), length: FIRST_LENGTH, without: 0, asked, lengths }
+        Self { near, at, loss, place, bundle: Vec::new(), length: FIRST_LENGTH, anew: 0, asked, lengths }
     }
 
     /// Against the shortest vector of the convex hull of the gradients near by; none if there is no way to go.
@@ -236,7 +242,6 @@ impl Descent {
         let Some(gradient) = found.gradient.clone() else {
             // Nearer, by those that are known.
             self.length *= 0.5;
-            self.without += 1;
             return Ok(());
         };
         if let Some(k) = gradient.iter().position(|slope| !slope.is_finite()) {
@@ -256,27 +261,24 @@ impl Descent {
         let lowest = (0..found.len()).min_by(|a, b| loss(a).total_cmp(&loss(b))).unwrap_or_default();
         let there = trials[lowest].splines.as_ref().map_or(Vec::new(), |added| added.coefficients.clone());
         self.place = Some(there.clone());
-        if loss(&lowest) < self.loss {
-            (self.at, self.loss, self.length) = (there, loss(&lowest), self.lengths[lowest]);
-            return lowest;
-        }
-        self.length *= 0.5;
-        if self.length < LEAST_LENGTH {
-            self.length = NEW_LENGTH;
+        if self.lengths[lowest] > 0.0 && loss(&lowest) <= (1.0 + CHANCE) * self.loss {
+            (self.at, self.loss) = (there, loss(&lowest));
+            self.length = self.lengths[lowest].max(LEAST_LENGTH);
+        } else if self.lengths[lowest] > 0.0 && self.length > LEAST_LENGTH {
+            self.length = (0.5 * self.length).max(LEAST_LENGTH);
+        } else {
             self.bundle.clear();
-            self.place = Some(self.at.clone());
-        }
-        if self.bundle.is_empty() && self.without > 0 {
+            self.anew += 1;
             self.place = Some(self.near_by());
         }
         lowest
     }
 
-    /// A place near by, each time in another direction: at the present one there is no gradient.
+    /// A place near by, each time in another direction: from the present one none leads on.
     fn near_by(&self) -> Vec<f64> {
         let size = 1.0 / libm::sqrt(self.at.len() as f64);
         // Signs as good as drawn, by the golden ratio.
-        let is_up = |k: u32| self.without.wrapping_mul(k + 1).wrapping_mul(0x9e37_79b9) >> 31 == 0;
+        let is_up = |k: u32| self.anew.wrapping_mul(k + 1).wrapping_mul(0x9e37_79b9) >> 31 == 0;
         let direction: Vec<f64> =
             (0..).zip(&self.at).map(|(k, _)| if is_up(k) { size } else { -size }).collect();
         let there = self.near.able(&self.at, &direction, NEAR_BY).and_then(|(_, trial)| trial.splines);
@@ -488,11 +490,43 @@ mod tests {
         let unit =
             |k: usize, size: f64| -> Vec<f64> { (0..36).map(|j| if j == k { size } else { 0.0 }).collect() };
         let mut search = Descent::new(near(problem(1)), 3.0);
+        search.length = 1.0;
         search.bundle = vec![(unit(0, 3.0), unit(0, 1.0)), (unit(0, 0.0), unit(1, 1.0))];
         assert_eq!(search.direction(), Some(unit(1, -1.0)));
         search.bundle[0].0 = unit(0, 1.0);
         let both = search.direction().unwrap();
         assert!((both[0] - both[1]).abs() < 1e-12 && (norm(&both) - 1.0).abs() < 1e-12, "{both:?}");
+    }
+
+    /// A skill whose loss is by chance lower than that of any path near by, on a bench where most of the loss is not to be avoided.
+    #[test]
+    fn a_lucky_skill_does_not_hold_it() {
+        let (nothing, _) = edged(&[0.0; 36]);
+        // As good as drawn from each motion's coefficients.
+        let luck = |c: &[f64]| {
+            let mixed = c.iter().fold(0, |mixed: u64, x| {
+                (mixed.rotate_left(5) ^ x.to_bits()).wrapping_mul(0x9e37_79b9_7f4a_7c15)
+            });
+            1.0 + 0.1 * ((mixed >> 32) as f64 / f64::from(u32::MAX) - 0.5)
+        };
+        let mut search = Descent::new(near(problem(1)), 38.0);
+        let mut last = 0.0;
+        for _ in 0..60 {
+            let trials = search.ask(false);
+            let told = |trial: &Trial| {
+                let found = found(trial);
+                let luck = luck(&trial.splines.as_ref().unwrap().coefficients);
+                let evaluation =
+                    Evaluation::new(luck * (40.0 + found.evaluation.loss), 0, found.evaluation.census);
+                Found { evaluation, ..found }
+            };
+            let told: Vec<_> = trials.iter().map(told).collect();
+            if let Some(ended) = search.tell(&told).unwrap() {
+                last = edged(&ended.trial.splines.unwrap().coefficients).0.loss;
+            }
+        }
+        let way = norm(&search.at);
+        assert!(last < 0.4 * nothing.loss && way > 0.5, "{last} {} {way}", nothing.loss);
     }
 
     #[test]
