@@ -1,12 +1,12 @@
 //! `optimise simulate`: one rollout, of a skill, of a plan, or of what an arm made of a plan.
 
 use super::{
-    CliError, Context, Progress,
+    CliError, Context, Progress, Setup,
     executed::ExecutedReport,
     motion::{Motion, MotionArgs, Task, collision_words},
 };
 use crate::report::{
-    amounts::{Amounts, percent},
+    amounts::{Amounts, off, percent},
     finding::Outcome,
     summary::cells,
     words::hex,
@@ -14,7 +14,7 @@ use crate::report::{
 use clap::Args;
 use powderline_shared::plan::{Finer as PlanFiner, PlanHeader, Prediction};
 use powderline_simulator::{
-    rollout::{Evaluation, RolloutError, Workload},
+    rollout::{Evaluation, RolloutError, SimulatorSettings, Workload},
     scene::{
         Obstacle, Scene, ToolPart,
         figures::{about, mass},
@@ -33,6 +33,9 @@ pub(super) struct SimulateArgs {
     /// as long
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=4))]
     pub refine: Option<u32>,
+    /// See what the motion brings in so many other packings of the powder, too, of the seeds after its own: how much of it is chance
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=1000))]
+    pub packings: Option<u32>,
     /// Print one JSON object
     #[arg(long)]
     pub json: bool,
@@ -53,6 +56,7 @@ struct Report {
     outcome: Outcome,
     seconds: f64,
     finer: Option<Finer>,
+    packings: Option<Packings>,
     plan: Option<PlanReport>,
     executed: Option<ExecutedReport>,
 }
@@ -67,6 +71,31 @@ struct Finer {
     /// What arrives there over what arrives on the scene's own cells, less 1; none where nothing does.
     change: Option<f64>,
     seconds: f64,
+}
+
+/// What the same motion brings in other packings of the powder.
+#[derive(Serialize)]
+struct Packings {
+    mean: Mean,
+    each: Vec<Packing>,
+    seconds: f64,
+}
+
+/// Mean of what it brings in each of them.
+#[derive(Serialize)]
+struct Mean {
+    mass_kg: f64,
+    miss: f64,
+    lost_kg: f64,
+    loss_m: f64,
+}
+
+/// One of them.
+#[derive(Serialize)]
+struct Packing {
+    seed: u64,
+    #[serde(flatten)]
+    outcome: Outcome,
 }
 
 #[derive(Serialize)]
@@ -119,10 +148,13 @@ pub(super) fn execute(arguments: &SimulateArgs, context: &mut Context<'_>) -> Re
     let task = arguments.motion.task()?;
     // Refused here, before anything is simulated.
     let finer = arguments.refine.map(|by| task.scene.refined(by)).transpose()?;
-    let (found, seconds) = simulated(&task, &task.scene, "simulating", context)?;
+    let (found, seconds) = simulated(&task, &task.scene, &task.setup, "simulating", context)?;
     let mut report = Report::new(&task, &found, seconds);
     if let Some(scene) = finer {
         report.finer = Some(Finer::of(&task, &scene, &report.outcome, context)?);
+    }
+    if let Some(count) = arguments.packings {
+        report.packings = Some(Packings::of(&task, count, &report.amounts, context)?);
     }
     if arguments.json {
         context.json(&report)?;
@@ -137,15 +169,16 @@ pub(super) fn execute(arguments: &SimulateArgs, context: &mut Context<'_>) -> Re
     }
 }
 
-/// What a motion brings in a scene: its own, or a finer copy of it.
+/// What a motion brings in a scene, its own or a finer copy of it, in a packing, its own or another.
 fn simulated(
     task: &Task,
     scene: &Scene,
+    setup: &Setup,
     doing: &str,
     context: &mut Context<'_>,
 ) -> Result<(Evaluation, f64), CliError> {
-    task.setup.check_memory(scene, Workload::Single, 0)?;
-    let mut simulator = (context.factory)(scene, &task.setup)?;
+    setup.check_memory(scene, Workload::Single, 0)?;
+    let mut simulator = (context.factory)(scene, setup)?;
     let progress = Progress::new(&context.err, context.live);
     simulator.set_progress(progress.watch(&context.interrupt));
     progress.begin(doing, 0, &[]);
@@ -163,7 +196,7 @@ fn simulated(
 
 impl Finer {
     fn of(task: &Task, scene: &Scene, own: &Outcome, context: &mut Context<'_>) -> Result<Self, CliError> {
-        let (found, seconds) = simulated(task, scene, "simulating, on smaller cells", context)?;
+        let (found, seconds) = simulated(task, scene, &task.setup, "simulating, on smaller cells", context)?;
         let amounts = Amounts::from(scene);
         let outcome = Outcome::of_evaluation(&amounts, &found);
         let change = (own.mass_kg > 0.0).then(|| outcome.mass_kg / own.mass_kg - 1.0);
@@ -185,6 +218,58 @@ impl Finer {
             amounts.powder(outcome.census.target),
             amounts.off(outcome.census.target),
             amounts.rest(&outcome.census),
+        )
+    }
+}
+
+impl Packings {
+    fn of(task: &Task, count: u32, amounts: &Amounts, context: &mut Context<'_>) -> Result<Self, CliError> {
+        let own = task.setup.settings.seed_of(&task.scene);
+        let (mut each, mut seconds) = (Vec::new(), 0.0);
+        for number in 1..=count {
+            let seed = own.wrapping_add(number.into());
+            let settings = SimulatorSettings { seed: Some(seed), ..task.setup.settings };
+            let doing = format!("simulating, packing {number} of {count}");
+            let setup = Setup { settings, ..task.setup };
+            let (found, took) = simulated(task, &task.scene, &setup, &doing, context)?;
+            each.push(Packing { seed, outcome: Outcome::of_evaluation(amounts, &found) });
+            seconds += took;
+        }
+        let mean = |of: fn(&Outcome) -> f64| {
+            each.iter().map(|packing| of(&packing.outcome)).sum::<f64>() / f64::from(count)
+        };
+        let mean = Mean {
+            mass_kg: mean(|outcome| outcome.mass_kg),
+            miss: mean(|outcome| outcome.miss),
+            lost_kg: mean(|outcome| outcome.lost_kg),
+            loss_m: mean(|outcome| outcome.loss_m),
+        };
+        Ok(Self { mean, each, seconds })
+    }
+
+    fn text(&self, amounts: &Amounts) -> String {
+        let Self { mean, each, seconds } = self;
+        let extremes = |of: fn(&Outcome) -> u32| {
+            let all = each.iter().map(|packing| of(&packing.outcome));
+            all.fold((u32::MAX, 0), |(least, most), found| (least.min(found), most.max(found)))
+        };
+        let (least, most) = extremes(|outcome| outcome.census.target);
+        let (_, most_lost) = extremes(|outcome| outcome.census.lost());
+        let met = each.iter().filter_map(|packing| amounts.is_met(packing.outcome.census.target));
+        let met = amounts.tolerance.map_or(String::new(), |_| {
+            format!(", within the tolerance in {}", met.filter(|is_met| *is_met).count())
+        });
+        format!(
+            "In {} other packings of the powder: {} on average, {}; {} at least, {} at most{met}. {} are lost on average, {} at most. \
+             Loss {:.3} m on average, in {seconds:.1} s.\n",
+            each.len(),
+            mass(mean.mass_kg),
+            off(mean.miss),
+            amounts.mass(least),
+            amounts.mass(most),
+            mass(mean.lost_kg),
+            amounts.mass(most_lost),
+            mean.loss_m,
         )
     }
 }
@@ -215,6 +300,7 @@ impl Report {
             outcome: Outcome::of_evaluation(&amounts, found),
             seconds,
             finer: None,
+            packings: None,
             amounts,
             plan,
             executed,
@@ -263,6 +349,7 @@ impl Report {
             amounts.rest(&census),
         );
         text += &self.finer.as_ref().map(Finer::text).unwrap_or_default();
+        text += &self.packings.as_ref().map(|packings| packings.text(amounts)).unwrap_or_default();
         text += &self.plan.as_ref().map(|plan| plan.text(amounts)).unwrap_or_default();
         text += &self.executed.as_ref().map(ExecutedReport::text).unwrap_or_default();
         text

@@ -49,6 +49,11 @@ const LEAKY: &str = "leaky";
 /// What arrives on cells of half the size over what arrives on the scene's own, with this stand-in.
 const ON_FINER_CELLS: f64 = 0.8;
 
+/// What arrives over what arrives in the packings of the first seeds, with this stand-in.
+fn share_in_packing(seed: u64) -> f64 {
+    1.0 - 0.02 * seed.saturating_sub(4).min(20) as f64
+}
+
 /// Speed at which the tool turns that is too much for the powder on it, with this stand-in, rad/s.
 const TOO_FAST_RAD_S: f64 = 4.28;
 
@@ -262,12 +267,13 @@ fn optimise_for(patience: u64, arguments: &[&str]) -> Done {
 fn optimise_with(patience: u64, spoilt: u32, arguments: &[&str]) -> Done {
     let interrupt = Interrupt::default();
     let patience = Rc::new(Cell::new(patience));
-    let factory = |scene: &Scene, _: &Setup| -> Result<Box<dyn Simulate>, RolloutError> {
+    let factory = |scene: &Scene, setup: &Setup| -> Result<Box<dyn Simulate>, RolloutError> {
         let (interrupt, patience) = (interrupt.clone(), patience.clone());
         let (map, spoilt) = (SkillMap::new(scene), Cell::new(spoilt));
         let cell = scene.domain.cell_m / 0.004;
         let heavier = cell.powi(3) * 8.0 / f64::from(scene.powder.particles_per_cell);
-        let share = if cell < 0.75 { ON_FINER_CELLS } else { 1.0 };
+        let share =
+            if cell < 0.75 { ON_FINER_CELLS } else { 1.0 } * share_in_packing(setup.settings.seed_of(scene));
         let (leaks, watch) = (scene.name == LEAKY, Watch::default());
         Ok(Box::new(Ends { map, interrupt, patience, spoilt, heavier, share, leaks, watch }))
     };
@@ -396,6 +402,7 @@ fn arguments_are_consistent() {
         "simulate --plan p --json",
         "simulate --plan p --executed e",
         "simulate --plan p --refine 2",
+        "simulate --plan p --packings 8",
         "refine p --by 3 --out d --json",
         "shorten p --threads 2 --out d --json",
         "scenes --json",
@@ -420,6 +427,7 @@ fn arguments_are_consistent() {
         "simulate --plan p --seed 1",
         "simulate --executed e",
         "simulate --plan p --refine 1",
+        "simulate --plan p --packings 1",
         "refine",
         "refine p --by 5",
         "shorten",
@@ -1035,6 +1043,38 @@ fn what_a_plan_brings_on_smaller_cells_is_said_beside_what_it_brings() {
         &optimise_for(1, &["simulate", "workcell", "--theta=0,0,0,0,0", "--refine", "2"]),
         2,
         "0.0015",
+    );
+}
+
+#[test]
+fn what_a_plan_brings_in_other_packings_is_said_beside_what_it_brings() {
+    let place = Place::new();
+    let plan = format!("{}/skill.plan", place.finished("run", 3));
+    let done = optimise(&["simulate", "--plan", &plan, "--packings", "3", "--json"]);
+    let report: Value = serde_json::from_str(&done.out).unwrap();
+    assert_eq!((&report["plan"]["reproduced"], &report["seed"]), (&true.into(), &4.into()));
+    let packings = &report["packings"];
+    let each = packings["each"].as_array().unwrap();
+    let number = |of: &Value, key: &str| of[key].as_f64().unwrap();
+    let own = number(&report, "mass_kg");
+    for (packing, seed) in each.iter().zip(5u64..) {
+        assert_eq!(packing["seed"], seed);
+        assert!((number(packing, "mass_kg") / own - share_in_packing(seed)).abs() < 0.01, "{packing} {own}");
+    }
+    for key in ["mass_kg", "miss", "lost_kg", "loss_m"] {
+        let mean = each.iter().map(|packing| number(packing, key)).sum::<f64>() / 3.0;
+        assert!(near(&packings["mean"][key], mean, 1e-12), "{key} {packings}");
+    }
+    let text = optimise(&["simulate", "--plan", &plan, "--packings", "3"]).out;
+    let mass_of = |packing: &Value| powderline_simulator::scene::figures::mass(number(packing, "mass_kg"));
+    let [most, least] = [mass_of(&each[0]), mass_of(&each[2])];
+    let line = text.lines().nth(3).unwrap();
+    assert!(line.starts_with("In 3 other packings of the powder: "), "{text}");
+    assert!(
+        line.contains(&format!(
+            "; {least} at least, {most} at most, within the tolerance in 0. 56 mg are lost"
+        )),
+        "{line}"
     );
 }
 

@@ -91,12 +91,7 @@ impl Amounts {
 
     /// Such as `0.17 % too little`.
     pub fn off(&self, particles: u32) -> String {
-        let miss = self.miss(particles);
-        match percent(miss.abs()) {
-            none if none == "0 %" => "no more and no less".into(),
-            percent if miss < 0.0 => format!("{percent} too little"),
-            percent => format!("{percent} too much"),
-        }
+        off(self.miss(particles))
     }
 
     /// The tolerance, such as `2 %`.
@@ -120,6 +115,15 @@ pub fn percent(share: f64) -> String {
     };
     let text = if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.') } else { &text };
     format!("{} %", if text == "-0" { "0" } else { text })
+}
+
+/// How far something is off the wanted amount, such as `0.17 % too little`.
+pub fn off(miss: f64) -> String {
+    match percent(miss.abs()) {
+        none if none == "0 %" => "no more and no less".into(),
+        percent if miss < 0.0 => format!("{percent} too little"),
+        percent => format!("{percent} too much"),
+    }
 }
 
 #[cfg(test)]
