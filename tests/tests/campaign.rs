@@ -133,6 +133,14 @@ fn each_search_is_a_run_like_any_other() {
             .finished();
         assert_same_bits(&case, &alone);
         assert!(Path::new(&case).join("report.html").exists());
+        // The amount is that on the smaller cells, the loss that on the bench's own: a plan has both.
+        let plan = bytes(&case, "skill.plan");
+        let header = *PlanReader::new(&plan).unwrap().header();
+        let outcome: serde_json::Value = serde_json::from_slice(&bytes(&case, "outcome.json")).unwrap();
+        let number = |key: &str| outcome["found"][key].as_f64();
+        assert_eq!(number("loss_m").map(f64::to_bits), Some(header.predicted.loss_m.to_bits()), "{outcome}");
+        assert_eq!(number("own_mass_kg"), Some(header.predicted.arrives_kg()));
+        assert_eq!(number("mass_kg"), header.finer.map(|finer| finer.arrives_kg()));
     }
     let page = String::from_utf8(bytes(&folder, "report.html")).unwrap();
     assert!(page.contains("href=\"cases/tiny_seed1/report.html\""), "{page}");

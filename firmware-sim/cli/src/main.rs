@@ -1,5 +1,7 @@
 //! The simulated arm controller, as a program.
 
+mod lines;
+
 use std::fs::{self, File};
 use std::hash::{BuildHasher, Hasher, RandomState};
 use std::io::{self, BufWriter, Write};
@@ -28,6 +30,8 @@ use powderline_shared::pose::Pose;
 use powderline_shared::trajectory::{Sample, TrajectoryHeader};
 use powderline_shared::wire::frame::Dialect;
 use serde_json::{Value, json};
+
+use lines::Lines;
 
 /// The simulated arm controller: on a wire, or on a simulated one that has every fault
 #[derive(Debug, Parser)]
@@ -215,7 +219,9 @@ fn serve_arm(arguments: &Serve) -> anyhow::Result<()> {
     // Whatever is granted helps; a controller that is held up all the same says so and stops.
     let _ = realtime::prepare((arguments.priority > 0).then_some(arguments.priority));
     let options = Options { on, arm, once: arguments.once };
-    let mut person = Person { executed: arguments.executed.clone(), motions: arguments.json.then(Vec::new) };
+    let lines = if arguments.json { Lines::to(io::stderr()) } else { Lines::to(io::stdout()) };
+    let (executed, motions) = (arguments.executed.clone(), arguments.json.then(Vec::new));
+    let mut person = Person { executed, motions, lines };
     serve::serve(&options, &mut person)?;
     person.motions.map_or(Ok(()), |motions| say(&format!("{}\n", json!({ "motions": motions }))))
 }
@@ -232,16 +238,13 @@ struct Person {
     executed: Option<PathBuf>,
     /// The motions so far, where they are to be one JSON object in the end.
     motions: Option<Vec<Value>>,
+    /// On standard error, where standard output has the object.
+    lines: Lines,
 }
 
 impl Announcer for Person {
     fn say(&mut self, line: &str) {
-        // Should nobody listen any more, the arm goes on all the same.
-        if self.motions.is_some() {
-            tell(line);
-        } else {
-            let _ = writeln!(io::stdout(), "{line}");
-        }
+        self.lines.say(line);
     }
 
     fn executed(&mut self, plan_hash: u64, period_us: u32, poses: &[Pose]) -> anyhow::Result<()> {
