@@ -33,7 +33,8 @@ pub(super) struct SimulateArgs {
     /// as long
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=4))]
     pub refine: Option<u32>,
-    /// See what the motion brings in so many other packings of the powder, too, of the seeds after its own: how much of it is chance
+    /// See what the motion brings in so many other packings of the powder, too, of the seeds after its own: how much of it is chance. With
+    /// --refine on the smaller cells as well
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(2..=1000))]
     pub packings: Option<u32>,
     /// Print one JSON object
@@ -71,6 +72,7 @@ struct Finer {
     /// What arrives there over what arrives on the scene's own cells, less 1; none where nothing does.
     change: Option<f64>,
     seconds: f64,
+    packings: Option<Packings>,
 }
 
 /// What the same motion brings in other packings of the powder.
@@ -151,10 +153,10 @@ pub(super) fn execute(arguments: &SimulateArgs, context: &mut Context<'_>) -> Re
     let (found, seconds) = simulated(&task, &task.scene, &task.setup, "simulating", context)?;
     let mut report = Report::new(&task, &found, seconds);
     if let Some(scene) = finer {
-        report.finer = Some(Finer::of(&task, &scene, &report.outcome, context)?);
+        report.finer = Some(Finer::of(&task, &scene, &report.outcome, arguments.packings, context)?);
     }
     if let Some(count) = arguments.packings {
-        report.packings = Some(Packings::of(&task, count, &report.amounts, context)?);
+        report.packings = Some(Packings::of(&task, &task.scene, count, &report.amounts, context)?);
     }
     if arguments.json {
         context.json(&report)?;
@@ -195,16 +197,26 @@ fn simulated(
 }
 
 impl Finer {
-    fn of(task: &Task, scene: &Scene, own: &Outcome, context: &mut Context<'_>) -> Result<Self, CliError> {
+    fn of(
+        task: &Task,
+        scene: &Scene,
+        own: &Outcome,
+        packings: Option<u32>,
+        context: &mut Context<'_>,
+    ) -> Result<Self, CliError> {
         let (found, seconds) = simulated(task, scene, &task.setup, "simulating, on smaller cells", context)?;
         let amounts = Amounts::from(scene);
         let outcome = Outcome::of_evaluation(&amounts, &found);
         let change = (own.mass_kg > 0.0).then(|| outcome.mass_kg / own.mass_kg - 1.0);
-        Ok(Self { cell_m: scene.domain.cell_m, amounts, outcome, change, seconds })
+        let others = |count| Packings::of(task, scene, count, &amounts, context);
+        let packings = packings.map(others).transpose()?;
+        Ok(Self { cell_m: scene.domain.cell_m, amounts, outcome, change, seconds, packings })
     }
 
     fn text(&self) -> String {
-        let Self { amounts, outcome, change, seconds, .. } = self;
+        let Self { amounts, outcome, change, seconds, packings, .. } = self;
+        let on = format!("cells of {} mm", about(1e3 * self.cell_m, 3));
+        let packings = packings.as_ref().map(|packings| packings.text(amounts, &on));
         let change = match change.map(|change| (change, percent(change.abs()))) {
             None => String::new(),
             Some((_, same)) if same == "0 %" => " as much as on the scene's own,".into(),
@@ -213,17 +225,23 @@ impl Finer {
             }
         };
         format!(
-            "On cells of {} mm: {},{change} {}. {} In {seconds:.1} s.\n",
-            about(1e3 * self.cell_m, 3),
+            "On {on}: {},{change} {}. {} In {seconds:.1} s.\n{}",
             amounts.powder(outcome.census.target),
             amounts.off(outcome.census.target),
             amounts.rest(&outcome.census),
+            packings.unwrap_or_default(),
         )
     }
 }
 
 impl Packings {
-    fn of(task: &Task, count: u32, amounts: &Amounts, context: &mut Context<'_>) -> Result<Self, CliError> {
+    fn of(
+        task: &Task,
+        scene: &Scene,
+        count: u32,
+        amounts: &Amounts,
+        context: &mut Context<'_>,
+    ) -> Result<Self, CliError> {
         let own = task.setup.settings.seed_of(&task.scene);
         let (mut each, mut seconds) = (Vec::new(), 0.0);
         for number in 1..=count {
@@ -231,7 +249,7 @@ impl Packings {
             let settings = SimulatorSettings { seed: Some(seed), ..task.setup.settings };
             let doing = format!("simulating, packing {number} of {count}");
             let setup = Setup { settings, ..task.setup };
-            let (found, took) = simulated(task, &task.scene, &setup, &doing, context)?;
+            let (found, took) = simulated(task, scene, &setup, &doing, context)?;
             each.push(Packing { seed, outcome: Outcome::of_evaluation(amounts, &found) });
             seconds += took;
         }
@@ -247,7 +265,7 @@ impl Packings {
         Ok(Self { mean, each, seconds })
     }
 
-    fn text(&self, amounts: &Amounts) -> String {
+    fn text(&self, amounts: &Amounts, on: &str) -> String {
         let Self { mean, each, seconds } = self;
         let extremes = |of: fn(&Outcome) -> u32| {
             let all = each.iter().map(|packing| of(&packing.outcome));
@@ -260,7 +278,7 @@ impl Packings {
             format!(", within the tolerance in {}", met.filter(|is_met| *is_met).count())
         });
         format!(
-            "In {} other packings of the powder: {} on average, {}; {} at least, {} at most{met}. {} are lost on average, {} at most. \
+            "In {} other packings of the powder, on {on}: {} on average, {}; {} at least, {} at most{met}. {} are lost on average, {} at most. \
              Loss {:.3} m on average, in {seconds:.1} s.\n",
             each.len(),
             mass(mean.mass_kg),
@@ -349,7 +367,9 @@ impl Report {
             amounts.rest(&census),
         );
         text += &self.finer.as_ref().map(Finer::text).unwrap_or_default();
-        text += &self.packings.as_ref().map(|packings| packings.text(amounts)).unwrap_or_default();
+        let on = "the scene's own cells";
+        let packings = self.packings.as_ref().map(|packings| packings.text(amounts, on));
+        text += &packings.unwrap_or_default();
         text += &self.plan.as_ref().map(|plan| plan.text(amounts)).unwrap_or_default();
         text += &self.executed.as_ref().map(ExecutedReport::text).unwrap_or_default();
         text

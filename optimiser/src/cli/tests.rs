@@ -1069,13 +1069,18 @@ fn what_a_plan_brings_in_other_packings_is_said_beside_what_it_brings() {
     let mass_of = |packing: &Value| powderline_simulator::scene::figures::mass(number(packing, "mass_kg"));
     let [most, least] = [mass_of(&each[0]), mass_of(&each[2])];
     let line = text.lines().nth(3).unwrap();
-    assert!(line.starts_with("In 3 other packings of the powder: "), "{text}");
+    assert!(line.starts_with("In 3 other packings of the powder, on the scene's own cells: "), "{text}");
     assert!(
         line.contains(&format!(
             "; {least} at least, {most} at most, within the tolerance in 0. 56 mg are lost"
         )),
         "{line}"
     );
+    let finer = optimise(&["simulate", "--plan", &plan, "--packings", "3", "--refine", "2"]).out;
+    let lines: Vec<&str> = finer.lines().collect();
+    let untimed = |line: &str| line.rsplit_once(" in ").unwrap().0.to_owned();
+    assert!(lines[4].starts_with("In 3 other packings of the powder, on cells of 2 mm: "), "{finer}");
+    assert_eq!(untimed(lines[5]), untimed(line));
 }
 
 /// A plan, and the motion of an arm that performs it to the last bit, to be spoilt.
