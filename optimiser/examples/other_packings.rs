@@ -4,7 +4,6 @@
 //! `tries.jsonl` of its searches. For each search and each budget: the best motion so far, what it is off, loses and costs in the packing in
 //! which it was found, and on average in so many others, of the seeds after that. The motions are simulated as a plan would ship them.
 
-use clap::ValueEnum;
 use powderline_optimiser::{
     compare::{Best, Track},
     optim::Method,
@@ -12,11 +11,21 @@ use powderline_optimiser::{
 };
 use powderline_shared::plan::Precision;
 use powderline_simulator::{
-    rollout::{Census, Evaluation, SimulatorSettings, boxed_simulator},
+    rollout::{Census, Evaluation, RolloutError, SimulatorSettings, boxed_simulator},
     scene::Scene,
     skill::{QuantisedControls, SkillMap, Theta},
 };
+use serde::Deserialize;
 use std::{error::Error, fs, path::Path};
+
+/// What of `comparison.json` is needed.
+#[derive(Deserialize)]
+struct Asked {
+    precision: Precision,
+    seeds: Vec<u64>,
+    methods: Vec<Method>,
+    rollouts: Vec<u32>,
+}
 
 fn main() -> Result<(), Box<dyn Error>> {
     let mut arguments = std::env::args().skip(1);
@@ -24,20 +33,18 @@ fn main() -> Result<(), Box<dyn Error>> {
     let packings: u64 = arguments.next().map_or(Ok(12), |count| count.parse())?;
     let folder = Path::new(&folder);
     let scene = Scene::load(&folder.join("scene.toml").to_string_lossy())?;
-    let asked: serde_json::Value = serde_json::from_slice(&fs::read(folder.join("comparison.json"))?)?;
-    let budgets: Vec<f64> = serde_json::from_value(asked["rollouts"].clone())?;
+    let asked: Asked = serde_json::from_slice(&fs::read(folder.join("comparison.json"))?)?;
     println!(
         "| search | rollouts | off, lost, loss, as found | in {packings} other packings: off, its size, lost, loss |"
     );
     println!("|---|---|---|---|");
-    for method in Method::value_variants() {
-        for seed in 0..100 {
-            let name =
-                format!("{}-seed{seed}", method.to_possible_value().expect("each has a name").get_name());
+    for method in &asked.methods {
+        for seed in &asked.seeds {
+            let (method, seed) = (*method, *seed);
+            let name = format!("{}-seed{seed}", method.name());
             let Ok(lines) = fs::read_to_string(folder.join(&name).join("tries.jsonl")) else { continue };
             let tries = lines.lines().map(serde_json::from_str).collect::<Result<Vec<Try>, _>>()?;
-            let track = Track { method: *method, seed, tries };
-            show(&scene, &name, &track, &budgets, packings)?;
+            show(&scene, &name, &Track { method, seed, tries }, &asked, packings)?;
         }
     }
     Ok(())
@@ -48,20 +55,20 @@ fn show(
     scene: &Scene,
     name: &str,
     track: &Track,
-    budgets: &[f64],
+    asked: &Asked,
     packings: u64,
 ) -> Result<(), Box<dyn Error>> {
     let bests = track.bests(1.0);
     let mut before: Option<&Try> = None;
-    for budget in budgets {
-        let within = bests.iter().take_while(|best| best.rollouts <= *budget);
+    for budget in &asked.rollouts {
+        let within = bests.iter().take_while(|best| best.rollouts <= f64::from(*budget));
         let Some(Best { one, .. }) = within.last() else { continue };
         if before.replace(one) == Some(*one) {
             println!("| {name} | {budget} | the same | |");
             continue;
         }
         let amounts = Amounts::from(scene);
-        let others = in_others(scene, track.seed, one, packings)?;
+        let others = in_others(scene, (track.seed, asked.precision), one, packings)?;
         let mean = |of: &dyn Fn(&Evaluation) -> f64| others.iter().map(of).sum::<f64>() / others.len() as f64;
         let miss = |census: &Census| 100.0 * amounts.miss(census.target);
         let lost = |census: &Census| 1e6 * amounts.kg(census.lost());
@@ -79,21 +86,29 @@ fn show(
     Ok(())
 }
 
-/// What a motion brings in the packings of the seeds after its own.
+/// What a motion brings in the packings of the seeds after its own, but for those in which it comes to no end.
 ///
 /// # Errors
 /// In its own it brings something else than was found: another version has other physics.
-fn in_others(scene: &Scene, seed: u64, one: &Try, packings: u64) -> Result<Vec<Evaluation>, Box<dyn Error>> {
+fn in_others(
+    scene: &Scene,
+    (seed, precision): (u64, Precision),
+    one: &Try,
+    packings: u64,
+) -> Result<Vec<Evaluation>, Box<dyn Error>> {
     let theta = Theta::new(one.theta[..].try_into()?)?;
     let motion = SkillMap::new(scene).motion(&theta, one.splines.as_ref())?;
     let controls = QuantisedControls::new(&motion)?.controls;
     let simulated = |seed| -> Result<Evaluation, Box<dyn Error>> {
         let settings = SimulatorSettings { seed: Some(seed), ..SimulatorSettings::default() };
-        Ok(boxed_simulator(scene, Precision::F32, &settings)?.simulate(&controls)?)
+        Ok(boxed_simulator(scene, precision, &settings)?.simulate(&controls)?)
     };
     let own: Evaluation = simulated(seed)?;
     if one.rounded && own.loss.to_bits() != one.loss.to_bits() {
         return Err(format!("a loss of {} m was found, and now it is {} m", one.loss, own.loss).into());
     }
-    (seed + 1..=seed + packings).map(simulated).collect()
+    let is_of_motion =
+        |error: &Box<dyn Error>| error.downcast_ref::<RolloutError>().is_some_and(RolloutError::is_of_motion);
+    let others = (seed + 1..=seed + packings).map(simulated);
+    others.filter(|found| !found.as_ref().is_err_and(is_of_motion)).collect()
 }

@@ -78,7 +78,8 @@ struct Finer {
 /// What the same motion brings in other packings of the powder.
 #[derive(Serialize)]
 struct Packings {
-    mean: Mean,
+    /// Of those in which it comes to an end; none if there is none.
+    mean: Option<Mean>,
     each: Vec<Packing>,
     seconds: f64,
 }
@@ -97,7 +98,9 @@ struct Mean {
 struct Packing {
     seed: u64,
     #[serde(flatten)]
-    outcome: Outcome,
+    outcome: Option<Outcome>,
+    /// Why it comes to no end.
+    error: Option<String>,
 }
 
 #[derive(Serialize)]
@@ -179,6 +182,18 @@ fn simulated(
     doing: &str,
     context: &mut Context<'_>,
 ) -> Result<(Evaluation, f64), CliError> {
+    let (found, seconds) = tried(task, scene, setup, doing, context)?;
+    Ok((found?, seconds))
+}
+
+/// The same where it may come to no end.
+fn tried(
+    task: &Task,
+    scene: &Scene,
+    setup: &Setup,
+    doing: &str,
+    context: &mut Context<'_>,
+) -> Result<(Result<Evaluation, RolloutError>, f64), CliError> {
     setup.check_memory(scene, Workload::Single, 0)?;
     let mut simulator = (context.factory)(scene, setup)?;
     let progress = Progress::new(&context.err, context.live);
@@ -193,7 +208,7 @@ fn simulated(
         Motion::Executed { executed, .. } => simulator.simulate_from(&executed.anchor, &executed.controls),
     };
     progress.clear();
-    Ok((result?, progress.seconds()))
+    Ok((result, progress.seconds()))
 }
 
 impl Finer {
@@ -249,46 +264,64 @@ impl Packings {
             let settings = SimulatorSettings { seed: Some(seed), ..task.setup.settings };
             let doing = format!("simulating, packing {number} of {count}");
             let setup = Setup { settings, ..task.setup };
-            let (found, took) = simulated(task, scene, &setup, &doing, context)?;
-            each.push(Packing { seed, outcome: Outcome::of_evaluation(amounts, &found) });
+            let (found, took) = tried(task, scene, &setup, &doing, context)?;
+            each.push(match found {
+                Err(error) if error.is_of_motion() => {
+                    Packing { seed, outcome: None, error: Some(error.to_string()) }
+                }
+                found => {
+                    Packing { seed, outcome: Some(Outcome::of_evaluation(amounts, &found?)), error: None }
+                }
+            });
             seconds += took;
         }
-        let mean = |of: fn(&Outcome) -> f64| {
-            each.iter().map(|packing| of(&packing.outcome)).sum::<f64>() / f64::from(count)
-        };
-        let mean = Mean {
-            mass_kg: mean(|outcome| outcome.mass_kg),
-            miss: mean(|outcome| outcome.miss),
-            lost_kg: mean(|outcome| outcome.lost_kg),
-            loss_m: mean(|outcome| outcome.loss_m),
-        };
-        Ok(Self { mean, each, seconds })
+        Ok(Self { mean: Mean::of(&each), each, seconds })
     }
 
     fn text(&self, amounts: &Amounts, on: &str) -> String {
         let Self { mean, each, seconds } = self;
-        let extremes = |of: fn(&Outcome) -> u32| {
-            let all = each.iter().map(|packing| of(&packing.outcome));
-            all.fold((u32::MAX, 0), |(least, most), found| (least.min(found), most.max(found)))
+        let begin = format!("In {} other packings of the powder, on {on}", each.len());
+        let failed = |packing: &Packing| {
+            packing
+                .error
+                .as_ref()
+                .map(|why| format!(" With seed {} it comes to no end: {why}.", packing.seed))
         };
-        let (least, most) = extremes(|outcome| outcome.census.target);
-        let (_, most_lost) = extremes(|outcome| outcome.census.lost());
-        let met = each.iter().filter_map(|packing| amounts.is_met(packing.outcome.census.target));
-        let met = amounts.tolerance.map_or(String::new(), |_| {
-            format!(", within the tolerance in {}", met.filter(|is_met| *is_met).count())
-        });
+        let failed: String = each.iter().filter_map(failed).collect();
+        let Some(mean) = mean else {
+            return format!("{begin}, it comes to no end in any.{failed}\n");
+        };
+        let found =
+            || each.iter().filter_map(|packing| packing.outcome.as_ref()).map(|outcome| outcome.census);
+        let arrives = || found().map(|census| census.target);
+        let met = arrives().filter(|particles| amounts.is_met(*particles) == Some(true)).count();
+        let met = amounts.tolerance.map_or(String::new(), |_| format!(", within the tolerance in {met}"));
         format!(
-            "In {} other packings of the powder, on {on}: {} on average, {}; {} at least, {} at most{met}. {} are lost on average, {} at most. \
-             Loss {:.3} m on average, in {seconds:.1} s.\n",
-            each.len(),
+            "{begin}: {} on average, {}; {} at least, {} at most{met}. {} are lost on average, {} at most. Loss {:.3} m on average, in \
+             {seconds:.1} s.{failed}\n",
             mass(mean.mass_kg),
             off(mean.miss),
-            amounts.mass(least),
-            amounts.mass(most),
+            amounts.mass(arrives().min().unwrap_or_default()),
+            amounts.mass(arrives().max().unwrap_or_default()),
             mass(mean.lost_kg),
-            amounts.mass(most_lost),
+            amounts.mass(found().map(|census| census.lost()).max().unwrap_or_default()),
             mean.loss_m,
         )
+    }
+}
+
+impl Mean {
+    fn of(each: &[Packing]) -> Option<Self> {
+        let found: Vec<&Outcome> = each.iter().filter_map(|packing| packing.outcome.as_ref()).collect();
+        let mean = |of: fn(&Outcome) -> f64| {
+            found.iter().map(|outcome| of(outcome)).sum::<f64>() / found.len() as f64
+        };
+        (!found.is_empty()).then(|| Self {
+            mass_kg: mean(|outcome| outcome.mass_kg),
+            miss: mean(|outcome| outcome.miss),
+            lost_kg: mean(|outcome| outcome.lost_kg),
+            loss_m: mean(|outcome| outcome.loss_m),
+        })
     }
 }
 

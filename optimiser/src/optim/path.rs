@@ -19,8 +19,9 @@
 //!
 //! That need not be lower than where it stood. Which grain falls off the rim is chance, and the loss of a motion is known no better than to
 //! some per cent: 0.16 m of 3 m on `bench-small`, over packings as over steps of a hundredth. The skill that a path begins with is the luckiest
-//! of dozens, and a search that wants to be lower than that never leaves it. Only where all trials are worse by more than [`CHANCE`] does it
-//! stay, take the next gradient at the lowest of them (a null step) and halve the lengths.
+//! of a dozen, and a search that wants to be lower than that never leaves it. Only where all trials are higher than the lowest loss so far by
+//! more than [`CHANCE`] does it stay, take the next gradient at the lowest of them (a null step) and halve the lengths; where they are short
+//! already, it goes back to the lowest place so far and begins anew there, by gradients near by.
 //!
 //! A motion that the arm cannot perform is never asked for. One that is too fast or too rough is moved to the nearest that is not
 //! ([`SplinePath::within_limits`]), so that the search slides along the limits. Where a wall, the workspace or the arm's reach is in the way,
@@ -41,12 +42,13 @@ const SKILL_GAIN: f64 = 0.05;
 /// Trials along a direction.
 const LINE_TRIALS: usize = 4;
 
-/// Lengths of steps, in units of coefficients: of the first, and the least, below which chance is all that is seen.
+/// Lengths of steps, in units of coefficients: of the first, and the shortest that an epoch begins from. It tries twice that, and down to a
+/// quarter of it, where chance is most of what is seen.
 const FIRST_LENGTH: f64 = 0.25;
 const LEAST_LENGTH: f64 = 0.1;
 
-/// How much higher a loss may be by chance, as a share of it.
-const CHANCE: f64 = 0.1;
+/// How much higher than the lowest so far a loss may be by chance, as a share of that.
+const CHANCE: f64 = 0.2;
 
 /// Share of the arm's limits that is left free: a motion in whole counts is rougher.
 const MARGIN: f64 = 0.002;
@@ -54,7 +56,7 @@ const MARGIN: f64 = 0.002;
 /// A step's shortest way that is still worth a trial.
 const SHORTEST: f64 = 1e-3;
 
-/// How far from a place that has no gradient the next one is taken, in units of coefficients.
+/// How far from a place from which no gradient led on the next one is taken, in units of coefficients.
 const NEAR_BY: f64 = 0.1;
 
 /// Gradients in the bundle at most, and how far away they may be taken, over the present length.
@@ -169,15 +171,16 @@ impl Near {
         Trial { splines: Some(splines), is_rounded: true, may_fail: true, ..trial }
     }
 
-    /// The first of these ways along a direction that the arm can make, each half as long as the one before; none if even the shortest is not
-    /// possible.
+    /// The first of these ways along a direction that the arm can make and that lead somewhere else, each half as long as the one before; none if
+    /// even the shortest is not possible.
     fn able(&self, from: &[f64], direction: &[f64], length: f64) -> Option<(f64, Trial)> {
         let lengths = std::iter::successors(Some(length), |length| Some(0.5 * length));
         lengths.take_while(|length| *length >= SHORTEST).find_map(|length| {
             let limits = self.problem.map.limits();
             let there = self.path.within_limits(limits, MARGIN, moved(from, direction, length));
+            let leads_on = norm(&less(&there, from)) >= SHORTEST;
             let trial = self.trial(there);
-            self.problem.is_able(&trial).then_some((length, trial))
+            (leads_on && self.problem.is_able(&trial)).then_some((length, trial))
         })
     }
 }
@@ -185,9 +188,9 @@ impl Near {
 /// The search by gradients.
 struct Descent {
     near: Near,
-    /// Where it is, and what it costs there.
     at: Vec<f64>,
-    loss: f64,
+    /// Where the loss was lowest so far, and how low.
+    lowest: (Vec<f64>, f64),
     /// Where the next gradient is taken; none if there is one.
     place: Option<Vec<f64>>,
     /// Gradients and where they were taken, the latest last.
@@ -204,9 +207,9 @@ struct Descent {
 impl Descent {
     fn new(near: Near, loss: f64) -> Self {
         let at = vec![0.0; near.dimensions()];
-        let place = Some(at.clone());
+        let (lowest, place) = ((at.clone(), loss), Some(at.clone()));
         let (asked, lengths) = (Vec::new(), Vec::new());
-        Self { near, at, loss, place, bundle: Vec::new(), length: FIRST_LENGTH, anew: 0, asked, lengths }
+        Self { near, at, lowest, place, bundle: Vec::new(), length: FIRST_LENGTH, anew: 0, asked, lengths }
     }
 
     /// Against the shortest vector of the convex hull of the gradients near by; none if there is no way to go.
@@ -241,7 +244,7 @@ impl Descent {
     fn take_gradient(&mut self, place: Vec<f64>, found: &Found) -> Result<(), SearchError> {
         let Some(gradient) = found.gradient.clone() else {
             // Nearer, by those that are known.
-            self.length *= 0.5;
+            self.length = (0.5 * self.length).max(LEAST_LENGTH);
             return Ok(());
         };
         if let Some(k) = gradient.iter().position(|slope| !slope.is_finite()) {
@@ -261,17 +264,27 @@ impl Descent {
         let lowest = (0..found.len()).min_by(|a, b| loss(a).total_cmp(&loss(b))).unwrap_or_default();
         let there = trials[lowest].splines.as_ref().map_or(Vec::new(), |added| added.coefficients.clone());
         self.place = Some(there.clone());
-        if self.lengths[lowest] > 0.0 && loss(&lowest) <= (1.0 + CHANCE) * self.loss {
-            (self.at, self.loss) = (there, loss(&lowest));
+        if loss(&lowest) < self.lowest.1 {
+            self.lowest = (there.clone(), loss(&lowest));
+        }
+        let leads_on = self.lengths[lowest] > 0.0;
+        if leads_on && loss(&lowest) <= (1.0 + CHANCE) * self.lowest.1 {
+            self.at = there;
             self.length = self.lengths[lowest].max(LEAST_LENGTH);
-        } else if self.lengths[lowest] > 0.0 && self.length > LEAST_LENGTH {
+        } else if leads_on && self.length > LEAST_LENGTH {
             self.length = (0.5 * self.length).max(LEAST_LENGTH);
         } else {
-            self.bundle.clear();
-            self.anew += 1;
-            self.place = Some(self.near_by());
+            self.begin_anew();
         }
         lowest
+    }
+
+    /// From the lowest place so far, by a gradient near by.
+    fn begin_anew(&mut self) {
+        self.at.clone_from(&self.lowest.0);
+        (self.length, self.anew) = (FIRST_LENGTH, self.anew + 1);
+        self.bundle.clear();
+        self.place = Some(self.near_by());
     }
 
     /// A place near by, each time in another direction: from the present one none leads on.
@@ -529,6 +542,23 @@ mod tests {
         assert!(last < 0.4 * nothing.loss && way > 0.5, "{last} {} {way}", nothing.loss);
     }
 
+    /// Gradients that point uphill: it turns back again and again, and never goes far up.
+    #[test]
+    fn a_wrong_gradient_does_not_lead_it_away() {
+        let (nothing, _) = edged(&[0.0; 36]);
+        let mut search = Descent::new(near(problem(1)), nothing.loss);
+        for _ in 0..80 {
+            let trials = search.ask(false);
+            let wrong = |trial: &Trial| {
+                let found = found(trial);
+                Found { gradient: found.gradient.map(|slopes| slopes.iter().map(|x| -x).collect()), ..found }
+            };
+            search.tell(&trials.iter().map(wrong).collect::<Vec<_>>()).unwrap();
+            assert!(edged(&search.at).0.loss <= (1.0 + CHANCE) * nothing.loss, "{:?}", search.at);
+        }
+        assert!(search.anew > 5, "{}", search.anew);
+    }
+
     #[test]
     fn what_the_arm_cannot_perform_is_not_asked_for() {
         let high = |splines: &Splines| splines.coefficients.iter().any(|c| c.abs() > 0.2);
@@ -566,6 +596,16 @@ mod tests {
             }
             assert_eq!(ended, 20);
         }
+        // However long it finds none, by the next that there are it goes on.
+        let (nothing, _) = edged(&[0.0; 36]);
+        let mut search = Descent::new(near(problem(1)), nothing.loss);
+        for _ in 0..40 {
+            let trials = search.ask(false);
+            let told = |trial: &Trial| Found { gradient: None, ..found(trial) };
+            search.tell(&trials.iter().map(told).collect::<Vec<_>>()).unwrap();
+        }
+        let reached = lowest(&mut search, 10);
+        assert!(reached < 0.6 * nothing.loss, "{reached} {}", nothing.loss);
         let mut search = Descent::new(near(problem(1)), 3.0);
         let trials = search.ask(false);
         let nonsense = Found { evaluation: flat, gradient: Some(vec![f64::NAN; 36]) };
