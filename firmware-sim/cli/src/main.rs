@@ -167,11 +167,12 @@ fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) if error.is::<Unread>() => ExitCode::from(EXIT_UNREAD),
         Err(error) => {
-            tell(&format!("firmware-sim: {error:#}"));
+            // First what a program waits for; standard error may be a pipe that nobody reads.
             if json && !error.is::<Breached>() {
                 // There is no one left to tell if this fails too.
                 let _ = say(&format!("{}\n", json!({ "error": format!("{error:#}"), "exit_code": 1 })));
             }
+            tell(&format!("firmware-sim: {error:#}"));
             ExitCode::FAILURE
         }
     }
@@ -220,6 +221,7 @@ fn serve_arm(arguments: &Serve) -> anyhow::Result<()> {
     let _ = realtime::prepare((arguments.priority > 0).then_some(arguments.priority));
     let options = Options { on, arm, once: arguments.once };
     let lines = if arguments.json { Lines::to(io::stderr()) } else { Lines::to(io::stdout()) };
+    let lines = lines.context("lines cannot be written")?;
     let (executed, motions) = (arguments.executed.clone(), arguments.json.then(Vec::new));
     let mut person = Person { executed, motions, lines };
     serve::serve(&options, &mut person)?;
