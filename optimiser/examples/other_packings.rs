@@ -107,8 +107,10 @@ fn in_others(
     if one.rounded && own.loss.to_bits() != one.loss.to_bits() {
         return Err(format!("a loss of {} m was found, and now it is {} m", one.loss, own.loss).into());
     }
-    let is_of_motion =
-        |error: &Box<dyn Error>| error.downcast_ref::<RolloutError>().is_some_and(RolloutError::is_of_motion);
     let others = (seed + 1..=seed + packings).map(simulated);
-    others.filter(|found| !found.as_ref().is_err_and(is_of_motion)).collect()
+    let ends = |found: &Result<Evaluation, Box<dyn Error>>| match found {
+        Ok(_) => true,
+        Err(error) => !error.downcast_ref().is_some_and(RolloutError::is_of_motion),
+    };
+    others.filter(ends).collect()
 }
