@@ -69,6 +69,10 @@ fn show(
         }
         let amounts = Amounts::from(scene);
         let others = in_others(scene, (track.seed, asked.precision), one, packings)?;
+        if others.is_empty() {
+            println!("| {name} | {budget} | comes to an end in no other packing | |");
+            continue;
+        }
         let mean = |of: &dyn Fn(&Evaluation) -> f64| others.iter().map(of).sum::<f64>() / others.len() as f64;
         let miss = |census: &Census| 100.0 * amounts.miss(census.target);
         let lost = |census: &Census| 1e6 * amounts.kg(census.lost());
@@ -107,7 +111,7 @@ fn in_others(
     if one.rounded && own.loss.to_bits() != one.loss.to_bits() {
         return Err(format!("a loss of {} m was found, and now it is {} m", one.loss, own.loss).into());
     }
-    let others = (seed + 1..=seed + packings).map(simulated);
+    let others = (1..=packings).map(|number| simulated(seed.wrapping_add(number)));
     let ends = |found: &Result<Evaluation, Box<dyn Error>>| match found {
         Ok(_) => true,
         Err(error) => !error.downcast_ref().is_some_and(RolloutError::is_of_motion),

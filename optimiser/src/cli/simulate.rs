@@ -408,3 +408,33 @@ impl Report {
         text
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use powderline_simulator::rollout::Census;
+
+    #[test]
+    fn packings_in_which_a_motion_comes_to_no_end_are_named_and_not_averaged() {
+        let amounts = Amounts::from(&Scene::load("bench").unwrap());
+        let brings = |seed, target| {
+            let outcome = Outcome::new(&amounts, Census { target, ..Census::default() }, 2.0);
+            Packing { seed, outcome: Some(outcome), error: None }
+        };
+        let lost = |seed| Packing { seed, outcome: None, error: Some("powder left".into()) };
+        let text = |each: Vec<Packing>| {
+            Packings { mean: Mean::of(&each), each, seconds: 1.0 }.text(&amounts, "the scene's own cells")
+        };
+        assert_eq!(
+            text(vec![brings(5, 1188), lost(6), brings(7, 1260)]),
+            "In 3 other packings of the powder, on the scene's own cells: 9.792 g on average, 2 % too much; 9.504 g at least, 10.08 g at most, \
+             within the tolerance in 1. 0 mg are lost on average, 0 mg at most. Loss 2.000 m on average, in 1.0 s. With seed 6 it comes to no \
+             end: powder left.\n"
+        );
+        assert_eq!(
+            text(vec![lost(6), lost(7)]),
+            "In 2 other packings of the powder, on the scene's own cells, it comes to no end in any. With seed 6 it comes to no end: powder \
+             left. With seed 7 it comes to no end: powder left.\n"
+        );
+    }
+}
