@@ -136,15 +136,14 @@ impl Task {
         }
     }
 
-    /// The arm, with the tool at these poses from tick to tick. One that comes too near to something is shown doing that.
+    /// The arm, with the tool at these poses from tick to tick. One that comes too near to something, or passes through itself, is shown doing that.
     pub(super) fn arm_shown(&self, poses: Vec<Pose>) -> Option<ArmShown> {
         let mount = self.mount()?;
         let around = Surroundings::of_scene(&self.scene, view::table_m(&self.scene));
         let path = ToolPath { period_us: self.scene.time.control_period_us, lsb: LSB, limits: ANY, poses };
-        let made = |mount: &Mount| ArmMotion::new(&path, mount, &around, CYCLE_US);
-        let (made, near) = match made(&mount) {
-            Err(refusal @ Refusal::TooNear { .. }) => {
-                (made(&Mount { clearance_m: None, ..mount }), Some(refusal))
+        let (made, near) = match ArmMotion::new(&path, &mount, &around, CYCLE_US) {
+            Err(refusal @ (Refusal::TooNear { .. } | Refusal::Itself { .. })) => {
+                (ArmMotion::through_anything(&path, &mount, &around, CYCLE_US), Some(refusal))
             }
             made => (made, None),
         };

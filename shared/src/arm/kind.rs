@@ -31,7 +31,7 @@ pub enum ArmKind {
 /// | ranges | the data sheets: a whole turn to either side. The UR3e's joint 6 turns without end, and is held to that all the same; planners often hold the elbow to half a turn |
 /// | reach, payload | the data sheets |
 /// | offsets beside the arm's plane | there, `config/*/physical_parameters.yaml`: `shoulder_offset`, `elbow_offset` |
-/// | radii | the farthest vertex of the link's collision mesh there, `meshes/*/collision`, from the capsule's axis, rounded up to 5 mm |
+/// | radii | the farthest vertex of the collision mesh there, `meshes/*/collision`, from the capsule's axis, rounded up to 5 mm; boxes likewise |
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ArmFigures {
     /// Height of the shoulder above the base, metres.
@@ -54,6 +54,12 @@ pub struct ArmFigures {
     pub beside_m: [f64; 2],
     /// Radii of the capsules that hold the links, in the order of [`super::links::Link::ALL`], metres.
     pub radius_m: [f64; 5],
+    /// Boxes about the axes of upper arm and forearm, narrower than their capsules: half their width in the arm's plane, which is also how far
+    /// they go beyond either end, and half their width along its normal, metres; the forearm's without the elbow's housing, which no wrist
+    /// gets at.
+    pub half_box_m: [[f64; 2]; 2],
+    /// Radius of the capsule about axis 1, from the base to the shoulder, that holds base and shoulder, metres.
+    pub column_radius_m: f64,
     /// What it reaches, metres.
     pub reach_m: f64,
     /// What it carries, kilograms.
@@ -123,6 +129,8 @@ const UR3E: ArmFigures = ArmFigures {
     speed_rad_s: [PI, PI, PI, TAU, TAU, TAU],
     beside_m: [0.120, 0.027],
     radius_m: [0.075, 0.060, 0.060, 0.060, 0.040],
+    half_box_m: [[0.050, 0.060], [0.040, 0.055]],
+    column_radius_m: 0.080,
     reach_m: 0.5,
     payload_kg: 3.0,
 };
@@ -138,6 +146,8 @@ const UR5E: ArmFigures = ArmFigures {
     speed_rad_s: [PI; 6],
     beside_m: [0.138, 0.007],
     radius_m: [0.100, 0.080, 0.070, 0.070, 0.045],
+    half_box_m: [[0.065, 0.080], [0.060, 0.060]],
+    column_radius_m: 0.095,
     reach_m: 0.85,
     payload_kg: 5.0,
 };
@@ -153,6 +163,8 @@ const UR10E: ArmFigures = ArmFigures {
     speed_rad_s: [PI * 2.0 / 3.0, PI * 2.0 / 3.0, PI, PI, PI, PI],
     beside_m: [0.1762, 0.0393],
     radius_m: [0.115, 0.085, 0.085, 0.085, 0.055],
+    half_box_m: [[0.080, 0.095], [0.060, 0.070]],
+    column_radius_m: 0.125,
     reach_m: 1.3,
     payload_kg: 12.5,
 };
@@ -184,6 +196,8 @@ const UR20: ArmFigures = ArmFigures {
     ],
     beside_m: [0.260, 0.043],
     radius_m: [0.160, 0.130, 0.100, 0.100, 0.060],
+    half_box_m: [[0.095, 0.135], [0.080, 0.085]],
+    column_radius_m: 0.165,
     reach_m: 1.75,
     payload_kg: 20.0,
 };

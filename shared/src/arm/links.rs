@@ -95,6 +95,19 @@ pub fn axes(kind: ArmKind, joints: &Joints) -> [[Vector3<f64>; 2]; 5] {
     ]
 }
 
+/// Both ends of the axis of the capsule that holds base and shoulder, base coordinates, metres.
+#[must_use]
+pub fn column_axis(kind: ArmKind) -> [Vector3<f64>; 2] {
+    [Vector3::zeros(), Vector3::z() * kind.figures().d1_m]
+}
+
+/// Normal of the plane in which upper arm and forearm move, base coordinates.
+#[must_use]
+pub fn normal(joints: &Joints) -> Vector3<f64> {
+    let Turn { s, c } = Turn::by(joints[0]);
+    Vector3::new(s, -c, 0.0)
+}
+
 /// Sine and cosine.
 #[derive(Clone, Copy)]
 struct Turn {

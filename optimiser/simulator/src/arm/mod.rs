@@ -1,11 +1,12 @@
 //! Whether an arm can make a skill's motion, and how: its joints from tick to tick and between, kept from singularities, from the
-//! ends of their ranges and from speeds that they do not have, and its links from table, containers and gates.
+//! ends of their ranges and from speeds that they do not have, and its links from table, containers, gates and each other.
 //!
 //! | what | where |
 //! |---|---|
 //! | the tool's way that is to be made | [`ToolPath`] |
 //! | how the arm stands and holds the tool | [`Mount`]; of a scene by [`Mount::of`], of a plan by [`Mount::of_plan`] |
 //! | what is around it | [`Surroundings`] |
+//! | what passes through what of the arm itself | [`Contact`] |
 //! | its joints, or why there are none | [`ArmMotion`], [`Refusal`] |
 //! | the path between two ticks | [`spline`] |
 //! | the ways to a motion's start and back | [`Transit`] |
@@ -13,12 +14,14 @@
 //! Links are capsules about the lines between the joints' axes. What joins flange and handle is the user's own and not looked at;
 //! handle and tool are, by [`crate::skill::collision`].
 
+mod itself;
 mod motion;
 mod path;
 pub mod spline;
 mod surroundings;
 mod transit;
 
+pub use itself::{Contact, Part};
 pub use motion::{ArmMotion, Clearance, Figures, Mount, Refusal, cycles_us};
 pub use path::ToolPath;
 pub use surroundings::Surroundings;

@@ -9,6 +9,7 @@ use powderline_shared::limits::{LimitChecker, Limits, PeakUse, Violation};
 use powderline_shared::pose::Pose;
 use std::fmt;
 
+use super::itself::{Contact, contact};
 use super::path::ToolPath;
 use super::spline;
 use super::surroundings::Surroundings;
@@ -109,6 +110,20 @@ pub enum Refusal {
         clearance: Clearance,
         /// What is to be kept, metres.
         least_m: f64,
+        /// All that were allowed were tried; this is the one that gets furthest.
+        all_postures: bool,
+    },
+    /// A link would pass through another one or the base, or the tool through the arm.
+    #[error(
+        "at {time_s:.3} s {} would {contact}{} for the base, or the tool turned otherwise in the flange, would be right",
+        contact.part,
+        if *all_postures { ", and no other posture gets further; another place" } else { "; another posture, another place" }
+    )]
+    Itself {
+        /// When, seconds.
+        time_s: f64,
+        /// What, and how deep.
+        contact: Contact,
         /// All that were allowed were tried; this is the one that gets furthest.
         all_postures: bool,
     },
@@ -218,7 +233,25 @@ impl ArmMotion {
         around: &Surroundings,
         cycle_us: u32,
     ) -> Result<Self, Refusal> {
-        let made = Self::all(path, mount, around, cycle_us)?;
+        let kept = Kept { around, least_m: mount.clearance_m, is_itself: true };
+        Self::best(path, mount, &kept, cycle_us)
+    }
+
+    /// The same, though links pass through what is around, or through each other: to be shown, not to be performed.
+    ///
+    /// # Errors
+    /// What else the arm cannot do first.
+    pub fn through_anything(
+        path: &ToolPath,
+        mount: &Mount,
+        around: &Surroundings,
+        cycle_us: u32,
+    ) -> Result<Self, Refusal> {
+        Self::best(path, mount, &Kept { around, least_m: None, is_itself: false }, cycle_us)
+    }
+
+    fn best(path: &ToolPath, mount: &Mount, kept: &Kept<'_>, cycle_us: u32) -> Result<Self, Refusal> {
+        let made = Self::all(path, mount, kept, cycle_us)?;
         let score = |arm: &Self| arm.figures.score(&arm.model);
         let best = made.iter().map(score).fold(f64::NEG_INFINITY, f64::max);
         // Where the best passes through something, a share of it would be above it, and nothing be chosen.
@@ -228,16 +261,11 @@ impl ArmMotion {
     }
 
     /// What every posture does that can make it; at least one.
-    fn all(
-        path: &ToolPath,
-        mount: &Mount,
-        around: &Surroundings,
-        cycle_us: u32,
-    ) -> Result<Vec<Self>, Refusal> {
+    fn all(path: &ToolPath, mount: &Mount, kept: &Kept<'_>, cycle_us: u32) -> Result<Vec<Self>, Refusal> {
         let postures = mount.postures(path);
         let (mut made, mut furthest) = (Vec::new(), None::<Stuck>);
         for posture in &postures {
-            match attempt(path, mount, *posture, around, cycle_us) {
+            match attempt(path, mount, *posture, kept, cycle_us) {
                 Ok(arm) => made.push(arm),
                 Err(stuck) if furthest.as_ref().is_none_or(|other| stuck.time_us > other.time_us) => {
                     furthest = Some(stuck);
@@ -283,6 +311,7 @@ enum Cause {
     Arm(ArmError),
     Limit(Violation),
     TooNear { clearance: Clearance, least_m: f64 },
+    Itself(Contact),
 }
 
 impl Stuck {
@@ -296,6 +325,7 @@ impl Stuck {
             Cause::Arm(error) => Refusal::Arm { time_s, error, all_postures },
             Cause::Limit(violation) => Refusal::Between { time_s, violation },
             Cause::TooNear { clearance, least_m } => Refusal::TooNear { clearance, least_m, all_postures },
+            Cause::Itself(contact) => Refusal::Itself { time_s, contact, all_postures },
         }
     }
 }
@@ -304,7 +334,7 @@ fn attempt(
     path: &ToolPath,
     mount: &Mount,
     posture: Posture,
-    around: &Surroundings,
+    kept: &Kept<'_>,
     cycle_us: u32,
 ) -> Result<ArmMotion, Stuck> {
     let model = mount.model(posture);
@@ -317,7 +347,7 @@ fn attempt(
     }
     let speeds = spline::per_second(spline::slopes(&joints), path.period_us);
     let mut made = ArmMotion { model, joints, speeds, figures: Figures::new() };
-    made.figures = made.checked(path, cycle_us, &Kept { around, least_m: mount.clearance_m })?;
+    made.figures = made.checked(path, cycle_us, kept)?;
     Ok(made)
 }
 
@@ -325,6 +355,15 @@ fn attempt(
 struct Kept<'a> {
     around: &'a Surroundings,
     least_m: Option<f64>,
+    /// Whether arm and tool are kept from passing through each other and themselves.
+    is_itself: bool,
+}
+
+impl Kept<'_> {
+    fn check_itself(&self, model: &ArmModel, joints: &Joints) -> Result<(), Cause> {
+        let met = self.is_itself.then(|| contact(model, joints, self.around.tool())).flatten();
+        met.map_or(Ok(()), |met| Err(Cause::Itself(met)))
+    }
 }
 
 impl ArmMotion {
@@ -332,6 +371,7 @@ impl ArmMotion {
     fn checked(&self, path: &ToolPath, cycle_us: u32, kept: &Kept<'_>) -> Result<Figures, Stuck> {
         let (model, mut figures) = (&self.model, Figures::new());
         let near = |time_us| move |cause| Stuck { time_us, cause };
+        kept.check_itself(model, &self.joints[0]).map_err(near(0))?;
         figures.keep_clear(model, &self.joints[0], 0, kept).map_err(near(0))?;
         let mut checker = LimitChecker::new(widened(&path.limits, path.lsb), EXACT, cycle_us, path.poses[0]);
         let mut before = self.joints[0];
@@ -343,6 +383,7 @@ impl ArmMotion {
             model.check_speed(&before, &joints, cycle_s).map_err(Stuck::arm(time_us))?;
             checker.check(model.world_from_tool(&joints)).map_err(limit)?;
             figures.look(model, &before, &joints, cycle_s);
+            kept.check_itself(model, &joints).map_err(near(time_us))?;
             figures.keep_clear(model, &joints, time_us, kept).map_err(near(time_us))?;
             before = joints;
         }
@@ -376,7 +417,7 @@ pub(super) fn line_clearance(
     let mut figures = Figures::new();
     let time_us = (1e6 * time_s) as u64;
     // Nothing is refused where nothing is kept.
-    let _ = figures.keep_clear(model, joints, time_us, &Kept { around, least_m: None });
+    let _ = figures.keep_clear(model, joints, time_us, &Kept { around, least_m: None, is_itself: false });
     figures.nearest().clone()
 }
 
@@ -472,6 +513,65 @@ impl Figures {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::arm::{CYCLE_US, Part};
+    use crate::scene::{Arm, Scene, ToolPart};
+    use crate::skill::{SkillMap, Theta};
+
+    /// What `bench` brings its arm to, once that is changed; by itself, and where it may pass through anything.
+    fn made(change: impl Fn(&mut Arm)) -> [Result<ArmMotion, Refusal>; 2] {
+        let mut scene = Scene::load("bench").unwrap();
+        scene.arm.as_mut().into_iter().for_each(change);
+        let (map, arm) = (SkillMap::new(&scene), scene.arm.clone().unwrap());
+        let path = ToolPath::of_skill(&map, &map.quantise(&Theta::MIDDLE).unwrap());
+        let around = Surroundings::of_scene(&scene, arm.table_height_m);
+        // Nothing is kept from anything, but arm and tool from themselves.
+        let mount = Mount { clearance_m: None, ..Mount::of(&arm) };
+        [ArmMotion::new, ArmMotion::through_anything].map(|make| make(&path, &mount, &around, CYCLE_US))
+    }
+
+    #[test]
+    fn an_arm_does_not_pass_through_itself() {
+        let [kept, shown] = made(|arm| arm.base_position_m = [0.13, -0.4, -0.1]);
+        let refusal = kept.map(drop).unwrap_err();
+        assert!(matches!(refusal, Refusal::Itself { all_postures: true, .. }), "{refusal}");
+        assert!(
+            refusal.to_string().starts_with("at 0.000 s its forearm would pass through its base, "),
+            "{refusal}"
+        );
+        // It is shown all the same.
+        assert!(shown.is_ok());
+    }
+
+    #[test]
+    fn a_tool_is_not_held_within_the_arm() {
+        // Behind the flange, where wrist 2 is.
+        let [kept, shown] = made(|arm| {
+            (arm.tool_position_m, arm.base_position_m) = ([0.0, 0.0, -0.12], [0.26, -0.48, -0.1]);
+        });
+        let refusal = kept.map(drop).unwrap_err();
+        assert!(
+            matches!(&refusal, Refusal::Itself { contact, .. } if contact.part == Part::Tool(ToolPart::Handle))
+        );
+        assert!(
+            refusal.to_string().starts_with("at 0.000 s the tool's handle would pass through its wrist 1, "),
+            "{refusal}"
+        );
+        assert!(shown.is_ok());
+    }
+
+    /// Some base stands so that the arm is free at both ends of the motion, and passes through itself between.
+    #[test]
+    fn all_of_the_way_is_looked_at() {
+        let is_between = |near_mm: i32| {
+            let [kept, shown] = made(|arm| arm.base_position_m = [0.13, -1e-3 * f64::from(near_mm), -0.1]);
+            let (Err(Refusal::Itself { time_s, .. }), Ok(shown)) = (kept.map(drop), shown) else {
+                return false;
+            };
+            let is_free = |joints: &Joints| contact(&shown.model, joints, &[]).is_none();
+            time_s > 0.0 && is_free(&shown.joints[0]) && shown.joints.last().is_some_and(is_free)
+        };
+        assert!((400..450).step_by(5).any(is_between));
+    }
 
     #[test]
     fn a_distance_that_falls_short_does_not_read_as_enough() {

@@ -7,7 +7,7 @@
 
 use crate::mpm::bodies::turned;
 use crate::mpm::obstacle::{container_shapes, gate_shape};
-use crate::scene::{Gate, Obstacle, Scene};
+use crate::scene::{Gate, Obstacle, Scene, Tool, ToolPart};
 use crate::shape::{AlignedBox, HalfSpace, Shape};
 use crate::small::tr_mul_vec;
 use nalgebra::Vector3;
@@ -15,10 +15,12 @@ use nalgebra::Vector3;
 /// Distances are right to this, metres.
 const EXACT_M: f64 = 1e-4;
 
-/// A table, what stands on it, and gates while they are there.
+/// A table, what stands on it, gates while they are there, and the tool that the arm itself holds.
 #[derive(Clone, Debug)]
 pub struct Surroundings {
     pieces: Vec<Piece>,
+    /// In its own frame.
+    tool: Vec<(ToolPart, Shape<f64>)>,
 }
 
 /// A convex piece, or a pipe.
@@ -41,10 +43,11 @@ pub(super) struct Near<'a> {
 }
 
 impl Surroundings {
-    /// A level table alone, whose top is at a height in the world, metres.
+    /// A level table alone, whose top is at a height in the world, metres; nobody knows the tool.
     #[must_use]
     pub fn table(height_m: f64) -> Self {
-        Self { pieces: vec![Piece::at(Obstacle::Table, Shape::HalfSpace(HalfSpace), [0.0, 0.0, height_m])] }
+        let table = Piece::at(Obstacle::Table, Shape::HalfSpace(HalfSpace), [0.0, 0.0, height_m]);
+        Self { pieces: vec![table], tool: Vec::new() }
     }
 
     /// A table with a scene's containers and gates, and below its floor, down to the table, the stand that it needs.
@@ -68,7 +71,12 @@ impl Surroundings {
             gate: Some(gate.clone()),
             ..Piece::at(Obstacle::Gate(gate.name.clone()), gate_shape(gate), gate.position_m)
         }));
-        Self { pieces }
+        Self { pieces, tool: tool_solids(&scene.tool) }
+    }
+
+    /// The tool's parts, in its own frame.
+    pub(super) fn tool(&self) -> &[(ToolPart, Shape<f64>)] {
+        &self.tool
     }
 
     /// The same with gates that stay where they are so long after the motion's start.
@@ -79,7 +87,7 @@ impl Surroundings {
             let position_m = std::array::from_fn(|axis| piece.position_m[axis] + moved_m[axis]);
             Some(Piece { position_m, gate: None, ..piece.clone() })
         };
-        Self { pieces: self.pieces.iter().filter_map(stand).collect() }
+        Self { pieces: self.pieces.iter().filter_map(stand).collect(), tool: self.tool.clone() }
     }
 
     /// What a capsule comes nearest to, if that is nearer than `known_m`, so long after the motion's start. `axis` holds its ends.
@@ -100,6 +108,14 @@ impl Surroundings {
         }
         nearest
     }
+}
+
+/// The body's walls, then the handle.
+fn tool_solids(tool: &Tool) -> Vec<(ToolPart, Shape<f64>)> {
+    let solids = tool.solids();
+    let last = solids.len() - 1;
+    let named = |(k, solid)| (if k == last { ToolPart::Handle } else { ToolPart::Body }, solid);
+    solids.into_iter().enumerate().map(named).collect()
 }
 
 impl Piece {
@@ -125,7 +141,7 @@ impl Piece {
 }
 
 /// The least of a function on [0, 1] that changes by at most `rise` from end to end, or `known` if it does not come below that.
-fn least(at: impl Fn(f64) -> f64, rise: f64, known: f64) -> f64 {
+pub(super) fn least(at: impl Fn(f64) -> f64, rise: f64, known: f64) -> f64 {
     if at(0.5) - 0.5 * rise >= known {
         return known;
     }

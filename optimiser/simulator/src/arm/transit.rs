@@ -11,6 +11,7 @@ use powderline_shared::displacement::Displacement;
 use powderline_shared::pose::{Pose, norm};
 use thiserror::Error;
 
+use super::itself::{Part, contact};
 use super::motion::{ArmMotion, Clearance, Mount, Refusal, line_clearance};
 use super::path::ToolPath;
 use super::surroundings::Surroundings;
@@ -124,12 +125,12 @@ pub enum TransitError {
     },
     /// Something is between home and start.
     #[error(
-        "on the straight way of all joints from --home to above the start the {what} would {how}, after {share:.0} % of it; another \
+        "on the straight way of all joints from --home to above the start {part} would {how}, after {share:.0} % of it; another \
          --home would be right"
     )]
     HomeBlocked {
-        /// Link or part of the tool.
-        what: String,
+        /// Of the arm, or of the tool.
+        part: Part,
         /// Such as "be 3.0 mm from the table".
         how: String,
         /// Of the way, percent.
@@ -292,20 +293,23 @@ fn home_clearance(
     let reach_m = arm_m + around.scene.map_or(0.0, |scene| scene.tool.bounding_radius_m());
     let looks = (turned * reach_m / LOOK_M).ceil().max(1.0) as u32;
     let blocked =
-        |what: String, how: String, share: f64| TransitError::HomeBlocked { what, how, share: 100.0 * share };
+        |part: Part, how: String, share: f64| TransitError::HomeBlocked { part, how, share: 100.0 * share };
     let solids = around.scene.map(Scene::solids).unwrap_or_default();
     let mut nearest: Option<Clearance> = None;
     for look in 0..=looks {
         let share = f64::from(look) / f64::from(looks);
         let joints: Joints = std::array::from_fn(|k| ends[0][k] + share * (ends[1][k] - ends[0][k]));
+        if let Some(met) = contact(model, &joints, surroundings.tool()) {
+            return Err(blocked(met.part, met.to_string(), share));
+        }
         let clearance = line_clearance(model, &joints, &surroundings, time_s);
         if around.mount.clearance_m.is_some_and(|least_m| clearance.distance_m < least_m) {
-            return Err(blocked(clearance.link.name().into(), clearance.to_string(), share));
+            return Err(blocked(Part::Link(clearance.link), clearance.to_string(), share));
         }
         if let Some(scene) = around.scene {
             let pose = model.world_from_tool(&joints);
             if let Some((part, obstacle)) = PlacedTool::at(&scene.tool, &pose).inside_of(&solids, time_s) {
-                return Err(blocked(part.to_string(), format!("pass through {obstacle}"), share));
+                return Err(blocked(Part::Tool(part), format!("pass through {obstacle}"), share));
             }
         }
         if nearest.as_ref().is_none_or(|least| clearance.distance_m < least.distance_m) {
@@ -539,6 +543,14 @@ mod tests {
         low[1] += 0.5;
         let error = case.transit(Some(low)).unwrap_err();
         assert!(matches!(error, TransitError::HomeBlocked { .. }), "{error}");
+        // The elbow folded up.
+        let mut folded = above.approach.joints[0];
+        folded[2] = 3.1;
+        let sentence = case.transit(Some(folded)).unwrap_err().to_string();
+        assert!(
+            sentence.contains("to above the start its forearm would pass through its base, "),
+            "{sentence}"
+        );
         // With nothing kept from anything it is the tool that is in the way.
         let loose = Case { mount: Mount { clearance_m: None, ..case.mount }, ..case };
         let sentence = loose.transit(Some(low)).unwrap_err().to_string();
