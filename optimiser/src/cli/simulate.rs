@@ -17,7 +17,7 @@ use powderline_simulator::{
     rollout::{Evaluation, RolloutError, SimulatorSettings, Workload},
     scene::{
         Obstacle, Scene, ToolPart,
-        figures::{about, mass},
+        figures::{about, count, mass},
     },
     skill::{Collision, SkillMap},
 };
@@ -78,6 +78,8 @@ struct Finer {
 /// What the same motion brings in other packings of the powder.
 #[derive(Serialize)]
 struct Packings {
+    /// How many were asked for: fewer were looked at where somebody stopped it.
+    asked: u32,
     /// Of those in which it comes to an end; none if there is none.
     mean: Option<Mean>,
     each: Vec<Packing>,
@@ -158,7 +160,7 @@ pub(super) fn execute(arguments: &SimulateArgs, context: &mut Context<'_>) -> Re
     if let Some(scene) = finer {
         report.finer = Some(Finer::of(&task, &scene, &report.outcome, arguments.packings, context)?);
     }
-    if let Some(count) = arguments.packings {
+    if let Some(count) = arguments.packings.filter(|_| report.stopped().is_none()) {
         report.packings = Some(Packings::of(&task, &task.scene, count, &report.amounts, context)?);
     }
     if arguments.json {
@@ -166,10 +168,11 @@ pub(super) fn execute(arguments: &SimulateArgs, context: &mut Context<'_>) -> Re
     } else {
         write!(context.out, "{}", report.text())?;
     }
-    match &report.plan {
-        Some(PlanReport { reproduced: Some(false), .. }) => {
+    match (&report.plan, report.stopped()) {
+        (Some(PlanReport { reproduced: Some(false), .. }), _) => {
             Err(CliError::Failed("the plan's loss and amount were not reproduced".into()))
         }
+        (_, Some(stopped)) => Err(CliError::Interrupted(stopped)),
         _ => Ok(()),
     }
 }
@@ -266,6 +269,8 @@ impl Packings {
             let setup = Setup { settings, ..task.setup };
             let (found, took) = tried(task, scene, &setup, &doing, context)?;
             each.push(match found {
+                // What was looked at so far is kept.
+                Err(RolloutError::Stopped) if !each.is_empty() => break,
                 Err(error) if error.is_of_motion() => {
                     Packing { seed, outcome: None, error: Some(error.to_string()) }
                 }
@@ -275,12 +280,19 @@ impl Packings {
             });
             seconds += took;
         }
-        Ok(Self { mean: Mean::of(&each), each, seconds })
+        Ok(Self { asked: count, mean: Mean::of(&each), each, seconds })
+    }
+
+    /// Why there are fewer than were asked for; none if there are not.
+    fn stopped(&self) -> Option<String> {
+        let looked = self.each.len() as u32;
+        (looked < self.asked).then(|| format!("stopped after {looked} of {} other packings", self.asked))
     }
 
     fn text(&self, amounts: &Amounts, on: &str) -> String {
-        let Self { mean, each, seconds } = self;
-        let begin = format!("In {} other packings of the powder, on {on}", each.len());
+        let Self { mean, each, seconds, .. } = self;
+        let looked = count(each.len() as i64, "other packing");
+        let begin = format!("In {looked} of the powder, on {on}");
         let failed = |packing: &Packing| {
             packing
                 .error
@@ -387,6 +399,12 @@ impl PlanReport {
 }
 
 impl Report {
+    /// Why packings are missing; none if there are none.
+    fn stopped(&self) -> Option<String> {
+        let finer = self.finer.as_ref().and_then(|finer| finer.packings.as_ref());
+        finer.into_iter().chain(&self.packings).find_map(Packings::stopped)
+    }
+
     fn text(&self) -> String {
         let Self { scene, seed, precision, seconds, amounts, .. } = self;
         let Outcome { census, loss_m, .. } = self.outcome;
@@ -423,7 +441,8 @@ mod tests {
         };
         let lost = |seed| Packing { seed, outcome: None, error: Some("powder left".into()) };
         let text = |each: Vec<Packing>| {
-            Packings { mean: Mean::of(&each), each, seconds: 1.0 }.text(&amounts, "the scene's own cells")
+            Packings { asked: 3, mean: Mean::of(&each), each, seconds: 1.0 }
+                .text(&amounts, "the scene's own cells")
         };
         assert_eq!(
             text(vec![brings(5, 1188), lost(6), brings(7, 1260)]),

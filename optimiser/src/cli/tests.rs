@@ -1083,6 +1083,35 @@ fn what_a_plan_brings_in_other_packings_is_said_beside_what_it_brings() {
     assert_eq!(untimed(lines[5]), untimed(line));
 }
 
+#[test]
+fn packings_that_were_looked_at_before_a_stop_are_said() {
+    let place = Place::new();
+    let plan = format!("{}/skill.plan", place.finished("run", 3));
+    let words = ["simulate", "--plan", &plan, "--packings", "3"];
+    let mut said = Vec::new();
+    for patience in 1..40 {
+        let done = optimise_for(patience, &words);
+        if done.out.is_empty() {
+            assert_sentence(&done, 130, "stopped");
+        } else if done.code == 130 {
+            let looked = if done.out.contains("\nIn 1 other packing of the powder, ") { 1 } else { 2 };
+            assert!(
+                looked == 1 || done.out.contains("\nIn 2 other packings of the powder, "),
+                "{}",
+                done.out
+            );
+            assert!(
+                done.err.trim_end().ends_with(&format!("stopped after {looked} of 3 other packings")),
+                "{}",
+                done.err
+            );
+            said.push(looked);
+        }
+    }
+    said.dedup();
+    assert_eq!(said, [1, 2]);
+}
+
 /// A plan, and the motion of an arm that performs it to the last bit, to be spoilt.
 struct Performed {
     place: Place,
