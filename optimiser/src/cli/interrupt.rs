@@ -22,9 +22,7 @@ impl Interrupt {
             if requested.0.swap(true, Ordering::Relaxed) {
                 std::process::exit(130);
             }
-            say(
-                "\nstopping (once more to end at once; what a folder has of it is gone on with later either way)",
-            );
+            say("\nstopping (once more to end at once; a run's folder can be resumed either way)");
         };
         if let Err(error) = ctrlc::set_handler(handler) {
             say(&format!("Ctrl-C will end the process at once, since it cannot be listened to: {error}"));

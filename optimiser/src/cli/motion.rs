@@ -142,7 +142,7 @@ impl Task {
         let around = Surroundings::of_scene(&self.scene, view::table_m(&self.scene));
         let path = ToolPath { period_us: self.scene.time.control_period_us, lsb: LSB, limits: ANY, poses };
         let (made, near) = match ArmMotion::new(&path, &mount, &around, CYCLE_US) {
-            Err(refusal @ (Refusal::TooNear { .. } | Refusal::Itself { .. })) => {
+            Err(refusal @ (Refusal::TooNear { .. } | Refusal::SelfCollision { .. })) => {
                 (ArmMotion::through_anything(&path, &mount, &around, CYCLE_US), Some(refusal))
             }
             made => (made, None),

@@ -17,7 +17,7 @@ use powderline_simulator::{
     rollout::{Evaluation, RolloutError, SimulatorSettings, Workload},
     scene::{
         Obstacle, Scene, ToolPart,
-        figures::{about, count, mass},
+        figures::{count, mass},
     },
     skill::{Collision, SkillMap},
 };
@@ -41,6 +41,9 @@ pub(super) struct SimulateArgs {
     #[arg(long)]
     pub json: bool,
 }
+
+/// Where a scene says how large cells are.
+const OWN: &str = "the scene's own cells";
 
 #[derive(Serialize)]
 struct Report {
@@ -233,7 +236,7 @@ impl Finer {
 
     fn text(&self) -> String {
         let Self { amounts, outcome, change, seconds, packings, .. } = self;
-        let on = format!("cells of {} mm", about(1e3 * self.cell_m, 3));
+        let on = cells(self.cell_m);
         let packings = packings.as_ref().map(|packings| packings.text(amounts, &on));
         let change = match change.map(|change| (change, percent(change.abs()))) {
             None => String::new(),
@@ -270,7 +273,7 @@ impl Packings {
             let (found, took) = tried(task, scene, &setup, &doing, context)?;
             each.push(match found {
                 // What was looked at so far is kept.
-                Err(RolloutError::Stopped) if !each.is_empty() => break,
+                Err(RolloutError::Stopped) => break,
                 Err(error) if error.is_of_motion() => {
                     Packing { seed, outcome: None, error: Some(error.to_string()) }
                 }
@@ -284,13 +287,17 @@ impl Packings {
     }
 
     /// Why there are fewer than were asked for; none if there are not.
-    fn stopped(&self) -> Option<String> {
+    fn stopped(&self, on: &str) -> Option<String> {
         let looked = self.each.len() as u32;
-        (looked < self.asked).then(|| format!("stopped after {looked} of {} other packings", self.asked))
+        (looked < self.asked)
+            .then(|| format!("stopped after {looked} of {} other packings on {on}", self.asked))
     }
 
     fn text(&self, amounts: &Amounts, on: &str) -> String {
         let Self { mean, each, seconds, .. } = self;
+        if each.is_empty() {
+            return String::new();
+        }
         let looked = count(each.len() as i64, "other packing");
         let begin = format!("In {looked} of the powder, on {on}");
         let failed = |packing: &Packing| {
@@ -401,8 +408,11 @@ impl PlanReport {
 impl Report {
     /// Why packings are missing; none if there are none.
     fn stopped(&self) -> Option<String> {
-        let finer = self.finer.as_ref().and_then(|finer| finer.packings.as_ref());
-        finer.into_iter().chain(&self.packings).find_map(Packings::stopped)
+        let finer = self.finer.as_ref().and_then(|finer| {
+            let stopped = finer.packings.as_ref()?.stopped(&cells(finer.cell_m))?;
+            Some(format!("{stopped}; those on {OWN} were not looked at"))
+        });
+        finer.or_else(|| self.packings.as_ref()?.stopped(OWN))
     }
 
     fn text(&self) -> String {
@@ -418,8 +428,7 @@ impl Report {
             amounts.rest(&census),
         );
         text += &self.finer.as_ref().map(Finer::text).unwrap_or_default();
-        let on = "the scene's own cells";
-        let packings = self.packings.as_ref().map(|packings| packings.text(amounts, on));
+        let packings = self.packings.as_ref().map(|packings| packings.text(amounts, OWN));
         text += &packings.unwrap_or_default();
         text += &self.plan.as_ref().map(|plan| plan.text(amounts)).unwrap_or_default();
         text += &self.executed.as_ref().map(ExecutedReport::text).unwrap_or_default();

@@ -1087,29 +1087,32 @@ fn what_a_plan_brings_in_other_packings_is_said_beside_what_it_brings() {
 fn packings_that_were_looked_at_before_a_stop_are_said() {
     let place = Place::new();
     let plan = format!("{}/skill.plan", place.finished("run", 3));
-    let words = ["simulate", "--plan", &plan, "--packings", "3"];
+    let words = ["simulate", "--plan", &plan, "--packings", "2", "--refine", "2"];
     let mut said = Vec::new();
-    for patience in 1..40 {
+    for patience in 1..100 {
         let done = optimise_for(patience, &words);
-        if done.out.is_empty() {
-            assert_sentence(&done, 130, "stopped");
-        } else if done.code == 130 {
-            let looked = if done.out.contains("\nIn 1 other packing of the powder, ") { 1 } else { 2 };
-            assert!(
-                looked == 1 || done.out.contains("\nIn 2 other packings of the powder, "),
-                "{}",
-                done.out
-            );
-            assert!(
-                done.err.trim_end().ends_with(&format!("stopped after {looked} of 3 other packings")),
-                "{}",
-                done.err
-            );
-            said.push(looked);
+        let lines = done.out.lines().filter(|line| line.contains(" of the powder, on ")).count();
+        if done.code == 0 {
+            assert_eq!(lines, 2, "{}", done.out);
+            break;
         }
+        assert_eq!(done.code, 130);
+        let sentence = done.err.lines().last().unwrap_or_default().to_owned();
+        // One line for the smaller cells as soon as there is a packing, another for the scene's own.
+        let expected =
+            usize::from(!done.out.is_empty() && !sentence.contains("after 0 of 2 other packings on cells"))
+                + usize::from(sentence.contains("after 1 of 2 other packings on the scene's"));
+        assert_eq!(lines, expected, "{sentence}: {}", done.out);
+        said.push(sentence);
     }
     said.dedup();
-    assert_eq!(said, [1, 2]);
+    let there = |looked: u32| {
+        format!(
+            "stopped after {looked} of 2 other packings on cells of 2 mm; those on the scene's own cells were not looked at"
+        )
+    };
+    let here = |looked: u32| format!("stopped after {looked} of 2 other packings on the scene's own cells");
+    assert_eq!(said[said.len() - 4..], [there(0), there(1), here(0), here(1)]);
 }
 
 /// A plan, and the motion of an arm that performs it to the last bit, to be spoilt.

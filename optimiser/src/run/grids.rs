@@ -70,7 +70,9 @@ impl<'a> Grids<'a> {
         let particle_mass_kg = self.scene(grid).particle_mass_kg();
         let is_it = |seen: &&Seen| seen.is_of(grid, theta) || self.are_alike && seen.is_of(seen.grid, theta);
         if let Some(seen) = self.seen.iter().find(is_it) {
-            return Ok(seen.look(particle_mass_kg));
+            // What was seen by a version of before may be more than the arm may perform.
+            let is_able = obstacle(&self.scenes[0], &self.map, theta, self.splines.as_ref()).is_none();
+            return Ok(seen.look(particle_mass_kg).filter(|_| is_able));
         }
         let seen = self.simulated(grid, theta, watcher)?;
         let look = seen.look(particle_mass_kg);

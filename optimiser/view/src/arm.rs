@@ -1,11 +1,11 @@
 //! The arm as pictures and pages show it: the capsules of its links, the column that it turns on, and what holds the tool.
 //!
-//! Links are the capsules that are kept clear of everything, so what is seen to touch does touch. Column and bracket are only
-//! drawn: they say where the arm stands, and that the tool does not float.
+//! Links are the capsules that are kept clear of everything around, so what is seen to touch that does touch; of each other, and of the column,
+//! they are kept as [`powderline_simulator::arm::Contact`] has it. The bracket is only drawn: it says that the tool does not float.
 
 use nalgebra::{Point3, Vector3};
 use powderline_shared::arm::Joints;
-use powderline_shared::arm::links::{Link, axes, base_from_flange};
+use powderline_shared::arm::links::{Link, axes, base_from_flange, column_axis};
 use powderline_shared::pose::Pose;
 use powderline_simulator::arm::{ArmMotion, ToolPath};
 
@@ -60,9 +60,8 @@ impl Arm {
     #[must_use]
     pub fn standing(&self) -> Vec<Capsule> {
         let kind = self.motion.model.kind;
-        let base_m = self.world(Vector3::zeros());
-        let radius_m = Link::UpperArm.radius_m(kind);
-        let shoulder_m = self.world(Vector3::z() * kind.figures().d1_m);
+        let [base_m, shoulder_m] = column_axis(kind).map(|end| self.world(end));
+        let radius_m = kind.figures().column_radius_m;
         let column = Capsule { ends_m: [base_m, shoulder_m], radius_m };
         // One that hangs or leans is held by something else.
         let is_raised = base_m[2] > self.table_m + 1e-6 && shoulder_m[2] > base_m[2];

@@ -14,16 +14,16 @@
 //! Links are capsules about the lines between the joints' axes. What joins flange and handle is the user's own and not looked at;
 //! handle and tool are, by [`crate::skill::collision`].
 
-mod itself;
 mod motion;
 mod path;
+mod self_collision;
 pub mod spline;
 mod surroundings;
 mod transit;
 
-pub use itself::{Contact, Part};
 pub use motion::{ArmMotion, Clearance, Figures, Mount, Refusal, cycles_us};
 pub use path::ToolPath;
+pub use self_collision::{Contact, Part};
 pub use surroundings::Surroundings;
 pub use transit::{Around, Transit, TransitError};
 

@@ -9,8 +9,8 @@ use powderline_shared::limits::{LimitChecker, Limits, PeakUse, Violation};
 use powderline_shared::pose::Pose;
 use std::fmt;
 
-use super::itself::{Contact, contact};
 use super::path::ToolPath;
+use super::self_collision::{Contact, Part, contact};
 use super::spline;
 use super::surroundings::Surroundings;
 use crate::scene::Obstacle;
@@ -115,11 +115,12 @@ pub enum Refusal {
     },
     /// A link would pass through another one or the base, or the tool through the arm.
     #[error(
-        "at {time_s:.3} s {} would {contact}{} for the base, or the tool turned otherwise in the flange, would be right",
+        "at {time_s:.3} s {} would {contact}{}; {} would be right",
         contact.part,
-        if *all_postures { ", and no other posture gets further; another place" } else { "; another posture, another place" }
+        if *all_postures { ", and no other posture gets further" } else { "" },
+        remedy_of_contact(contact, *all_postures)
     )]
-    Itself {
+    SelfCollision {
         /// When, seconds.
         time_s: f64,
         /// What, and how deep.
@@ -166,6 +167,16 @@ fn remedy(error: &ArmError) -> String {
             "put the base nearer, so that the arm is not stretched out".into()
         }
         ArmError::Singular { .. } => "turn the tool in the flange, or put the base elsewhere".into(),
+    }
+}
+
+fn remedy_of_contact(contact: &Contact, all_postures: bool) -> &'static str {
+    match (contact.part, all_postures) {
+        (Part::Tool(_), _) => "the tool held farther away from the flange, or turned otherwise in it,",
+        (_, true) => "another place for the base, or the tool turned otherwise in the flange,",
+        (_, false) => {
+            "another posture, another place for the base, or the tool turned otherwise in the flange,"
+        }
     }
 }
 
@@ -233,7 +244,7 @@ impl ArmMotion {
         around: &Surroundings,
         cycle_us: u32,
     ) -> Result<Self, Refusal> {
-        let kept = Kept { around, least_m: mount.clearance_m, is_itself: true };
+        let kept = Kept { around, least_m: mount.clearance_m, checks_self: true };
         Self::best(path, mount, &kept, cycle_us)
     }
 
@@ -247,7 +258,7 @@ impl ArmMotion {
         around: &Surroundings,
         cycle_us: u32,
     ) -> Result<Self, Refusal> {
-        Self::best(path, mount, &Kept { around, least_m: None, is_itself: false }, cycle_us)
+        Self::best(path, mount, &Kept { around, least_m: None, checks_self: false }, cycle_us)
     }
 
     fn best(path: &ToolPath, mount: &Mount, kept: &Kept<'_>, cycle_us: u32) -> Result<Self, Refusal> {
@@ -311,7 +322,7 @@ enum Cause {
     Arm(ArmError),
     Limit(Violation),
     TooNear { clearance: Clearance, least_m: f64 },
-    Itself(Contact),
+    SelfCollision(Contact),
 }
 
 impl Stuck {
@@ -325,7 +336,7 @@ impl Stuck {
             Cause::Arm(error) => Refusal::Arm { time_s, error, all_postures },
             Cause::Limit(violation) => Refusal::Between { time_s, violation },
             Cause::TooNear { clearance, least_m } => Refusal::TooNear { clearance, least_m, all_postures },
-            Cause::Itself(contact) => Refusal::Itself { time_s, contact, all_postures },
+            Cause::SelfCollision(contact) => Refusal::SelfCollision { time_s, contact, all_postures },
         }
     }
 }
@@ -356,13 +367,13 @@ struct Kept<'a> {
     around: &'a Surroundings,
     least_m: Option<f64>,
     /// Whether arm and tool are kept from passing through each other and themselves.
-    is_itself: bool,
+    checks_self: bool,
 }
 
 impl Kept<'_> {
-    fn check_itself(&self, model: &ArmModel, joints: &Joints) -> Result<(), Cause> {
-        let met = self.is_itself.then(|| contact(model, joints, self.around.tool())).flatten();
-        met.map_or(Ok(()), |met| Err(Cause::Itself(met)))
+    fn check_self(&self, model: &ArmModel, joints: &Joints) -> Result<(), Cause> {
+        let met = self.checks_self.then(|| contact(model, joints, self.around.tool())).flatten();
+        met.map_or(Ok(()), |met| Err(Cause::SelfCollision(met)))
     }
 }
 
@@ -371,7 +382,7 @@ impl ArmMotion {
     fn checked(&self, path: &ToolPath, cycle_us: u32, kept: &Kept<'_>) -> Result<Figures, Stuck> {
         let (model, mut figures) = (&self.model, Figures::new());
         let near = |time_us| move |cause| Stuck { time_us, cause };
-        kept.check_itself(model, &self.joints[0]).map_err(near(0))?;
+        kept.check_self(model, &self.joints[0]).map_err(near(0))?;
         figures.keep_clear(model, &self.joints[0], 0, kept).map_err(near(0))?;
         let mut checker = LimitChecker::new(widened(&path.limits, path.lsb), EXACT, cycle_us, path.poses[0]);
         let mut before = self.joints[0];
@@ -383,7 +394,7 @@ impl ArmMotion {
             model.check_speed(&before, &joints, cycle_s).map_err(Stuck::arm(time_us))?;
             checker.check(model.world_from_tool(&joints)).map_err(limit)?;
             figures.look(model, &before, &joints, cycle_s);
-            kept.check_itself(model, &joints).map_err(near(time_us))?;
+            kept.check_self(model, &joints).map_err(near(time_us))?;
             figures.keep_clear(model, &joints, time_us, kept).map_err(near(time_us))?;
             before = joints;
         }
@@ -417,7 +428,7 @@ pub(super) fn line_clearance(
     let mut figures = Figures::new();
     let time_us = (1e6 * time_s) as u64;
     // Nothing is refused where nothing is kept.
-    let _ = figures.keep_clear(model, joints, time_us, &Kept { around, least_m: None, is_itself: false });
+    let _ = figures.keep_clear(model, joints, time_us, &Kept { around, least_m: None, checks_self: false });
     figures.nearest().clone()
 }
 
@@ -513,7 +524,7 @@ impl Figures {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::arm::{CYCLE_US, Part};
+    use crate::arm::CYCLE_US;
     use crate::scene::{Arm, Scene, ToolPart};
     use crate::skill::{SkillMap, Theta};
 
@@ -533,9 +544,11 @@ mod tests {
     fn an_arm_does_not_pass_through_itself() {
         let [kept, shown] = made(|arm| arm.base_position_m = [0.13, -0.4, -0.1]);
         let refusal = kept.map(drop).unwrap_err();
-        assert!(matches!(refusal, Refusal::Itself { all_postures: true, .. }), "{refusal}");
+        assert!(matches!(refusal, Refusal::SelfCollision { all_postures: true, .. }), "{refusal}");
         assert!(
-            refusal.to_string().starts_with("at 0.000 s its forearm would pass through its base, "),
+            refusal
+                .to_string()
+                .starts_with("at 0.000 s its forearm would pass through its base or shoulder, "),
             "{refusal}"
         );
         // It is shown all the same.
@@ -550,10 +563,12 @@ mod tests {
         });
         let refusal = kept.map(drop).unwrap_err();
         assert!(
-            matches!(&refusal, Refusal::Itself { contact, .. } if contact.part == Part::Tool(ToolPart::Handle))
+            matches!(&refusal, Refusal::SelfCollision { contact, .. } if contact.part == Part::Tool(ToolPart::Handle))
         );
         assert!(
-            refusal.to_string().starts_with("at 0.000 s the tool's handle would pass through its wrist 1, "),
+            refusal
+                .to_string()
+                .starts_with("at 0.000 s the tool's handle would pass through the arm's wrist 1, "),
             "{refusal}"
         );
         assert!(shown.is_ok());
@@ -564,7 +579,7 @@ mod tests {
     fn all_of_the_way_is_looked_at() {
         let is_between = |near_mm: i32| {
             let [kept, shown] = made(|arm| arm.base_position_m = [0.13, -1e-3 * f64::from(near_mm), -0.1]);
-            let (Err(Refusal::Itself { time_s, .. }), Ok(shown)) = (kept.map(drop), shown) else {
+            let (Err(Refusal::SelfCollision { time_s, .. }), Ok(shown)) = (kept.map(drop), shown) else {
                 return false;
             };
             let is_free = |joints: &Joints| contact(&shown.model, joints, &[]).is_none();

@@ -11,9 +11,9 @@ use powderline_shared::displacement::Displacement;
 use powderline_shared::pose::{Pose, norm};
 use thiserror::Error;
 
-use super::itself::{Part, contact};
 use super::motion::{ArmMotion, Clearance, Mount, Refusal, line_clearance};
 use super::path::ToolPath;
+use super::self_collision::{Part, contact};
 use super::surroundings::Surroundings;
 use crate::scene::{Obstacle, PlacedTool, Scene, ToolPart, TurnBack};
 use crate::skill::{Collision, minimum_jerk_position, rest_to_rest_steps, standing_collision};
@@ -548,7 +548,7 @@ mod tests {
         folded[2] = 3.1;
         let sentence = case.transit(Some(folded)).unwrap_err().to_string();
         assert!(
-            sentence.contains("to above the start its forearm would pass through its base, "),
+            sentence.contains("to above the start its forearm would pass through its base or shoulder, "),
             "{sentence}"
         );
         // With nothing kept from anything it is the tool that is in the way.

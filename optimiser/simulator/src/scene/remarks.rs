@@ -52,7 +52,7 @@ impl Scene {
     fn remark_base(&self) -> Option<String> {
         let arm = self.arm.as_ref()?;
         let (foot, figures) = (arm.base_position_m, arm.kind.figures());
-        let radius_m = figures.radius_m[0];
+        let radius_m = figures.column_radius_m;
         let [(sr, cr), (sp, cp), (sy, cy)] = arm.base_rotation_deg.map(|deg| libm::sincos(deg.to_radians()));
         let up = [cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr];
         let column = |d: Vec3| {

@@ -177,4 +177,23 @@ fn the_arm_is_drawn_unless_it_cannot_or_is_not_wanted() {
     let remark = report["remark"].as_str().unwrap();
     assert!(remark.starts_with("The UR3e is drawn, though it could not make this motion"), "{remark}");
     assert!(report["arm"] == "ur3e" && near == drawn);
+    // Where the tool is held within the arm likewise; that no plan can come of it, `check` says first.
+    let within = with_arm(&place, |arm| {
+        (arm.base_position_m[1], arm.tool_position_m) = (-0.2, [0.0, 0.0, -0.1]);
+    });
+    let remark = render(&within, &[]).0["remark"].as_str().unwrap().to_owned();
+    assert!(
+        remark.starts_with("The UR3e is drawn, though it could not make this motion: at 0.000 s the tool's ")
+            && remark.contains(" would pass through the arm's wrist ")
+            && remark.ends_with(
+                "the tool held farther away from the flange, or turned otherwise in it, would be right."
+            ),
+        "{remark}"
+    );
+    let checked = optimise(&["check", &within]);
+    assert!(
+        checked.code == 2 && checked.err.contains(" would pass through the arm's wrist "),
+        "{}",
+        checked.err
+    );
 }

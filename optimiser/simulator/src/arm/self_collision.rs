@@ -1,19 +1,18 @@
 //! Whether an arm passes through itself, or through the tool that it holds.
 //!
-//! Its parts are the capsules that are kept from everything else. They are wider than the links, by up to 40 mm for upper arm and
-//! forearm, by which many a posture would be refused that is none too near: beside the wrist these two are boxes. Parts that are joined
-//! always overlap, so what is looked at is what a posture can bring together:
-//!
 //! | part | passes through |
 //! |---|---|
-//! | forearm, wrists 1 to 3 | the column of base and shoulder |
-//! | wrists 1 to 3 | the upper arm |
-//! | wrist 3 | the forearm |
-//! | the tool | the column, upper arm, forearm, wrists 1 and 2 |
+//! | forearm, wrists 1 to 3 | base and shoulder |
+//! | wrists 1 to 3 | upper arm |
+//! | wrist 3 | forearm |
+//! | tool | base and shoulder, upper arm, forearm, wrists 1 and 2 |
 //!
-//! Wrist 2 turns in a plane beside the forearm's and wrist 3 in one beyond wrist 1, at distances that no joint changes (d4 less the
-//! forearm's offset, and d5).
-//! The tool is joined to wrist 3, by what nobody knows.
+//! Parts are the capsules that are kept from everything else. For upper arm and forearm these are up to 40 mm wider than the links, by
+//! which many a posture would be refused that is none too near: to the other links, and the forearm to the base, they are boxes.
+//!
+//! What is left out: parts that are joined, and the upper arm beside the base and wrist 3 beside wrist 1, at distances that no joint changes. Wrist 2
+//! turns beside the forearm likewise; where its far end points into that, wrist 3 is in the forearm as well. The tool is joined to wrist 3 by what
+//! nobody knows.
 
 use super::surroundings::least;
 use crate::scene::ToolPart;
@@ -27,7 +26,7 @@ use std::fmt;
 /// A part of an arm that holds a tool.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Part {
-    /// Base and shoulder.
+    /// Base and shoulder, which are one capsule.
     Column,
     /// What moves beyond them.
     Link(Link),
@@ -39,7 +38,7 @@ impl fmt::Display for Part {
     /// Such as "its forearm".
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Column => f.write_str("its base"),
+            Self::Column => f.write_str("its base or shoulder"),
             Self::Link(link) => write!(f, "its {}", link.name()),
             Self::Tool(part) => write!(f, "the {part}"),
         }
@@ -60,7 +59,10 @@ pub struct Contact {
 impl fmt::Display for Contact {
     /// Such as "pass through its forearm, 3.0 mm deep".
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "pass through {}, {:.1} mm deep", self.other, 1e3 * self.depth_m)
+        let other = self.other.to_string();
+        // What the tool meets is not its own.
+        let other = if let Part::Tool(_) = self.part { other.replace("its ", "the arm's ") } else { other };
+        write!(f, "pass through {other}, {:.1} mm deep", 1e3 * self.depth_m)
     }
 }
 
@@ -133,7 +135,11 @@ impl Capsules {
 
     /// How deep a link is in another one, or in the column; none if it is not.
     fn depth_m(&self, link: Link, other: Option<Link>) -> Option<f64> {
-        self.of(Some(link)).depth_in(&self.solid(other))
+        match (link, other) {
+            // The wider one of the two is a box.
+            (Link::Forearm, other) => self.of(other).depth_in(&self.solid(Some(link))),
+            (link, other) => self.of(Some(link)).depth_in(&self.solid(other)),
+        }
     }
 
     /// The same as [`Self::of`], narrower where it can be.
@@ -227,6 +233,12 @@ mod tests {
 
     /// Between a capsule and another part; nothing where the capsule's axis is in the part.
     fn gap_m(capsules: &Capsules, link: Link, other: Option<Link>) -> Option<f64> {
+        if let (Link::Forearm, None) = (link, other) {
+            let (held, line) = (capsules.of(None), capsules.of(Some(link)).axis);
+            let half_m = capsules.figures.half_box_m[1];
+            let nearest_m = least_m(held.axis, |point| to_box_m(point, line, capsules.normal, half_m));
+            return (nearest_m > 0.0).then_some(nearest_m - held.radius_m);
+        }
         let (held, part) = (capsules.of(Some(link)), capsules.of(other));
         let boxed = |half_m| least_m(held.axis, |point| to_box_m(point, part.axis, capsules.normal, half_m));
         let [upper_arm, forearm] = capsules.figures.half_box_m;
@@ -266,15 +278,6 @@ mod tests {
                     prop_assert!(gap_m.is_some_and(|gap_m| gap_m > -OFF_M), "{link:?} {other:?} {gap_m:?}");
                 },
             }
-        }
-
-        /// Why they need not be looked at.
-        #[test]
-        fn no_posture_brings_together_what_is_left_out(kind in kinds(), joints in joints()) {
-            let (axes, figures) = (axes(kind, &joints), kind.figures());
-            let apart_m = |a: Link, b: Link| least_m(axes[a as usize], |point| to_line_m(point, axes[b as usize]));
-            prop_assert!(apart_m(Link::Wrist1, Link::Wrist3) > figures.d5_m - 1e-9);
-            prop_assert!(apart_m(Link::Forearm, Link::Wrist2) > figures.d4_m - figures.beside_m[1] - 1e-9);
         }
     }
 
@@ -331,6 +334,35 @@ mod tests {
         }
     }
 
+    /// Wrist 2 along the forearm, its far end and the flange pointing away from it, and into it.
+    #[test]
+    fn a_wrist_that_is_folded_into_the_forearm_is_found_by_its_flange() {
+        for kind in ArmKind::ALL {
+            let folded = |q5| [0.0, -FRAC_PI_2, FRAC_PI_2, FRAC_PI_2, q5, 0.0];
+            let [away, into] = [0.0, PI].map(|q5| contact(&model(kind), &folded(q5), &[]));
+            assert_eq!(away, None, "{kind:?}");
+            let into = into.map(|met| (met.part, met.other));
+            assert_eq!(into, Some((Part::Link(Link::Wrist3), Part::Link(Link::Forearm))), "{kind:?}");
+        }
+    }
+
+    /// A box is what a capsule is narrowed to, and no more: the same mesh is in both.
+    #[test]
+    fn boxes_are_narrower_than_capsules_and_not_by_much() {
+        for figures in ArmKind::ALL.map(ArmKind::figures) {
+            for (link, [wide_m, thick_m]) in figures.half_box_m.into_iter().enumerate() {
+                let radius_m = figures.radius_m[link];
+                assert!(wide_m < radius_m && wide_m > 0.5 * radius_m, "{wide_m} {radius_m}");
+                assert!(
+                    thick_m > 0.5 * radius_m && wide_m.hypot(thick_m) > 0.85 * radius_m,
+                    "{thick_m} {radius_m}"
+                );
+            }
+            // The elbow's housing is in no box, and cannot come to the base.
+            assert!(-figures.a2_m > figures.radius_m[1] + figures.column_radius_m);
+        }
+    }
+
     #[test]
     fn a_contact_is_named() {
         // The elbow folded up, until the wrist is at the shoulder.
@@ -338,7 +370,7 @@ mod tests {
         let met = contact(&model(ArmKind::Ur5e), &folded, &[]).unwrap();
         assert_eq!((met.part, met.other), (Part::Link(Link::Forearm), Part::Column));
         let sentence = format!("{} would {met}", met.part);
-        assert!(sentence.starts_with("its forearm would pass through its base, "), "{sentence}");
+        assert!(sentence.starts_with("its forearm would pass through its base or shoulder, "), "{sentence}");
         assert!(sentence.ends_with(" mm deep"), "{sentence}");
     }
 }
