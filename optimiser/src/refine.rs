@@ -98,7 +98,10 @@ impl Corrected {
 /// # Errors
 /// What a look ends with. [`Failure::Failed`] where the skill itself cannot be looked at.
 pub fn corrected(theta: &Theta, wanted: Wanted, look: LookFn<'_>) -> Result<Corrected, Failure> {
-    let none = || Failure::Failed("the plan's skill cannot be simulated: powder leaves the grid".into());
+    let none = || {
+        let why = "the arm may not perform it, or powder leaves the grid";
+        Failure::Failed(format!("the plan's skill cannot be looked at: {why}"))
+    };
     let own = look(Grid::Own, theta)?.ok_or_else(none)?;
     let finer = look(Grid::Finer, theta)?.ok_or_else(none)?;
     let mut found = Corrected { tried: vec![finer], best: 0, own: [own; 2] };
@@ -317,7 +320,7 @@ mod tests {
             let mut look = |grid, theta: &Theta| {
                 let depth = theta.components()[0];
                 looks += usize::from(grid == Grid::Finer);
-                // The first step is right but for an eighth of a tenth of the way.
+                // The first step goes too far by an eighth of the way, or by a thirteenth: 1.5 % of what is wanted.
                 let slope = 0.006 * first_kg / 0.01 * if first_kg > 0.01 { 1.125 } else { 1.075 };
                 let finer_kg = first_kg + slope * depth;
                 let mass_kg = match (grid, again_kg) {

@@ -141,10 +141,15 @@ impl Task {
         let mount = self.mount()?;
         let around = Surroundings::of_scene(&self.scene, view::table_m(&self.scene));
         let path = ToolPath { period_us: self.scene.time.control_period_us, lsb: LSB, limits: ANY, poses };
-        let (made, near) = match ArmMotion::new(&path, &mount, &around, CYCLE_US) {
-            Err(refusal @ (Refusal::TooNear { .. } | Refusal::SelfCollision { .. })) => {
-                (ArmMotion::through_anything(&path, &mount, &around, CYCLE_US), Some(refusal))
+        let made = |mount: &Mount| ArmMotion::new(&path, mount, &around, CYCLE_US);
+        // The posture of the refusal, as far as that can be had.
+        let near = |mount: &Mount| made(&Mount { clearance_m: None, ..*mount });
+        let anyhow = |mount: &Mount| ArmMotion::through_anything(&path, mount, &around, CYCLE_US);
+        let (made, near) = match made(&mount) {
+            Err(refusal @ Refusal::TooNear { .. }) => {
+                (near(&mount).or_else(|_| anyhow(&mount)), Some(refusal))
             }
+            Err(refusal @ Refusal::SelfCollision { .. }) => (anyhow(&mount), Some(refusal)),
             made => (made, None),
         };
         let label = ArmKind::label(mount.kind);

@@ -194,7 +194,9 @@ impl Hurry<'_> {
     /// As it was seen before, or else simulated and kept.
     fn look(&mut self, haste: &Haste, context: &Context<'_>) -> Result<Hurried, CliError> {
         if let Some(seen) = self.kept.looks.iter().find(|seen| seen.haste == *haste) {
-            return Ok(seen.clone());
+            // What was seen by a version of before may be more than the arm may perform.
+            let obstacle = seen.obstacle.clone().or(self.obstacle(haste)?);
+            return Ok(Hurried { obstacle, ..seen.clone() });
         }
         let progress = Progress::new(&context.err, context.live);
         let seen = self.simulated(haste, &progress, context);
@@ -213,6 +215,13 @@ impl Hurry<'_> {
         Ok(seen)
     }
 
+    /// Why the arm may not perform the motion.
+    fn obstacle(&self, haste: &Haste) -> Result<Option<String>, CliError> {
+        let PlanToChange { theta, splines, .. } = self.plan;
+        let scene = hastened(&self.task.scene, theta, haste)?;
+        Ok(obstacle(&scene, &SkillMap::new(&scene), theta, splines.as_ref()))
+    }
+
     fn simulated(
         &self,
         haste: &Haste,
@@ -224,7 +233,7 @@ impl Hurry<'_> {
         let scene = hastened(&self.task.scene, theta, haste)?;
         let (map, haste) = (SkillMap::new(&scene), *haste);
         let nothing = |why| Hurried { haste, obstacle: Some(why), census: Census::default() };
-        if let Some(why) = obstacle(&scene, &map, theta, splines) {
+        if let Some(why) = self.obstacle(&haste)? {
             return Ok(nothing(why));
         }
         let motion = QuantisedControls::new(&map.motion(theta, splines)?)?;

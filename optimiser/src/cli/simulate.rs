@@ -171,12 +171,13 @@ pub(super) fn execute(arguments: &SimulateArgs, context: &mut Context<'_>) -> Re
     } else {
         write!(context.out, "{}", report.text())?;
     }
-    match (&report.plan, report.stopped()) {
-        (Some(PlanReport { reproduced: Some(false), .. }), _) => {
-            Err(CliError::Failed("the plan's loss and amount were not reproduced".into()))
-        }
-        (_, Some(stopped)) => Err(CliError::Interrupted(stopped)),
-        _ => Ok(()),
+    let is_other = matches!(report.plan, Some(PlanReport { reproduced: Some(false), .. }));
+    let other = is_other.then(|| CliError::Failed("the plan's loss and amount were not reproduced".into()));
+    match (other, report.stopped()) {
+        (Some(other), Some(stopped)) => Err(other.with_remark(&stopped)),
+        (Some(other), None) => Err(other),
+        (None, Some(stopped)) => Err(CliError::Interrupted(stopped)),
+        (None, None) => Ok(()),
     }
 }
 

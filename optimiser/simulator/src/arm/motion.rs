@@ -557,7 +557,7 @@ mod tests {
 
     #[test]
     fn a_tool_is_not_held_within_the_arm() {
-        // Behind the flange, where wrist 2 is.
+        // Behind the flange, where the wrist is.
         let [kept, shown] = made(|arm| {
             (arm.tool_position_m, arm.base_position_m) = ([0.0, 0.0, -0.12], [0.26, -0.48, -0.1]);
         });
