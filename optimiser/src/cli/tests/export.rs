@@ -130,7 +130,7 @@ fn a_program_begins_at_a_home_that_it_can_leave() {
     assert_sentence(
         &low,
         2,
-        "skill.plan gets no program: on the straight way of all joints from --home to above the start the ",
+        "skill.plan gets no program: on the straight way of all joints from --home to above the start its wrist 2 ",
     );
     assert_sentence(&low, 2, "another --home would be right");
     let far = program(&["--home", "0,400,0,0,0,0"]);
