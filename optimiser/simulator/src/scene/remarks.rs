@@ -235,9 +235,9 @@ mod tests {
         };
         for (position_m, rotation_deg, into) in [
             ([0.128, 0.048, -0.1], [0.0; 3], Some("into the block")),
-            // The column is 200 mm wide.
-            ([0.128, -0.099, -0.1], [0.0; 3], Some("into the block")),
-            ([0.128, -0.101, -0.1], [0.0; 3], None),
+            // The column is 190 mm wide.
+            ([0.128, -0.094, -0.1], [0.0; 3], Some("into the block")),
+            ([0.128, -0.096, -0.1], [0.0; 3], None),
             // On the bench, between the containers or not; over them, hanging.
             ([0.100, 0.048, 0.0], [0.0; 3], Some("into container \"source\"")),
             ([0.128, 0.048, 0.9], [180.0, 0.0, 0.0], None),
