@@ -132,3 +132,39 @@ impl<'a> Grids<'a> {
         format!("  {}, {}: {found}", self.cells(seen.grid), skill.join(", "))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::optim::EpochRecord;
+    use powderline_simulator::rollout::{Census, Evaluation};
+
+    struct Nobody;
+
+    impl Watcher for Nobody {
+        fn begin(&self, _: &str, _: u32, _: &[EpochRecord]) {}
+        fn is_stopped(&self) -> bool {
+            false
+        }
+        fn epoch(&self, _: &str, _: &Amounts, _: [u32; 2], _: &[EpochRecord]) {}
+        fn say(&self, _: &str) {}
+    }
+
+    /// Kept by a version that did not look at all that the arm may not do.
+    #[test]
+    fn what_was_seen_is_not_looked_at_again_and_refused_if_the_arm_may_not_perform_it() {
+        let look = |base_position_m: [f64; 3]| {
+            let mut scene = Scene::load("bench").unwrap().into_spec();
+            scene.arm.as_mut().unwrap().base_position_m = base_position_m;
+            let scene = Scene::from_toml("moved.toml", &scene.to_toml()).unwrap();
+            let found = Evaluation::new(1.0, 0, Census { target: 7, ..Census::default() });
+            let seen = vec![Seen::new(Grid::Own, &Theta::MIDDLE, &found, 0.0)];
+            let simulators = |_: &Scene| -> Result<Box<dyn Simulate>, RolloutError> { panic!("it was seen") };
+            let scenes = [scene.clone(), scene.refined(2).unwrap()];
+            let mut grids = Grids::new(scenes, None, seen, &simulators);
+            grids.look(Grid::Own, &Theta::MIDDLE, &Nobody, &mut |_| Ok(())).unwrap()
+        };
+        assert_eq!(look([0.26, -0.8, -0.1]).unwrap().evaluation.census.target, 7);
+        assert_eq!(look([0.13, -0.4, -0.1]), None);
+    }
+}

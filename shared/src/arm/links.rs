@@ -103,9 +103,8 @@ pub fn column_axis(kind: ArmKind) -> [Vector3<f64>; 2] {
 
 /// Normal of the plane in which upper arm and forearm move, base coordinates.
 #[must_use]
-pub fn normal(joints: &Joints) -> Vector3<f64> {
-    let Turn { s, c } = Turn::by(joints[0]);
-    Vector3::new(s, -c, 0.0)
+pub fn normal(kind: ArmKind, joints: &Joints) -> Vector3<f64> {
+    Links::at(kind, joints).n
 }
 
 /// Sine and cosine.

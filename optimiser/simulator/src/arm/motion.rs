@@ -370,19 +370,11 @@ struct Kept<'a> {
     checks_self: bool,
 }
 
-impl Kept<'_> {
-    fn check_self(&self, model: &ArmModel, joints: &Joints) -> Result<(), Cause> {
-        let met = self.checks_self.then(|| contact(model, joints, self.around.tool())).flatten();
-        met.map_or(Ok(()), |met| Err(Cause::SelfCollision(met)))
-    }
-}
-
 impl ArmMotion {
     /// Goes the whole way from cycle to cycle, as a controller does.
     fn checked(&self, path: &ToolPath, cycle_us: u32, kept: &Kept<'_>) -> Result<Figures, Stuck> {
         let (model, mut figures) = (&self.model, Figures::new());
         let near = |time_us| move |cause| Stuck { time_us, cause };
-        kept.check_self(model, &self.joints[0]).map_err(near(0))?;
         figures.keep_clear(model, &self.joints[0], 0, kept).map_err(near(0))?;
         let mut checker = LimitChecker::new(widened(&path.limits, path.lsb), EXACT, cycle_us, path.poses[0]);
         let mut before = self.joints[0];
@@ -394,7 +386,6 @@ impl ArmMotion {
             model.check_speed(&before, &joints, cycle_s).map_err(Stuck::arm(time_us))?;
             checker.check(model.world_from_tool(&joints)).map_err(limit)?;
             figures.look(model, &before, &joints, cycle_s);
-            kept.check_self(model, &joints).map_err(near(time_us))?;
             figures.keep_clear(model, &joints, time_us, kept).map_err(near(time_us))?;
             before = joints;
         }
@@ -483,6 +474,10 @@ impl Figures {
         time_us: u64,
         kept: &Kept<'_>,
     ) -> Result<(), Cause> {
+        let met = kept.checks_self.then(|| contact(model, joints, kept.around.tool())).flatten();
+        if let Some(met) = met {
+            return Err(Cause::SelfCollision(met));
+        }
         let in_world = |point: &Vector3<f64>| {
             model.world_from_base.position_m + model.world_from_base.orientation * point
         };
@@ -525,7 +520,7 @@ impl Figures {
 mod tests {
     use super::*;
     use crate::arm::CYCLE_US;
-    use crate::scene::{Arm, Scene, ToolPart};
+    use crate::scene::{Arm, Scene};
     use crate::skill::{SkillMap, Theta};
 
     /// What `bench` brings its arm to, once that is changed; by itself, and where it may pass through anything.
@@ -540,38 +535,28 @@ mod tests {
         [ArmMotion::new, ArmMotion::through_anything].map(|make| make(&path, &mount, &around, CYCLE_US))
     }
 
-    #[test]
-    fn an_arm_does_not_pass_through_itself() {
-        let [kept, shown] = made(|arm| arm.base_position_m = [0.13, -0.4, -0.1]);
+    /// Refused at once in all postures, with this sentence, and shown all the same.
+    fn assert_refused(change: impl Fn(&mut Arm), words: &str) {
+        let [kept, shown] = made(change);
         let refusal = kept.map(drop).unwrap_err();
         assert!(matches!(refusal, Refusal::SelfCollision { all_postures: true, .. }), "{refusal}");
-        assert!(
-            refusal
-                .to_string()
-                .starts_with("at 0.000 s its forearm would pass through its base or shoulder, "),
-            "{refusal}"
-        );
-        // It is shown all the same.
+        assert!(refusal.to_string().starts_with(&format!("at 0.000 s {words}, ")), "{refusal}");
         assert!(shown.is_ok());
+    }
+
+    #[test]
+    fn an_arm_does_not_pass_through_itself() {
+        let near = |arm: &mut Arm| arm.base_position_m = [0.13, -0.4, -0.1];
+        assert_refused(near, "its forearm would pass through its base or shoulder");
     }
 
     #[test]
     fn a_tool_is_not_held_within_the_arm() {
         // Behind the flange, where the wrist is.
-        let [kept, shown] = made(|arm| {
+        let within = |arm: &mut Arm| {
             (arm.tool_position_m, arm.base_position_m) = ([0.0, 0.0, -0.12], [0.26, -0.48, -0.1]);
-        });
-        let refusal = kept.map(drop).unwrap_err();
-        assert!(
-            matches!(&refusal, Refusal::SelfCollision { contact, .. } if contact.part == Part::Tool(ToolPart::Handle))
-        );
-        assert!(
-            refusal
-                .to_string()
-                .starts_with("at 0.000 s the tool's handle would pass through the arm's wrist 1, "),
-            "{refusal}"
-        );
-        assert!(shown.is_ok());
+        };
+        assert_refused(within, "the tool's handle would pass through the arm's wrist 1");
     }
 
     /// Some base stands so that the arm is free at both ends of the motion, and passes through itself between.

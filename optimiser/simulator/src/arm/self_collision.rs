@@ -35,14 +35,21 @@ pub enum Part {
     Tool(ToolPart),
 }
 
+impl Part {
+    /// Such as "its forearm", where the arm is `its`.
+    fn words(self, its: &str) -> String {
+        match self {
+            Self::Column => format!("{its} base or shoulder"),
+            Self::Link(link) => format!("{its} {}", link.name()),
+            Self::Tool(part) => format!("the {part}"),
+        }
+    }
+}
+
 impl fmt::Display for Part {
     /// Such as "its forearm".
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Column => f.write_str("its base or shoulder"),
-            Self::Link(link) => write!(f, "its {}", link.name()),
-            Self::Tool(part) => write!(f, "the {part}"),
-        }
+        f.write_str(&self.words("its"))
     }
 }
 
@@ -60,10 +67,9 @@ pub struct Contact {
 impl fmt::Display for Contact {
     /// Such as "pass through its forearm, 3.0 mm deep".
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let other = self.other.to_string();
         // What the tool meets is not its own.
-        let other = if let Part::Tool(_) = self.part { other.replace("its ", "the arm's ") } else { other };
-        write!(f, "pass through {other}, {:.1} mm deep", 1e3 * self.depth_m)
+        let its = if let Part::Tool(_) = self.part { "the arm's" } else { "its" };
+        write!(f, "pass through {}, {:.1} mm deep", self.other.words(its), 1e3 * self.depth_m)
     }
 }
 
@@ -124,7 +130,7 @@ impl Capsules {
         Self {
             column: Held { axis: column_axis(kind), radius_m: figures.column_radius_m },
             links: std::array::from_fn(|k| Held { axis: axes[k], radius_m: Link::ALL[k].radius_m(kind) }),
-            normal: normal(joints),
+            normal: normal(kind, joints),
             figures,
         }
     }

@@ -135,6 +135,10 @@ fn a_plan_that_is_not_reproduced_is_one_object() {
     fs::write(&path, plan).unwrap();
     let done = optimise(&["simulate", "--plan", path.to_str().unwrap(), "--json"]);
     assert_eq!((done.code, &json(&done)["plan"]["reproduced"]), (1, &false.into()), "{}", done.out);
+    // A stop does not hide it, nor is hidden by it.
+    let stopped = optimise_for(8, &["simulate", "--plan", path.to_str().unwrap(), "--packings", "3"]);
+    let both = "were not reproduced; stopped after 1 of 3 other packings";
+    assert!(stopped.code == 1 && stopped.err.contains(both), "{}", stopped.err);
 }
 
 #[test]
