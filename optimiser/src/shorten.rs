@@ -8,7 +8,7 @@
 use crate::{failure::Failure, report::amounts::Amounts};
 use powderline_simulator::{
     rollout::Census,
-    scene::{Profile, Scene, SceneError},
+    scene::{Profile, Scene, SceneError, figures::mass},
     skill::{SkillMap, Theta},
 };
 use serde::{Deserialize, Serialize};
@@ -78,10 +78,21 @@ pub fn duration_s(scene: &Scene, theta: &Theta) -> f64 {
 /// Whether a faster motion is as good as before: hardly more is lost, and so much arrives that a change of the skill puts it right.
 pub fn holds(amounts: &Amounts, before: &Census, now: &Census) -> bool {
     let [before_kg, now_kg] = [before, now].map(|census| amounts.kg(census.target));
-    let more_kg = amounts.kg(now.lost()) - amounts.kg(before.lost());
-    let tolerance = amounts.tolerance.unwrap_or(USUAL_TOLERANCE);
     (now_kg - before_kg).abs() <= WITHIN_REACH * before_kg
-        && more_kg <= LOST_MORE * tolerance * amounts.wanted_kg * (1.0 + 1e-9)
+        && loses_more(amounts, amounts.kg(before.lost()), amounts.kg(now.lost())).is_none()
+}
+
+/// That a faster motion loses more than it may, in a sentence.
+pub fn loses_more(amounts: &Amounts, before_kg: f64, now_kg: f64) -> Option<String> {
+    let more_kg = LOST_MORE * amounts.tolerance.unwrap_or(USUAL_TOLERANCE) * amounts.wanted_kg;
+    (now_kg > before_kg + more_kg * (1.0 + 1e-9)).then(|| {
+        format!(
+            "{} are lost, before {}, and a faster motion may lose {} more; the plan as it was loses less",
+            mass(now_kg),
+            mass(before_kg),
+            mass(more_kg)
+        )
+    })
 }
 
 /// The most haste that is well, as far as a few looks tell; none if no haste at all is.
@@ -220,5 +231,12 @@ mod tests {
         ] {
             assert_eq!(holds(&amounts, &before, &now), well, "{now:?}");
         }
+        // A quarter of two per cent of 9.6 g.
+        assert_eq!(loses_more(&amounts, 80e-6, 128e-6), None);
+        let words = loses_more(&amounts, 80e-6, 130e-6).unwrap();
+        assert!(
+            words.starts_with("130 mg are lost, before 80 mg, and a faster motion may lose 48 mg more;"),
+            "{words}"
+        );
     }
 }

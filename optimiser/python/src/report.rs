@@ -30,6 +30,7 @@ pub(crate) fn report<'py>(
     say: &Bound<'py, PyAny>,
 ) -> PyResult<Bound<'py, PyAny>> {
     let resources = resources(threads, memory)?;
-    let arguments = ReportArgs { of, executed, out, no_replay: !replay, json: true, resources };
+    let arguments =
+        ReportArgs { of, executed, out, no_replay: !replay, obstacle: None, json: true, resources };
     object_of(py, say, |_| Ok(()), |context| cli::report(&arguments, context))
 }

@@ -380,12 +380,17 @@ impl Experiment {
     fn complete(&self, context: &mut Context<'_>) -> Result<Comparison, CliError> {
         let mut comparison = self.of(Vec::new());
         // Seed after seed, so that there is something to compare early.
-        for of_seed in self.plan.searches().collect::<Vec<_>>().chunks(self.plan.methods.len()) {
+        let searches: Vec<Search> = self.plan.searches().collect();
+        for of_seed in searches.chunks(self.plan.methods.len()) {
             for search in of_seed {
                 let track = self.track(*search, context)?;
                 comparison.tracks.push(track);
             }
-            self.write(&comparison)?;
+            // What was drawn of more seeds before, as of fewer rollouts, stays until there is as much again.
+            let later = &searches[comparison.tracks.len()..];
+            if later.iter().all(|search| !self.folder_of(*search).exists()) {
+                self.write(&comparison)?;
+            }
         }
         Ok(comparison)
     }

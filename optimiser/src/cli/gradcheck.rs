@@ -1,6 +1,6 @@
 //! `optimise gradcheck`: the adjoint's gradient against finite differences.
 
-use super::{CliError, Context, Interrupt, Progress, Resources, Setup, options::PrecisionArg, slopes};
+use super::{CliError, Context, Progress, Resources, options::PrecisionArg, slopes};
 use clap::{Args, ValueEnum};
 use powderline_shared::plan::{Precision, SkillParameter};
 use powderline_simulator::rollout::gradcheck::{CHECKED_THETA, HALF_STEPS, Smoothed, Window, smoothed};
@@ -82,6 +82,8 @@ struct Report {
     windows: Vec<Window>,
     growth: Vec<Window>,
     smoothed: Option<Smoothed>,
+    /// What makes the command fail, if anything does: then there is what was compared before.
+    failure: Option<String>,
 }
 
 /// Runs the command.
@@ -96,12 +98,7 @@ pub(super) fn execute(arguments: &GradcheckArgs, context: &mut Context<'_>) -> R
     if arguments.skills.is_some() || !arguments.theta.is_empty() {
         return slopes::execute(arguments, &scene, context);
     }
-    let report = check(arguments, &scene, context)?;
-    if arguments.json {
-        return context.json(&report);
-    }
-    write!(context.out, "{}", text(&report))?;
-    Ok(())
+    check(arguments, &scene, context)
 }
 
 /// Ends of the longer horizons: doubling from the first window to the scene's own horizon.
@@ -110,49 +107,66 @@ fn horizons(short: u32, own: u32) -> Vec<u32> {
     doubling.take_while(|n| *n < own).chain((own > short).then_some(own)).collect()
 }
 
-fn check(arguments: &GradcheckArgs, scene: &Scene, context: &mut Context<'_>) -> Result<Report, CliError> {
+fn check(arguments: &GradcheckArgs, scene: &Scene, context: &mut Context<'_>) -> Result<(), CliError> {
     let precision = arguments.precision.map_or(Precision::F64, Precision::from);
     let setup = arguments.resources.setup(arguments.seed.unwrap_or(scene.powder.seed), precision);
     // Falling asleep is a jump, if a small one, that no difference over a small step survives.
     let scene = &scene.without_sleep();
     setup.check_memory(scene, Workload::Gradient, 0)?;
-    let progress = Progress::new(&context.err, context.live);
-    let report = compare(arguments, scene, &setup, &progress, &context.interrupt);
-    progress.clear();
-    report
-}
-
-fn compare(
-    arguments: &GradcheckArgs,
-    scene: &Scene,
-    setup: &Setup,
-    progress: &Progress,
-    interrupt: &Interrupt,
-) -> Result<Report, CliError> {
     let mut simulator = AnySimulator::new(scene, setup.precision, &setup.settings)?;
-    simulator.as_dyn().set_progress(progress.watch(interrupt));
-    let map = SkillMap::new(scene);
-    let own = scene.time.horizon_steps;
-    let mut window = |start: u32, end: u32| -> Result<Window, RolloutError> {
-        progress.begin(&format!("differences, control steps {start} to {end}"), 0, &[]);
-        simulator.check_window(&map, start, end)
-    };
-    // After the motion's end no parameter is at work.
-    let motion_s = map.duration_s(&CHECKED_THETA);
-    let motion = (motion_s / scene.time.control_period_s()).ceil() as u32;
-    let starts = (0..own.min(motion)).step_by(arguments.steps as usize);
-    let windows = starts.map(|s| window(s, own.min(s + arguments.steps))).collect::<Result<_, _>>()?;
-    let longer = if arguments.short { Vec::new() } else { horizons(arguments.steps, own) };
-    let growth = longer.into_iter().map(|end| window(0, end)).collect::<Result<_, _>>()?;
-    let smoothed = if arguments.short { None } else { Some(smoothed(simulator.as_dyn())?) };
-    Ok(Report {
+    let progress = Progress::new(&context.err, context.live);
+    simulator.as_dyn().set_progress(progress.watch(&context.interrupt));
+    let mut report = Report {
         scene: scene.name.clone(),
         precision: setup.precision.name(),
         theta: CHECKED_THETA,
-        windows,
-        growth,
-        smoothed,
-    })
+        windows: Vec::new(),
+        growth: Vec::new(),
+        smoothed: None,
+        failure: None,
+    };
+    let compared = report.fill(arguments, scene, &mut simulator, &progress).map_err(CliError::from);
+    progress.clear();
+    report.failure = compared.as_ref().err().map(ToString::to_string);
+    // What took so long is shown, even if it ended early.
+    if arguments.json {
+        context.json(&report)?;
+    } else if compared.is_ok() || !report.windows.is_empty() {
+        write!(context.out, "{}", text(&report))?;
+    }
+    compared
+}
+
+impl Report {
+    /// Compares window after window.
+    fn fill(
+        &mut self,
+        arguments: &GradcheckArgs,
+        scene: &Scene,
+        simulator: &mut AnySimulator,
+        progress: &Progress,
+    ) -> Result<(), RolloutError> {
+        let map = SkillMap::new(scene);
+        let own = scene.time.horizon_steps;
+        let mut window = |start: u32, end: u32| -> Result<Window, RolloutError> {
+            progress.begin(&format!("differences, control steps {start} to {end}"), 0, &[]);
+            simulator.check_window(&map, start, end)
+        };
+        // After the motion's end no parameter is at work.
+        let motion_s = map.duration_s(&CHECKED_THETA);
+        let motion = (motion_s / scene.time.control_period_s()).ceil() as u32;
+        for start in (0..own.min(motion)).step_by(arguments.steps as usize) {
+            self.windows.push(window(start, own.min(start + arguments.steps))?);
+        }
+        if arguments.short {
+            return Ok(());
+        }
+        for end in horizons(arguments.steps, own) {
+            self.growth.push(window(0, end)?);
+        }
+        self.smoothed = Some(smoothed(simulator.as_dyn())?);
+        Ok(())
+    }
 }
 
 fn text(report: &Report) -> String {

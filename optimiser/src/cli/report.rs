@@ -77,6 +77,9 @@ pub struct ReportArgs {
     /// Only curves and tables, no replay: nothing is simulated
     #[arg(long)]
     pub no_replay: bool,
+    /// What is in the replay's way: said on the page.
+    #[arg(skip)]
+    pub obstacle: Option<String>,
     /// Print what the page says as one JSON object
     #[arg(long)]
     pub json: bool,
@@ -103,6 +106,7 @@ pub fn execute(arguments: &ReportArgs, context: &mut Context<'_>) -> Result<(), 
     } else {
         arguments.plan(of)?
     };
+    page.notes.extend(arguments.obstacle.iter().map(|why| format!("There is no replay: {why}.")));
     let mut replayed = None;
     if let Some(task) = task.filter(|_| !arguments.no_replay) {
         let film = Film::new(&task, PERIOD_S, Recorder::most_bytes)?.with_arm();

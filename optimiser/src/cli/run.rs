@@ -100,7 +100,7 @@ pub fn run(
     context: &mut Context<'_>,
 ) -> Result<(), CliError> {
     let mut run = match &arguments.resume {
-        Some(folder) => resumed(arguments, folder)?,
+        Some(folder) => resumed(arguments, folder, context)?,
         None => begun(arguments, scene, context)?,
     };
     go_on(&mut run, arguments.resources, on_epoch, context)?;
@@ -131,8 +131,7 @@ fn begun(arguments: &RunArgs, scene: Option<&Scene>, context: &Context<'_>) -> R
         ..usual
     };
     let setup = arguments.resources.setup(seed, precision);
-    check_memory(&setup, &scene, settings)?;
-    (context.factory)(&scene, &setup)?;
+    check_able(&setup, &scene, settings, context)?;
     let folder = match &arguments.out {
         Some(path) => RunFolder::create(path)?,
         None => RunFolder::create_numbered(
@@ -142,7 +141,7 @@ fn begun(arguments: &RunArgs, scene: Option<&Scene>, context: &Context<'_>) -> R
     Run::begin(folder, scene, (seed, precision), settings)
 }
 
-fn resumed(arguments: &RunArgs, path: &Path) -> Result<Run, CliError> {
+fn resumed(arguments: &RunArgs, path: &Path, context: &Context<'_>) -> Result<Run, CliError> {
     let folder = RunFolder::open(path)?;
     let mut record = RunRecord::read(path)?;
     refuse_differences(arguments, path, &record.state)?;
@@ -153,7 +152,24 @@ fn resumed(arguments: &RunArgs, path: &Path) -> Result<Run, CliError> {
         record.state.settings.refine_by = 0;
         record.state.looks.clear();
     }
+    if !record.state.finished || is_prolonged {
+        let state = &record.state;
+        // Before a prolongation takes anything back.
+        let setup = arguments.resources.setup(state.seed, state.precision);
+        check_able(&setup, &record.scene, state.settings, context)?;
+    }
     Run::resume(folder, record, epochs)
+}
+
+/// Whether memory and threads will do.
+fn check_able(
+    setup: &Setup,
+    scene: &Scene,
+    settings: Settings,
+    context: &Context<'_>,
+) -> Result<(), CliError> {
+    check_memory(setup, scene, settings)?;
+    Ok((context.factory)(scene, setup).map(|_| ())?)
 }
 
 /// What is left to do of it.
@@ -163,7 +179,7 @@ fn go_on(
     on_epoch: EpochFn<'_>,
     context: &mut Context<'_>,
 ) -> Result<(), CliError> {
-    let RunRecord { state, scene, .. } = run.record();
+    let state = &run.record().state;
     if state.finished {
         let prolongs = match state.is_settled() {
             true => {
@@ -171,13 +187,14 @@ fn go_on(
             }
             false => format!("--epochs with more than {} prolongs it", state.settings.epochs),
         };
-        writeln!(context.err, "The run in {} is finished; {prolongs}.", run.folder().path().display())?;
+        // Nobody need hear it.
+        let _ =
+            writeln!(context.err, "The run in {} is finished; {prolongs}.", run.folder().path().display());
         return Ok(());
     }
     let resumable =
         format!("the epochs before are saved, go on with: {}", resume_command(run.folder().path()));
     let setup = resources.setup(state.seed, state.precision);
-    check_memory(&setup, scene, state.settings)?;
     completed(run, &setup, Run::complete, on_epoch, context).map_err(|error| error.with_remark(&resumable))
 }
 

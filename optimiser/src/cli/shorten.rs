@@ -15,7 +15,7 @@ use crate::{
         finding::Outcome,
         folder::RunFolder,
     },
-    shorten::{Haste, duration_s, hastened, holds, most_haste},
+    shorten::{Haste, duration_s, hastened, holds, loses_more, most_haste},
 };
 use clap::Args;
 use powderline_simulator::{
@@ -131,7 +131,13 @@ pub(super) fn execute(arguments: &ShortenArgs, context: &mut Context<'_>) -> Res
         writeln!(context.out, "{}{}", report.text(), report.refined.text(&map, FASTER_BROUGHT))?;
         write!(context.out, "{}", next::play(&report.refined.plan))?;
     }
-    report.refined.shortfall().map_or(Ok(()), |shortfall| Err(CliError::Missed(shortfall)))
+    let [before_kg, now_kg] = [report.before.lost_kg, report.refined.outcome().lost_kg];
+    let loses_more = || loses_more(&Amounts::from(&task.scene), before_kg, now_kg);
+    report
+        .refined
+        .shortfall()
+        .or_else(loses_more)
+        .map_or(Ok(()), |shortfall| Err(CliError::Missed(shortfall)))
 }
 
 /// The plan's motion in haste, on the scene's own cells.

@@ -63,6 +63,8 @@ struct Report {
     packings: Option<Packings>,
     plan: Option<PlanReport>,
     executed: Option<ExecutedReport>,
+    /// What makes the command fail, if anything does.
+    failure: Option<String>,
 }
 
 /// What the same motion brings on smaller cells.
@@ -81,7 +83,7 @@ struct Finer {
 /// What the same motion brings in other packings of the powder.
 #[derive(Serialize)]
 struct Packings {
-    /// How many were asked for: fewer were looked at where somebody stopped it.
+    /// How many were asked for: fewer were looked at where that ended early.
     asked: u32,
     /// Of those in which it comes to an end; none if there is none.
     mean: Option<Mean>,
@@ -158,27 +160,38 @@ pub(super) fn execute(arguments: &SimulateArgs, context: &mut Context<'_>) -> Re
     let task = arguments.motion.task()?;
     // Refused here, before anything is simulated.
     let finer = arguments.refine.map(|by| task.scene.refined(by)).transpose()?;
+    check_memory(&task, finer.as_ref())?;
     let (found, seconds) = simulated(&task, &task.scene, &task.setup, "simulating", context)?;
     let mut report = Report::new(&task, &found, seconds);
-    if let Some(scene) = finer {
-        report.finer = Some(Finer::of(&task, &scene, &report.outcome, arguments.packings, context)?);
-    }
-    if let Some(count) = arguments.packings.filter(|_| report.stopped().is_none()) {
-        report.packings = Some(Packings::of(&task, &task.scene, count, &report.amounts, context)?);
-    }
+    // What was found is printed however that ends.
+    let further = report.look_further(&task, finer.as_ref(), arguments.packings, context);
+    let ended = match report.plan {
+        Some(PlanReport { reproduced: Some(false), .. }) => {
+            let other = CliError::Failed("the plan's loss and amount were not reproduced".into());
+            Err(match further {
+                Ok(()) => other,
+                Err(further) => other.with_remark(&further.to_string()),
+            })
+        }
+        _ => further,
+    };
+    report.failure = ended.as_ref().err().map(ToString::to_string);
     if arguments.json {
         context.json(&report)?;
     } else {
         write!(context.out, "{}", report.text())?;
     }
-    let is_other = matches!(report.plan, Some(PlanReport { reproduced: Some(false), .. }));
-    let other = is_other.then(|| CliError::Failed("the plan's loss and amount were not reproduced".into()));
-    match (other, report.stopped()) {
-        (Some(other), Some(stopped)) => Err(other.with_remark(&stopped)),
-        (Some(other), None) => Err(other),
-        (None, Some(stopped)) => Err(CliError::Interrupted(stopped)),
-        (None, None) => Ok(()),
-    }
+    ended
+}
+
+/// Whether memory will do, for the scene and for the smaller cells, if those are looked at.
+fn check_memory(task: &Task, finer: Option<&Scene>) -> Result<(), CliError> {
+    task.setup.check_memory(&task.scene, Workload::Single, 0)?;
+    let Some(finer) = finer else { return Ok(()) };
+    task.setup.check_memory(finer, Workload::Single, 0).map_err(|error| {
+        let on = cells(finer.domain.cell_m);
+        CliError::from(error).with_remark(&format!("that is for {on}, which --refine asks for"))
+    })
 }
 
 /// What a motion brings in a scene, its own or a finer copy of it, in a packing, its own or another.
@@ -201,7 +214,6 @@ fn tried(
     doing: &str,
     context: &mut Context<'_>,
 ) -> Result<(Result<Evaluation, RolloutError>, f64), CliError> {
-    setup.check_memory(scene, Workload::Single, 0)?;
     let mut simulator = (context.factory)(scene, setup)?;
     let progress = Progress::new(&context.err, context.live);
     simulator.set_progress(progress.watch(&context.interrupt));
@@ -219,20 +231,12 @@ fn tried(
 }
 
 impl Finer {
-    fn of(
-        task: &Task,
-        scene: &Scene,
-        own: &Outcome,
-        packings: Option<u32>,
-        context: &mut Context<'_>,
-    ) -> Result<Self, CliError> {
-        let (found, seconds) = simulated(task, scene, &task.setup, "simulating, on smaller cells", context)?;
+    /// What was found there, and no other packings yet.
+    fn new(scene: &Scene, own: &Outcome, found: &Evaluation, seconds: f64) -> Self {
         let amounts = Amounts::from(scene);
-        let outcome = Outcome::of_evaluation(&amounts, &found);
+        let outcome = Outcome::of_evaluation(&amounts, found);
         let change = (own.mass_kg > 0.0).then(|| outcome.mass_kg / own.mass_kg - 1.0);
-        let others = |count| Packings::of(task, scene, count, &amounts, context);
-        let packings = packings.map(others).transpose()?;
-        Ok(Self { cell_m: scene.domain.cell_m, amounts, outcome, change, seconds, packings })
+        Self { cell_m: scene.domain.cell_m, amounts, outcome, change, seconds, packings: None }
     }
 
     fn text(&self) -> String {
@@ -257,41 +261,49 @@ impl Finer {
 }
 
 impl Packings {
-    fn of(
+    /// None looked at yet.
+    fn new(asked: u32) -> Self {
+        Self { asked, mean: None, each: Vec::new(), seconds: 0.0 }
+    }
+
+    /// Looks at them, and keeps what was looked at however that ends.
+    fn look(
+        &mut self,
         task: &Task,
         scene: &Scene,
-        count: u32,
-        amounts: &Amounts,
+        on: &str,
         context: &mut Context<'_>,
-    ) -> Result<Self, CliError> {
+    ) -> Result<(), CliError> {
         let own = task.setup.settings.seed_of(&task.scene);
-        let (mut each, mut seconds) = (Vec::new(), 0.0);
-        for number in 1..=count {
+        let amounts = Amounts::from(scene);
+        for number in 1..=self.asked {
             let seed = own.wrapping_add(number.into());
             let settings = SimulatorSettings { seed: Some(seed), ..task.setup.settings };
-            let doing = format!("simulating, packing {number} of {count}");
-            let setup = Setup { settings, ..task.setup };
-            let (found, took) = tried(task, scene, &setup, &doing, context)?;
-            each.push(match found {
-                // What was looked at so far is kept.
-                Err(RolloutError::Stopped) => break,
+            let doing = format!("simulating, packing {number} of {}", self.asked);
+            let (found, took) = tried(task, scene, &Setup { settings, ..task.setup }, &doing, context)?;
+            self.each.push(match found {
                 Err(error) if error.is_of_motion() => {
                     Packing { seed, outcome: None, error: Some(error.to_string()) }
                 }
-                found => {
-                    Packing { seed, outcome: Some(Outcome::of_evaluation(amounts, &found?)), error: None }
+                Err(RolloutError::Stopped) => {
+                    let looked = format!("{} of {}", self.each.len(), self.asked);
+                    return Err(CliError::Interrupted(format!(
+                        "stopped after {looked} other packings on {on}"
+                    )));
+                }
+                Err(error) => {
+                    return Err(
+                        CliError::from(error).with_remark(&format!("that is of seed {seed}, on {on}"))
+                    );
+                }
+                Ok(found) => {
+                    Packing { seed, outcome: Some(Outcome::of_evaluation(&amounts, &found)), error: None }
                 }
             });
-            seconds += took;
+            self.seconds += took;
+            self.mean = Mean::of(&self.each);
         }
-        Ok(Self { asked: count, mean: Mean::of(&each), each, seconds })
-    }
-
-    /// Why there are fewer than were asked for; none if there are not.
-    fn stopped(&self, on: &str) -> Option<String> {
-        let looked = self.each.len() as u32;
-        (looked < self.asked)
-            .then(|| format!("stopped after {looked} of {} other packings on {on}", self.asked))
+        Ok(())
     }
 
     fn text(&self, amounts: &Amounts, on: &str) -> String {
@@ -375,6 +387,7 @@ impl Report {
             amounts,
             plan,
             executed,
+            failure: None,
         }
     }
 }
@@ -407,13 +420,44 @@ impl PlanReport {
 }
 
 impl Report {
-    /// Why packings are missing; none if there are none.
-    fn stopped(&self) -> Option<String> {
-        let finer = self.finer.as_ref().and_then(|finer| {
-            let stopped = finer.packings.as_ref()?.stopped(&cells(finer.cell_m))?;
-            Some(format!("{stopped}; those on {OWN} were not looked at"))
-        });
-        finer.or_else(|| self.packings.as_ref()?.stopped(OWN))
+    /// Looks at smaller cells and other packings, and keeps what was looked at however that ends.
+    fn look_further(
+        &mut self,
+        task: &Task,
+        finer: Option<&Scene>,
+        packings: Option<u32>,
+        context: &mut Context<'_>,
+    ) -> Result<(), CliError> {
+        if let Some(scene) = finer {
+            self.look_at_finer(task, scene, packings, context)?;
+        }
+        packings.map_or(Ok(()), |count| {
+            self.packings.insert(Packings::new(count)).look(task, &task.scene, OWN, context)
+        })
+    }
+
+    fn look_at_finer(
+        &mut self,
+        task: &Task,
+        scene: &Scene,
+        packings: Option<u32>,
+        context: &mut Context<'_>,
+    ) -> Result<(), CliError> {
+        let on = cells(scene.domain.cell_m);
+        let left_out = |error: CliError, what: &str| match packings {
+            Some(_) => error.with_remark(&format!("{what} were not looked at")),
+            None => error,
+        };
+        let (found, seconds) = simulated(task, scene, &task.setup, "simulating, on smaller cells", context)
+            .map_err(|error| {
+            left_out(error.with_remark(&format!("what it brings on {on} is not known")), "other packings")
+        })?;
+        let finer = self.finer.insert(Finer::new(scene, &self.outcome, &found, seconds));
+        packings
+            .map_or(Ok(()), |count| {
+                finer.packings.insert(Packings::new(count)).look(task, scene, &on, context)
+            })
+            .map_err(|error| left_out(error, &format!("other packings on {OWN}")))
     }
 
     fn text(&self) -> String {

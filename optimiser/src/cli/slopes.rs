@@ -121,11 +121,13 @@ pub(super) fn execute(
         bench.outcome(&skill.theta, seed, watch)
     });
     // What took so long is shown, even if it ended early.
-    table.end(finished.is_ok(), context)?;
-    finished.map_err(|error| match &table.folder {
-        Some(_) => error.with_remark("what was measured is saved, and the same command goes on from there"),
-        None => error,
-    })
+    let shown = table.end(finished.is_ok(), context);
+    finished.map_err(|error| match (&error, &table.folder) {
+        (CliError::Interrupted(_), Some(_)) => error
+            .with_remark("the skills that were measured are saved, and the same command goes on from there"),
+        _ => error,
+    })?;
+    shown
 }
 
 /// What a table that was begun in the folder has, if it is of the same.
@@ -199,13 +201,15 @@ fn fill(
         table.push(*skill, outcome, context)?;
     }
     let (measured, passed_over) = (table.report.skills.len(), table.report.passed_over.len());
-    if measured == 0 || count > 1 && measured < 2 {
-        return Err(CliError::Failed(format!(
-            "of {} skills {measured} could be measured: fewer than two make no table; another --first finds others",
-            measured + passed_over
-        )));
+    if measured >= count {
+        return Ok(());
     }
-    Ok(())
+    let others = asked.iter().any(|skill| skill.draw.is_some()).then_some("; another --first finds others");
+    Err(CliError::Failed(format!(
+        "of {} skills {measured} could be measured, and {count} are asked for{}",
+        measured + passed_over,
+        others.unwrap_or_default()
+    )))
 }
 
 /// One skill with all packings, up to the first that says nothing of it.
@@ -314,9 +318,9 @@ impl Table {
         self.report.summary = Summary::new(&rows);
         self.report.summary_without_edge = if has_edge { Summary::new(&level) } else { None };
         self.report.complete = complete;
-        self.save()?;
         if self.json {
-            return context.json(&self.report);
+            context.json(&self.report)?;
+            return self.save();
         }
         let mut out: String = self.report.passed_over.iter().map(PassedOver::text).collect();
         if let Some(summary) = &self.report.summary {
@@ -335,7 +339,8 @@ impl Table {
             );
             write_summary(&mut out, summary, &format!("over {} skills", level.len()));
         }
-        self.show(&out, context)
+        self.show(&out, context)?;
+        self.save()
     }
 
     fn show(&self, text: &str, context: &mut Context<'_>) -> Result<(), CliError> {
@@ -464,6 +469,15 @@ mod tests {
     /// Fills a table of three out of nine, in which odd draws deliver, 3 only with the first packing; 5 is at the edge of the miss. `left` measurements succeed, and the
     /// next one is stopped.
     fn filled(folder: &std::path::Path, subject: Subject, left: u32) -> (Result<Table, CliError>, String) {
+        filled_up_to(3, folder, subject, left)
+    }
+
+    fn filled_up_to(
+        wanted: usize,
+        folder: &std::path::Path,
+        subject: Subject,
+        left: u32,
+    ) -> (Result<Table, CliError>, String) {
         let (mut out, mut left) = (Vec::new(), left);
         let mut context = Context {
             factory: &|_, _| unreachable!(),
@@ -486,7 +500,7 @@ mod tests {
         let table = begun(subject, Some(&folder)).and_then(|report| {
             let mut table = Table { report, folder: Some(folder), json: false };
             table.begin(&mut context)?;
-            fill(&mut table, 3, &skills(9), &mut context, &mut measure)?;
+            fill(&mut table, wanted, &skills(9), &mut context, &mut measure)?;
             table.end(true, &mut context)?;
             Ok(table)
         });
@@ -512,6 +526,16 @@ mod tests {
         let place = tempfile::tempdir().unwrap();
         let (_, out) = filled(place.path(), Subject { aim: Aim::All, ..subject() }, 99);
         assert!(out.contains("over 3 skills") && !out.contains("look across"), "{out}");
+    }
+
+    /// Three of nine deliver.
+    #[test]
+    fn a_table_of_fewer_skills_than_asked_for_says_so() {
+        let place = tempfile::tempdir().unwrap();
+        let (table, _) = filled_up_to(4, place.path(), subject(), 99);
+        let error = table.err().unwrap().to_string();
+        let wanted = "of 9 skills 3 could be measured, and 4 are asked for; another --first finds others";
+        assert_eq!(error, wanted);
     }
 
     /// Stopped, it goes on from where it was, to the same table; each skill is shown when it is done.

@@ -87,7 +87,8 @@ pub(super) fn execute(arguments: &ValidateArgs, context: &mut Context<'_>) -> Re
     let loose: Vec<String> = table.with(Verdict::DoesNotFail).map(|line| line.name.clone()).collect();
     let judged = judged(&no_longer, &loose);
     if arguments.json {
-        let (failure, summary) = (judged.as_deref(), table.summary());
+        let unfinished = (!table.is_whole()).then(|| unfinished(&table));
+        let (failure, summary) = (unfinished.as_deref().or(judged.as_deref()), table.summary());
         let (no_longer_holds, does_not_fail) = (&no_longer, &loose);
         context.json(&Report { no_longer_holds, does_not_fail, failure, summary, table: &table })?;
     } else {

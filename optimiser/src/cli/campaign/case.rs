@@ -195,16 +195,26 @@ impl Work<'_> {
         }
         self.run()?;
         let found = self.found()?;
+        // What was found stands, whatever becomes of its page.
+        match self.page(None) {
+            Err(CliError::Failed(why) | CliError::Input(why)) => self.page(Some(why))?,
+            ended => ended?,
+        }
+        Ok(found)
+    }
+
+    /// Without a replay where something is in its way.
+    fn page(&self, obstacle: Option<String>) -> Result<(), CliError> {
         let page = report::ReportArgs {
             of: self.folder.into(),
             executed: None,
             out: None,
-            no_replay: !self.campaign.file().replays,
+            no_replay: !self.campaign.file().replays || obstacle.is_some(),
+            obstacle,
             json: false,
             resources: self.resources,
         };
-        self.quietly(|context| report::execute(&page, context))?;
-        Ok(found)
+        self.quietly(|context| report::execute(&page, context))
     }
 
     /// The one place where `optimise run` is called.

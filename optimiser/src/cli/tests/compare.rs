@@ -106,8 +106,16 @@ fn a_prolonged_comparison_has_the_bits_of_a_longer_one() {
     let [long, short] = ["long", "short"].map(|name| place.text(name));
     assert_eq!(optimise(&arguments(&long, "40")).code, 0);
     assert_eq!(optimise(&arguments(&short, "15")).code, 0);
-    let done = optimise(&["compare", "--resume", &short, "--rollouts", "15,40"]);
+    let drawn = || [CURVES, "comparison.csv", "summary.md"].map(|name| bytes(&short, name));
+    let prolong = ["compare", "--resume", &short, "--rollouts", "15,40"];
+    // Stopped among the last searches, it leaves what was drawn of all of them.
+    let before = drawn();
+    let done = optimise_for(TICKS * 200, &prolong);
+    assert!(done.code == 130 && done.err.contains("surrogate, seed 2,"), "{}", done.err);
+    assert_eq!(drawn(), before);
+    let done = optimise(&prolong);
     assert_eq!(done.code, 0, "{}", done.err);
+    assert_ne!(drawn(), before);
     assert_same(&short, &long);
     let done = optimise(&["compare", "--resume", &short, "--rollouts", "20"]);
     assert_sentence(&done, 2, "it can only be prolonged");

@@ -158,3 +158,25 @@ fn what_is_of_another_scene_or_run_is_not_gone_on_with() {
     }
     assert_eq!(bytes(&stopped, "scene.toml"), before);
 }
+
+/// As by a version that did not look at what this one looks at.
+#[test]
+fn what_was_seen_before_is_asked_again_whether_the_arm_may_perform_it() {
+    let place = Place::new();
+    let folder = place.text("run");
+    let search = ["run", "bench", "--method", "mixed", "--no-refine", "--epochs", "3", "--out", &folder];
+    assert!(optimise(&search).is_finished());
+    let plan = format!("{folder}/skill.plan");
+    let done = shortened(&place, &plan, "quick", u64::MAX);
+    let mut kept: Value = serde_json::from_slice(&bytes(&place.text("quick"), "haste.json")).unwrap();
+    let looks = kept["looks"].as_array_mut().unwrap();
+    let before = looks[0]["census"].clone();
+    let refused = looks.iter_mut().filter(|look| !look["obstacle"].is_null());
+    let refused =
+        refused.map(|look| (look["obstacle"], look["census"]) = (Value::Null, before.clone())).count();
+    assert!(refused > 0, "{kept}");
+    fs::create_dir(place.path("again")).unwrap();
+    fs::write(place.path("again/haste.json"), kept.to_string()).unwrap();
+    let again = shortened(&place, &plan, "again", u64::MAX);
+    assert_eq!((again.code, header(&place, "again")), (done.code, header(&place, "quick")));
+}
