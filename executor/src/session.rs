@@ -654,13 +654,19 @@ impl<'a> Executor<'a> {
 
     fn status(&mut self, now_us: u64, status: &Status) {
         self.heard_us = now_us;
+        if self.stage == Stage::Stopping && self.is_of_before(status) {
+            return;
+        }
         let news = self.ours.is_none_or(|known| known.state != status.state);
+        let falls_back = self.ours.is_some_and(|known| falls_back(known.state, status.state));
         match self.believed(now_us, status) {
             Ok(believed) => self.progress(now_us, &believed),
             Err(doubt) => return self.disbelieve(now_us, doubt),
         }
         self.arm = self.ours;
         match self.stage {
+            // Somebody has stopped it on its way up, or it has closed the session: it is not led up once more.
+            Stage::Enabling if falls_back => self.stop(now_us, FaultCode::StateUnexpected),
             // Once operation is enabled the anchor is on its way.
             Stage::Enabling if news && status.state != State::OperationEnabled => {
                 self.answered(now_us);
@@ -673,6 +679,11 @@ impl<'a> Executor<'a> {
             Stage::Stopping => self.watch_stop(now_us, status),
             Stage::Opening | Stage::Enabling | Stage::Leaving | Stage::Done(_) => {}
         }
+    }
+
+    /// What an arm said on its way up, said once more by somebody else while it stops: it would seem to stand.
+    fn is_of_before(&self, status: &Status) -> bool {
+        !may_move(status.state) && status.state != State::Fault && status.applied_tick < self.belief.tick()
     }
 
     /// Whether what the arm says of ticks counts; while it stops only whether it stands is waited for.
@@ -757,7 +768,8 @@ impl<'a> Executor<'a> {
 
     /// Standstill is watched for a time: an arm that has said so once may have stood between two ticks, or another one spoken.
     fn watch_stop(&mut self, now_us: u64, status: &Status) {
-        if !status.standstill {
+        // In a session that is over it says nothing of this one; somebody else may be moving it.
+        if !status.standstill && may_move(status.state) {
             // It moves, but it still answers.
             self.give_up_at_us = now_us.saturating_add(self.config.handshake_us);
         }
@@ -850,7 +862,9 @@ impl<'a> Executor<'a> {
                 }
             }
             Stage::Leaving => self.command(Command::Shutdown),
-            Stage::Stopping if self.hard || self.stops_for_too_long(now_us) => self.queue(ToArm::Stop),
+            Stage::Stopping if self.hard || self.stops_for_too_long(now_us) && self.may_be_at_work() => {
+                self.queue(ToArm::Stop);
+            }
             Stage::Stopping if self.is_let_go() && self.ours.is_some_and(|arm| arm.standstill) => {
                 self.command(Command::Shutdown);
             }
@@ -863,6 +877,12 @@ impl<'a> Executor<'a> {
     /// plan: disable voltage would reset a stop that somebody else has latched meanwhile.
     fn is_let_go(&self) -> bool {
         self.fault.is_some_and(|fault| fault.code == FaultCode::AnchorElsewhere)
+    }
+
+    /// Whether the arm may be at work in this session, for all that is known. If it is not, a stop frame, which is of no session,
+    /// would stop what somebody else does.
+    fn may_be_at_work(&self) -> bool {
+        self.ours.is_none_or(|arm| may_move(arm.state))
     }
 
     /// A controlled stop that takes longer than one may take.
@@ -1032,10 +1052,34 @@ impl<'a> Executor<'a> {
     }
 }
 
+/// Whether an arm in this state may move.
+fn may_move(state: State) -> bool {
+    matches!(state, State::OperationEnabled | State::QuickStopActive | State::FaultReactionActive)
+}
+
+/// Whether an arm that was in one state of the way up is in an earlier one now.
+fn falls_back(before: State, now: State) -> bool {
+    let step = |state| WAY_UP.iter().position(|(from, _)| *from == state);
+    let before = if before == State::OperationEnabled { Some(WAY_UP.len()) } else { step(before) };
+    before.zip(step(now)).is_some_and(|(before, now)| now < before)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use powderline_shared::wire::state::{Event, transition};
+
+    #[test]
+    fn only_what_is_below_falls_back() {
+        let ways = WAY_UP.map(|(from, _)| from);
+        for (k, now) in ways.into_iter().enumerate() {
+            for (j, before) in ways.into_iter().enumerate() {
+                assert_eq!(falls_back(before, now), k < j);
+            }
+            assert!(falls_back(State::OperationEnabled, now) && !falls_back(now, State::OperationEnabled));
+            assert!(!falls_back(State::Fault, now) && !falls_back(now, State::Fault));
+        }
+    }
 
     #[test]
     fn the_way_up_is_one_of_the_table() {

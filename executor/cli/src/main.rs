@@ -81,7 +81,7 @@ struct Arguments {
     #[arg(long, value_name = "HZ")]
     rate: Option<f64>,
     /// Time without a report after which the arm counts as silent, milliseconds
-    #[arg(long, value_name = "MS", default_value_t = 300, value_parser = clap::value_parser!(u64).range(10..=10_000))]
+    #[arg(long, value_name = "MS", default_value_t = 300, value_parser = clap::value_parser!(u64).range(LEAST_ARM_TIMEOUT_MS..=10_000))]
     arm_timeout: u64,
     /// How far the arm may be along an axis from where it is due, millimetres; how far it goes in 30 ms is added
     #[arg(long, value_name = "MM", default_value_t = 1e3 * Following::default().linear_m, value_parser = positive)]
@@ -114,6 +114,9 @@ struct Arguments {
     #[arg(long)]
     json: bool,
 }
+
+/// An arm that stands speaks every 100 ms, and one of its frames may be lost.
+const LEAST_ARM_TIMEOUT_MS: u64 = 250;
 
 fn positive(text: &str) -> Result<f64, String> {
     let value: f64 = text.parse().map_err(|_| format!("\"{text}\" is no number"))?;
@@ -213,22 +216,38 @@ fn run(arguments: &Arguments) -> anyhow::Result<ExitCode> {
     let load = check_wire(arguments, &plan, &config)?;
     announce(arguments, &format!("{}  wire      {}{load}\n", PlanFacts::new(&file, &plan), arguments.to))?;
     if arguments.dry_run {
+        if arguments.to == Link::Sim {
+            simulated_arm(&plan)?;
+        }
         return say_dry(arguments);
     }
-    let mut record = arguments.record.as_deref().map(Record::create).transpose()?;
-    let result = match &arguments.to {
-        Link::Sim => perform_here(arguments, &plan, config)?,
-        to => perform_there(arguments, &plan, config, to, record.as_mut())?,
+    let mut record = record(arguments)?;
+    let performed = match &arguments.to {
+        Link::Sim => perform_here(arguments, &plan, config),
+        to => perform_there(arguments, &plan, config, to, record.as_mut()),
+    };
+    let result = match performed {
+        Ok(result) => result,
+        Err(error) => {
+            if let Some(record) = record {
+                record.finish(&arguments.to, &format!("{error:#}"))?;
+            }
+            return Err(error);
+        }
     };
     let report = Report::new(&file, &plan, &result);
-    let written = record.map_or(Ok(()), |record| record.finish(&arguments.to, &report));
+    let written = record.map_or(Ok(()), |record| record.finish(&arguments.to, &report.cause()));
     if arguments.json {
         say(&format!("{}\n", serde_json::to_string(&report)?))?;
     } else {
         say(&report.to_string())?;
     }
-    written?;
+    // What the arm did comes first: the report stands, and so does what it ends with.
+    if let Err(error) = &written {
+        tell(&format!("execute: {error:#}\n"));
+    }
     Ok(match &report {
+        report if report.succeeded() && written.is_err() => ExitCode::from(EXIT_OTHER),
         report if report.succeeded() => ExitCode::SUCCESS,
         report if report.stopped_by_a_person() => ExitCode::from(EXIT_STOPPED),
         _ => ExitCode::from(EXIT_FAULT),
@@ -290,6 +309,11 @@ fn key(arguments: &Arguments) -> anyhow::Result<Option<Key>> {
 
 /// Whether the plan can be played over the wire at all: limits, counts, load. Words for the load.
 fn check_wire(arguments: &Arguments, plan: &PlanReader<'_>, config: &Config) -> Result<String, WireError> {
+    if arguments.to == Link::Pty {
+        return Err(WireError(
+            "pty is what firmware-sim opens; give the serial:DEVICE that it prints".into(),
+        ));
+    }
     let period_us = config.period_us.unwrap_or(plan.header().control_period_us);
     let (lsb, span) = scale(&arguments.to, plan);
     let rate_hz = 1e6 / f64::from(period_us);
@@ -340,7 +364,9 @@ fn say_dry(arguments: &Arguments) -> anyhow::Result<ExitCode> {
     if arguments.json {
         say("{\"dry_run\":true,\"exit_code\":0}\n")?;
     } else {
-        say("Everything that can be checked without an arm is in order; nothing was sent.\n")?;
+        say(
+            "The plan's limits and the load of the wire are in order; no wire was opened, and nothing was sent.\n",
+        )?;
     }
     Ok(ExitCode::SUCCESS)
 }
@@ -404,38 +430,66 @@ fn announce(arguments: &Arguments, text: &str) -> anyhow::Result<()> {
     if arguments.json { Ok(()) } else { say(text) }
 }
 
-/// Where the last frames go when the session is over. The file is there before the arm moves.
+fn record(arguments: &Arguments) -> anyhow::Result<Option<Record>> {
+    let Some(path) = &arguments.record else { return Ok(None) };
+    if arguments.to == Link::Sim {
+        bail!(
+            "--record {} is for an arm on a wire: there are no frames here; give --to WIRE too",
+            path.display()
+        );
+    }
+    Record::create(path).map(Some)
+}
+
+/// Where the last frames go when the session is over: to a file beside it, which is there before the arm moves. One of before stays until
+/// then, and where there is no frame.
 struct Record {
     path: PathBuf,
+    part: PathBuf,
     file: File,
     recorder: Box<FlightRecorder>,
 }
 
 impl Record {
     fn create(path: &Path) -> anyhow::Result<Self> {
-        let file = File::create(path).with_context(|| format!("{}: cannot be written", path.display()))?;
-        Ok(Self { path: path.to_owned(), file, recorder: Box::default() })
+        // A pipe, a device or a folder is no file that another could take the place of.
+        let is_other = std::fs::metadata(path).is_ok_and(|there| !there.is_file());
+        let mut part = path.as_os_str().to_owned();
+        part.push(if is_other { "" } else { ".part" });
+        let part = PathBuf::from(part);
+        let file = File::create(&part).with_context(|| format!("{}: cannot be written", path.display()))?;
+        Ok(Self { path: path.to_owned(), part, file, recorder: Box::default() })
     }
 
-    fn finish(self, to: &Link, report: &Report) -> anyhow::Result<()> {
+    /// With how it ended.
+    fn finish(self, to: &Link, cause: &str) -> anyhow::Result<()> {
+        if self.recorder.frames().next().is_none() {
+            // There is nothing to be told of a session that there was none of.
+            if self.part != self.path {
+                let _ = std::fs::remove_file(&self.part);
+            }
+            return Ok(());
+        }
         let (interface, dialect) = match to {
             Link::Can { interface, .. } => (interface.as_str(), Dialect::Classic),
             Link::CanFd { interface, .. } => (interface.as_str(), Dialect::Fd),
             Link::Sim | Link::Serial { .. } | Link::Pty => ("serial0", Dialect::Fd),
         };
-        let mut log = Writer::new(BufWriter::new(self.file), interface, dialect);
-        let write = move || -> io::Result<()> {
-            if self.recorder.forgotten() > 0 {
+        let Self { path, part, file, recorder } = self;
+        let mut log = Writer::new(BufWriter::new(file), interface, dialect);
+        let write = || -> io::Result<()> {
+            if recorder.forgotten() > 0 {
                 let (one, more) = ("frame before these is", "frames before these are");
-                log.remark(&format!("{} forgotten", counted(self.recorder.forgotten(), one, more)))?;
+                log.remark(&format!("{} forgotten", counted(recorder.forgotten(), one, more)))?;
             }
-            for recorded in self.recorder.frames() {
+            for recorded in recorder.frames() {
                 log.frame(recorded.at_us, &recorded.frame)?;
             }
-            log.remark(&report.cause())?;
-            log.into_inner().flush()
+            log.remark(cause)?;
+            log.into_inner().flush()?;
+            if part == path { Ok(()) } else { std::fs::rename(&part, &path) }
         };
-        write().with_context(|| format!("{}: cannot be written", self.path.display()))
+        write().with_context(|| format!("{}: cannot be written", path.display()))
     }
 }
 

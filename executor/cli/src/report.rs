@@ -210,7 +210,9 @@ impl Report {
                 format!("{how}: {} of {planned}", self.ticks.applied)
             }
             Some(stop) => {
-                format!("stopped at tick {}, fault {}: {}", self.ticks.applied, stop.code, stop.reason)
+                let how =
+                    if self.standstill { "stopped" } else { "given up, and nobody knows whether it stands," };
+                format!("{how} at tick {}, fault {}: {}", self.ticks.applied, stop.code, stop.reason)
             }
         }
     }

@@ -66,6 +66,7 @@ pub fn play(
         dialect: wire.dialect(),
         wire: Wired {
             wire,
+            start_us,
             recorder,
             waiting: None,
             last_sent: 0,
@@ -130,7 +131,9 @@ impl Player<'_, '_> {
     }
 
     fn wait(&mut self, turn: Turn, observer: &impl Observer) -> io::Result<()> {
-        let busy = self.wire.waiting.is_some();
+        // One that is gone has no room either, and may say for ever that there is something to fetch.
+        let gone = self.wire.failure.is_some();
+        let busy = self.wire.waiting.is_some() || gone;
         if turn == Turn::Unfinished && !busy {
             return Ok(());
         }
@@ -138,7 +141,8 @@ impl Player<'_, '_> {
         let retry_us = clock::now_us().saturating_add(BUSY_US);
         // What is due has no room: only time helps, or what arrives.
         let moment_us = if busy { retry_us } else { due_us };
-        let interests: [Option<Interest<'_>>; 2] = [self.wire.wire.interest(), observer.interest()];
+        let wire = if gone { None } else { self.wire.wire.interest() };
+        let interests: [Option<Interest<'_>>; 2] = [wire, observer.interest()];
         wait_until(Some(moment_us), interests).map(drop)
     }
 
@@ -179,6 +183,7 @@ impl Player<'_, '_> {
 /// A wire of this machine, as the driver loop wants it: at most one frame waits for room, and a stop takes its place.
 struct Wired<'w> {
     wire: &'w mut dyn Transport,
+    start_us: u64,
     recorder: &'w mut FlightRecorder,
     waiting: Option<Frame>,
     /// The last setpoint that was given out for the first time.
@@ -209,12 +214,12 @@ impl Wired<'_> {
 }
 
 impl Device for Wired<'_> {
-    fn fetch(&mut self, mut heard: impl FnMut(&Frame)) -> Result<bool, Gone> {
+    fn fetch(&mut self, _: u64, mut heard: impl FnMut(u64, &Frame)) -> Result<bool, Gone> {
         match self.wire.receive() {
             Ok(Some(received)) => match received.what {
                 Incoming::Frame(frame) => {
                     self.recorder.record(received.at_us, &frame);
-                    heard(&frame);
+                    heard(clock::now_us().saturating_sub(self.start_us), &frame);
                 }
                 Incoming::Event(event) => self.handle_event(event)?,
             },

@@ -37,6 +37,8 @@ struct Clogged {
     bell: UnixStream,
     /// Up to when time has passed for the arm.
     passed_us: u64,
+    /// When the process is kept from its work, in the middle of a turn.
+    nap_us: Option<u64>,
 }
 
 impl Clogged {
@@ -66,6 +68,10 @@ impl Transport for Clogged {
     fn receive(&mut self) -> Result<Option<Received>, LinkError> {
         let _ = self.bell.read(&mut [0; 64]);
         // In small steps, so that an arm whose process was held up by this machine does not stop for that.
+        if self.nap_us.is_some_and(|nap_us| self.now_us() > nap_us) {
+            self.nap_us = None;
+            thread::sleep(Duration::from_millis(120));
+        }
         let now_us = self.now_us();
         let mut frame = self.arm.poll(self.passed_us);
         while frame.is_none() && self.passed_us < now_us {
@@ -115,6 +121,10 @@ fn bell() -> UnixStream {
 }
 
 fn played(wish: StopWish, full_for_us: u64) -> (RunResult, Clogged) {
+    played_with(wish, full_for_us, None)
+}
+
+fn played_with(wish: StopWish, full_for_us: u64, nap_us: Option<u64>) -> (RunResult, Clogged) {
     let slow = Move { steps: 100, ..one_move().remove(0) };
     let bytes = plan_bytes(&PlanHeader { control_period_us: 20_000, ..header() }, &[slow]);
     let plan = PlanReader::new(&bytes).unwrap();
@@ -129,11 +139,20 @@ fn played(wish: StopWish, full_for_us: u64) -> (RunResult, Clogged) {
         refused: 0,
         bell: bell(),
         passed_us: 0,
+        nap_us,
     };
     let mut person = Person { is_full, wish, full_since_us: None, full_for_us };
     let config = Config { silence_us: 2_000_000, ..Config::default() };
     let result = play(&plan, config, &mut wire, &mut FlightRecorder::default(), &mut person).unwrap();
     (result, wire)
+}
+
+/// What is read after a pause was said during it: the arm is not ahead of its time.
+#[test]
+fn an_executor_that_was_kept_from_its_work_does_not_doubt_the_arm_for_that() {
+    let (result, wire) = played_with(StopWish::None, 0, Some(700_000));
+    assert_eq!((result.outcome, result.doubt), (Outcome::Completed, None));
+    assert_eq!(wire.nap_us, None);
 }
 
 #[test]

@@ -250,3 +250,37 @@ fn ctrl_c_is_a_controlled_stop() {
     assert_eq!(child.wait().unwrap().code(), Some(4), "{text}");
     assert!(text.contains("Stopped at tick") && text.contains("(fault 501)"), "{text}");
 }
+
+/// What was recorded before stays until there is something to be told of another session.
+#[test]
+fn a_record_of_before_outlives_a_wire_that_is_not_there() {
+    let dir = TempDir::new().unwrap();
+    let plan = written(&dir, "skill.plan", &good_plan());
+    let record = written(&dir, "record.log", b"what happened before");
+    for (to, code, words) in [
+        ("serial:/dev/nowhere", 6, "/dev/nowhere"),
+        ("pty", 6, "pty is what firmware-sim opens"),
+        ("sim", 5, "is for an arm on a wire"),
+    ] {
+        let output = execute(&[&plan, "--to", to, "--record", &record]);
+        let error = str::from_utf8(&output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(code), "{error}");
+        assert!(error.contains(words), "\"{words}\" is missing in: {error}");
+        assert_eq!(fs::read(&record).unwrap(), b"what happened before");
+        assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 2, "{to}");
+    }
+}
+
+#[test]
+fn a_dry_run_says_what_it_has_looked_at() {
+    let dir = TempDir::new().unwrap();
+    let plan = written(&dir, "skill.plan", &good_plan());
+    for to in ["sim", "serial:/dev/nowhere"] {
+        let output = execute(&[&plan, "--to", to, "--dry-run"]);
+        let text = str::from_utf8(&output.stdout).unwrap();
+        assert_eq!(output.status.code(), Some(0), "{}", str::from_utf8(&output.stderr).unwrap());
+        assert!(text.ends_with("; no wire was opened, and nothing was sent.\n"), "{text}");
+    }
+    let output = execute(&[&plan, "--to", "serial:/dev/nowhere", "--dry-run", "--rate", "2000"]);
+    assert_eq!(output.status.code(), Some(6));
+}

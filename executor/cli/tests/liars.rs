@@ -611,3 +611,16 @@ fn a_terminal_that_nobody_reads_holds_up_neither_the_motion_nor_a_stop() {
         assert!(found == Some(code) && said.contains(words), "{found:?}: {said}");
     }
 }
+
+/// One object, and the code of what the arm did, whatever becomes of the record.
+#[test]
+fn a_record_that_cannot_be_written_takes_nothing_from_the_report() {
+    let (dir, bytes) = (TempDir::new().unwrap(), slow_plan());
+    let liar = Liar::start(&bytes, |status| status);
+    let output =
+        command(&dir, &bytes, &liar.wire).args(["--json", "--record", "/dev/full"]).output().unwrap();
+    let text = str::from_utf8(&output.stdout).unwrap();
+    assert_eq!(text.lines().count(), 1, "{text}");
+    let report: Value = serde_json::from_str(text).unwrap();
+    assert_eq!((output.status.code(), &report["completed"]), (Some(5), &true.into()), "{text}");
+}

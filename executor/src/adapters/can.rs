@@ -7,6 +7,7 @@
 //! use embedded_can::nb::Can;
 //! use powderline_executor::adapters::Turn;
 //! use powderline_executor::adapters::can::{CanWire, DIALECT};
+//! use powderline_executor::guard::rehearse;
 //! use powderline_executor::{Config, Endpoint, Outcome};
 //! use powderline_shared::plan::PlanReader;
 //!
@@ -18,7 +19,8 @@
 //!     stop_pressed: impl Fn() -> bool,
 //! ) -> Option<Outcome> {
 //!     let plan = PlanReader::new(plan).ok()?;
-//!     plan.check_limits().ok()?;
+//!     // Its limits, as it is rounded to the counts of this wire, and what the wire can tell apart.
+//!     rehearse(&plan, DIALECT.lsb(), plan.header().control_period_us, DIALECT.span()).ok()?;
 //!     let mut endpoint = Endpoint::new(now_us(), &plan, DIALECT, Config::default());
 //!     let mut wire = CanWire::new(can);
 //!     loop {
@@ -108,9 +110,9 @@ impl<C: Can> CanWire<C> {
 }
 
 impl<C: Can> Device for CanWire<C> {
-    fn fetch(&mut self, mut heard: impl FnMut(&Frame)) -> Result<bool, Gone> {
+    fn fetch(&mut self, now_us: u64, mut heard: impl FnMut(u64, &Frame)) -> Result<bool, Gone> {
         match self.can.receive() {
-            Ok(received) => from_device(&received).iter().for_each(&mut heard),
+            Ok(received) => from_device(&received).iter().for_each(|frame| heard(now_us, frame)),
             Err(nb::Error::WouldBlock) => return Ok(false),
             Err(nb::Error::Other(error)) => self.judge(error)?,
         }

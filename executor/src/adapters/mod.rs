@@ -44,11 +44,13 @@ pub struct Gone;
 
 /// What an adapter makes of its device.
 pub trait Device {
-    /// Fetches a piece of what has arrived. Whether there may be more.
+    /// Fetches a piece of what has arrived, and hands on frames with the time of the turn, or, of a device that has a clock, with a
+    /// later one at which it had them: an executor that was kept from its work must not think that an arm is ahead of its time.
+    /// Whether there may be more.
     ///
     /// # Errors
     /// The device is no wire any more.
-    fn fetch(&mut self, heard: impl FnMut(&Frame)) -> Result<bool, Gone>;
+    fn fetch(&mut self, now_us: u64, heard: impl FnMut(u64, &Frame)) -> Result<bool, Gone>;
 
     /// Hands on what waits. Whether there is room for another frame.
     ///
@@ -69,30 +71,34 @@ pub trait Device {
 /// One round of the loop, at a time in microseconds: what has arrived goes to the endpoint, what it has to say goes to the
 /// device, as far as there is room.
 pub fn turn(device: &mut impl Device, now_us: u64, endpoint: &mut Endpoint<'_>) -> Turn {
-    let more = receive(device, now_us, endpoint);
+    let (more, now_us) = receive(device, now_us, endpoint);
     match send(device, now_us, endpoint) {
         Turn::Idle if more => Turn::Unfinished,
         turn => turn,
     }
 }
 
-/// Whether there may be more.
-fn receive(device: &mut impl Device, now_us: u64, endpoint: &mut Endpoint<'_>) -> bool {
+/// Whether there may be more, and what time it is then.
+fn receive(device: &mut impl Device, now_us: u64, endpoint: &mut Endpoint<'_>) -> (bool, u64) {
+    let mut now_us = now_us;
     for _ in 0..MOST_PIECES {
-        let fetched = device.fetch(|frame| {
+        let mut latest_us = now_us;
+        let fetched = device.fetch(now_us, |at_us, frame| {
+            latest_us = latest_us.max(at_us);
             // What cannot be understood is dropped, and counted there.
-            let _ = endpoint.handle_frame(now_us, frame);
+            let _ = endpoint.handle_frame(latest_us, frame);
         });
+        now_us = latest_us;
         match fetched {
             Ok(true) => {}
-            Ok(false) => return false,
+            Ok(false) => return (false, now_us),
             Err(Gone) => {
                 endpoint.executor_mut().handle_link_lost(now_us);
-                return false;
+                return (false, now_us);
             }
         }
     }
-    true
+    (true, now_us)
 }
 
 /// Lets the endpoint speak for as long as there is room. In the turns after a failure too: the stop that it then asks for

@@ -7,6 +7,7 @@
 //! use embedded_io::{Read, ReadReady, Write, WriteReady};
 //! use powderline_executor::adapters::Turn;
 //! use powderline_executor::adapters::serial::{DIALECT, SerialWire};
+//! use powderline_executor::guard::rehearse;
 //! use powderline_executor::{Config, Endpoint, Outcome};
 //! use powderline_shared::plan::PlanReader;
 //!
@@ -16,7 +17,8 @@
 //!     P: Read + ReadReady + Write + WriteReady,
 //! {
 //!     let plan = PlanReader::new(plan).ok()?;
-//!     plan.check_limits().ok()?;
+//!     // Its limits, as it is rounded to the counts of this wire, and what the wire can tell apart.
+//!     rehearse(&plan, DIALECT.lsb(), plan.header().control_period_us, DIALECT.span()).ok()?;
 //!     let mut endpoint = Endpoint::new(now_us(), &plan, DIALECT, Config::default());
 //!     let mut wire = SerialWire::new(port);
 //!     loop {
@@ -137,7 +139,7 @@ impl<P: Read + ReadReady + Write + WriteReady> SerialWire<P> {
 }
 
 impl<P: Read + ReadReady + Write + WriteReady> Device for SerialWire<P> {
-    fn fetch(&mut self, mut heard: impl FnMut(&Frame)) -> Result<bool, Gone> {
+    fn fetch(&mut self, now_us: u64, mut heard: impl FnMut(u64, &Frame)) -> Result<bool, Gone> {
         let mut chunk = [0; CHUNK];
         let count = match self.read(&mut chunk) {
             // The end of a line that has none.
@@ -148,7 +150,7 @@ impl<P: Read + ReadReady + Write + WriteReady> Device for SerialWire<P> {
         };
         for byte in chunk.iter().take(count) {
             match self.reader.push(*byte) {
-                Some(Ok(frame)) => heard(&frame),
+                Some(Ok(frame)) => heard(now_us, &frame),
                 Some(Err(_)) => self.garbled = self.garbled.saturating_add(1),
                 None => {}
             }

@@ -275,7 +275,8 @@ impl Server<'_> {
             });
             announcer.say(&format!("State: {}{phase}.", status.state.name()));
         }
-        let under_way = usize::from(!status.standstill);
+        // A disk may keep it waiting, and an executor counts on being heard: not before it has let the arm go.
+        let under_way = usize::from(!status.standstill || status.state == State::OperationEnabled);
         let done = self.motions.len().saturating_sub(under_way);
         for Executed { plan_hash, period_us, poses, .. } in self.motions.drain(..done) {
             announcer.executed(plan_hash, period_us, &poses)?;
@@ -498,6 +499,10 @@ mod tests {
         bench.start();
         assert_eq!(bench.notes.0, [(7, PERIOD_US, TICKS)]);
         bench.let_pass(20);
+        bench.exchange();
+        // It stands, and its executor has not let it go yet.
+        assert_eq!(bench.notes.0, [(7, PERIOD_US, TICKS)]);
+        bench.command(Command::Shutdown);
         bench.exchange();
         assert_eq!(bench.notes.0, [(7, PERIOD_US, TICKS), (8, PERIOD_US, TICKS)]);
     }

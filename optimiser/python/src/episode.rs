@@ -43,16 +43,19 @@ impl Episode {
 impl Episode {
     /// Makes control steps, and says what has been achieved by then: an Evaluation, as if the motion ended there.
     ///
-    /// displacements: as for `Simulator.motion`; shape (steps, 6). Where it raises, the powder is where it was.
+    /// displacements: as for `Simulator.motion`; shape (steps, 6). Where it raises, the powder is where it was, unless what raises comes
+    /// when all is done, as Ctrl-C may: `time_s` tells.
     fn step(&self, py: Python<'_>, displacements: Table<'_>) -> PyResult<Evaluation> {
         let controls = arrays::displacements("displacements", &displacements)?;
         let simulator = self.simulator.get();
         let found = self.now(|now| {
-            let state = &mut now.state;
+            let Now { state, steps } = now;
             arrays::within(simulator.scene(), state.tool(), &controls)?;
-            let found = simulator.simulated(py, |s, _| s.advance(state, &controls))?;
-            now.steps += controls.len();
-            Ok::<_, PyErr>(found)
+            simulator.simulated(py, |s, _| {
+                let found = s.advance(state, &controls)?;
+                *steps += controls.len();
+                Ok(found)
+            })
         })??;
         Ok(simulator.evaluation(&found))
     }

@@ -30,6 +30,12 @@ create_exception!(
     "A file that is no plan, or a motion that can be none."
 );
 create_exception!(powderline, SimulationError, PyRuntimeError, "A simulation that came to no end.");
+create_exception!(
+    powderline,
+    MotionError,
+    SimulationError,
+    "A motion from which powder leaves the simulated volume, or whose numbers are no longer finite; another one may come to its end."
+);
 
 pub(crate) fn of_scene(error: scene::SceneError) -> PyErr {
     SceneError::new_err(error.to_string())
@@ -51,6 +57,7 @@ pub(crate) fn of_rollout(error: RolloutError) -> PyErr {
         RolloutError::Memory { .. } | RolloutError::Threads { .. } => {
             PyValueError::new_err(error.to_string())
         }
+        error if error.is_of_motion() => MotionError::new_err(error.to_string()),
         error => SimulationError::new_err(error.to_string()),
     }
 }

@@ -19,6 +19,9 @@ pub(crate) struct Evaluation {
     indicator: i64,
 }
 
+/// What makes an evaluation again, and of what.
+type Pickled<'py> = (Bound<'py, PyAny>, ((f64, u32, Option<f64>, f64), [u32; 6], f64, i64));
+
 /// What arrives of what is wanted, such as `1.208 g of 1.6 g (-24 %)`.
 pub(crate) fn arrival(amounts: &Amounts, outcome: &Outcome) -> String {
     let Outcome { mass_kg, miss, .. } = *outcome;
@@ -77,6 +80,36 @@ impl Evaluation {
     #[getter]
     fn census<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         json::to_python(py, &self.outcome.census)
+    }
+
+    fn __eq__(&self, other: &Bound<'_, PyAny>) -> bool {
+        other.cast::<Self>().is_ok_and(|other| {
+            let other = other.get();
+            (self.amounts, self.outcome, self.indicator) == (other.amounts, other.outcome, other.indicator)
+        })
+    }
+
+    fn __hash__(&self) -> u64 {
+        self.outcome.loss_m.to_bits() ^ self.indicator as u64
+    }
+
+    /// From what `__reduce__` gives.
+    #[staticmethod]
+    fn _of(amounts: (f64, u32, Option<f64>, f64), census: [u32; 6], loss_m: f64, indicator: i64) -> Self {
+        let (wanted_kg, wanted_particles, tolerance, particle_mass_kg) = amounts;
+        let amounts = Amounts { wanted_kg, wanted_particles, tolerance, particle_mass_kg };
+        let [source, target, rims, tool, spilled, in_flight] = census;
+        let census = rollout::Census { source, target, rims, tool, spilled, in_flight };
+        Self { outcome: Outcome::new(&amounts, census, loss_m), amounts, indicator }
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<Pickled<'py>> {
+        let Self { amounts, outcome, indicator } = slf.get();
+        let Amounts { wanted_kg, wanted_particles, tolerance, particle_mass_kg } = *amounts;
+        let rollout::Census { source, target, rims, tool, spilled, in_flight } = outcome.census;
+        let amounts = (wanted_kg, wanted_particles, tolerance, particle_mass_kg);
+        let census = [source, target, rims, tool, spilled, in_flight];
+        Ok((slf.get_type().getattr("_of")?, (amounts, census, outcome.loss_m, *indicator)))
     }
 
     fn __repr__(&self) -> String {

@@ -39,7 +39,7 @@ mod _native {
     #[pymodule_export]
     use crate::episode::Episode;
     #[pymodule_export]
-    use crate::errors::{PlanError, SceneError, SimulationError, SkillError};
+    use crate::errors::{MotionError, PlanError, SceneError, SimulationError, SkillError};
     #[pymodule_export]
     use crate::evaluation::Evaluation;
     #[pymodule_export]

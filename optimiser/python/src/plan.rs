@@ -1,10 +1,13 @@
 //! Plans.
 
-use std::path::{Path, PathBuf};
+use std::{
+    io::Write,
+    path::{Path, PathBuf},
+};
 
 use numpy::{PyArray1, PyArray2};
 use powderline_optimiser::{
-    cli::scene_of_plan,
+    cli::{embedded_scene_of_plan, scene_of_plan},
     report::{amounts::Amounts, finding::Outcome, plan::PlanParts},
 };
 use powderline_shared::{
@@ -21,11 +24,13 @@ use powderline_simulator::{
     scene::figures::mass,
     skill::{QuantisedControls, SkillMap, Theta, collision, controls_of},
 };
-use pyo3::{prelude::*, types::PyDict};
+use powderline_view::whole::Whole;
+use pyo3::{exceptions::PyOSError, prelude::*, types::PyDict};
 
 use crate::arrays;
 use crate::errors::{self, PlanError};
 use crate::evaluation::arrival;
+use crate::json;
 use crate::scene::Scene;
 
 /// A motion for an arm, as `execute` plays it: made by `optimise` or `Simulator.plan`.
@@ -56,24 +61,35 @@ impl Plan {
         Ok(Self::new(&plan, &bytes, scene))
     }
 
-    /// Writes the plan to a file; the same plan is the same bytes. `load` knows the scene again if that comes with the package, or
+    /// Writes the plan to a file, whose folder is made; the same plan is the same bytes. `load` knows the scene again if that comes with the package, or
     /// stands beside the file: `Path("scene.toml").write_text(scene.to_toml())`.
     ///
     /// Raises OSError.
     fn save(&self, path: PathBuf) -> PyResult<()> {
-        std::fs::write(&path, &self.bytes).map_err(|error| {
-            std::io::Error::new(error.kind(), format!("{}: cannot be written: {error}", path.display()))
-                .into()
-        })
+        // A plan that was there stays until this one is whole.
+        let write = || {
+            let file = Whole::new(&path)?;
+            file.file().write_all(&self.bytes).map_err(|error| file.error(error))?;
+            file.commit()
+        };
+        write().map_err(|error| PyOSError::new_err(error.to_string()))
     }
 
-    /// A plan from a file's bytes, and the scene that it was made for, if that is known.
+    /// A plan from a file's bytes, and the scene that it was made for, if that is known; one that comes with the package is.
     ///
-    /// Raises PlanError, which says what is wrong with it.
+    /// Raises PlanError, which says what is wrong with it, or that it was made for another scene.
     #[staticmethod]
     #[pyo3(signature = (bytes, scene = None))]
     fn from_bytes(bytes: &[u8], scene: Option<&Bound<'_, Scene>>) -> PyResult<Self> {
-        Self::of_bytes(bytes, scene.map(|scene| scene.get().0.clone()))
+        let plan = check_plan(Path::new("the plan"), bytes).map_err(errors::of_file)?;
+        let scene = match scene.map(|scene| scene.get().0.clone()) {
+            None => embedded_scene_of_plan(plan.header()),
+            Some(scene) => {
+                check_scene(&scene, plan.header())?;
+                Some(scene)
+            }
+        };
+        Ok(Self::new(&plan, bytes, scene))
     }
 
     fn __eq__(&self, other: &Bound<'_, PyAny>) -> bool {
@@ -126,6 +142,18 @@ impl Plan {
     #[getter]
     fn own_mass_kg(&self) -> f64 {
         self.header.predicted.arrives_kg()
+    }
+
+    /// Particles by where they are at the end, on the scene's own cells: source, target, rims, tool, spilled, in_flight.
+    #[getter]
+    fn census<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        json::to_python(py, &self.header.predicted.census)
+    }
+
+    /// "f32" or "f64": of the simulation that it was made by, as a Simulator is to have it that is to find the same.
+    #[getter]
+    fn precision(&self) -> &'static str {
+        self.header.precision.name()
     }
 
     /// Seed of the packing that it was made with.
@@ -227,14 +255,7 @@ impl Plan {
                 PlanError::new_err("the plan's scene is not known: give the one that it was made for as scene=.., or write it as scene.toml beside the plan's file")
             })?,
         };
-        if scene.digest() != self.header.scene_digest {
-            let [wanted, found] = [self.header.scene_digest, scene.digest()]
-                .map(|digest| digest[..4].iter().map(|byte| format!("{byte:02x}")).collect::<String>());
-            return Err(PlanError::new_err(format!(
-                "the plan was made for a scene of digest {wanted}.., but {:?} has {found}..: give the very one, with its changes",
-                scene.name
-            )));
-        }
+        check_scene(scene, &self.header)?;
         let joints = self.joints(scene).map_err(PlanError::new_err)?;
         Ok(arrays::table(py, joints))
     }
@@ -348,6 +369,19 @@ impl Plan {
         let made = ArmMotion::new(&path, &mount, &around, CYCLE_US).map_err(|refusal| refusal.to_string())?;
         Ok(made.joints)
     }
+}
+
+/// Whether a plan was made for this scene.
+fn check_scene(scene: &scene::Scene, header: &PlanHeader) -> PyResult<()> {
+    if scene.digest() == header.scene_digest {
+        return Ok(());
+    }
+    let [wanted, found] = [header.scene_digest, scene.digest()]
+        .map(|digest| digest[..4].iter().map(|byte| format!("{byte:02x}")).collect::<String>());
+    Err(PlanError::new_err(format!(
+        "the plan was made for a scene of digest {wanted}.., but {:?} has {found}..: give the very one, with its changes",
+        scene.name
+    )))
 }
 
 /// A plan that is checked, but not simulated yet.

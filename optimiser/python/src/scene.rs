@@ -66,6 +66,14 @@ impl Scene {
         json::to_python(py, &self.0)
     }
 
+    /// A scene from a TOML file's text.
+    ///
+    /// Raises SceneError, which says what is wrong with it.
+    #[staticmethod]
+    fn from_toml(text: &str) -> PyResult<Self> {
+        scene::Scene::from_toml("the text", text).map(Self).map_err(errors::of_scene)
+    }
+
     /// The same as TOML.
     fn to_toml(&self) -> String {
         self.0.to_toml()

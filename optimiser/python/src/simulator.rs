@@ -143,6 +143,12 @@ impl Simulator {
         self.precision.name()
     }
 
+    /// Loss where nothing is moved, metres.
+    #[getter]
+    fn initial_loss(&self) -> f64 {
+        rollout::initial_loss(self.scene(), self.seed)
+    }
+
     /// What a skill achieves: an Evaluation. Whether the arm may make the motion, `plan` asks, and not this: limits, and walls in the
     /// tool's way, are not looked at here.
     ///
@@ -153,7 +159,8 @@ impl Simulator {
         Ok(self.evaluation(&found))
     }
 
-    /// What skills achieve, simulated side by side by all threads: a list of Evaluations.
+    /// What skills achieve, simulated side by side by all threads: a list of Evaluations. Where one comes to no end, MotionError: one by
+    /// one they tell which it was.
     ///
     /// thetas: shape (n, 5).
     fn rollouts(&self, py: Python<'_>, thetas: Table<'_>) -> PyResult<Vec<Evaluation>> {

@@ -191,7 +191,10 @@ def test_each_search_is_a_run_like_any_other_and_goes_to_any_address(bench, node
         for file in ("table.parquet", "cases/tiny_seed2/skill.plan", "cases/tiny_seed2/scene.toml"):
             assert (tmp_path / folder / file).read_bytes() == (tmp_path / "alone" / file).read_bytes(), file
         assert (tmp_path / folder / "cases" / "tiny_seed1" / "report.html").exists()
-    assert there.plan("tiny_seed1").to_bytes() == result.plan("tiny_seed1").to_bytes()
+    plan = result.plan("tiny_seed1")
+    assert there.plan("tiny_seed1").to_bytes() == plan.to_bytes()
+    # Its scene lies beside it, here as there.
+    assert plan.scene == there.plan("tiny_seed1").scene is not None and plan.met is not None
     with pytest.raises(ValueError, match="already holds a campaign"):
         Campaign.load(path).run(address, address=nodes.address, verbose=False)
     before = done(tmp_path / "there")
@@ -251,6 +254,17 @@ def test_ctrl_c_stops_it_and_says_how_to_go_on(bench, nodes, tmp_path):
     assert driver.returncode == 130, said
     assert "stopped on request; what is done is saved, go on with: python -m powderline.campaign --resume" in said.splitlines()[-1]
     assert (out / "table.parquet").exists() and 2 <= len(done(out)) < 80
+
+
+def test_what_was_stopped_goes_on_in_the_same_process(bench, nodes, tmp_path, monkeypatch):
+    loaded = Campaign.load(campaign(bench, ROLLOUTS.format(seeds=1)))
+    with monkeypatch.context() as stopped:
+        stopped.setattr("powderline.campaign.Session.have_done", lambda *_: os.kill(os.getpid(), signal.SIGINT))
+        with pytest.raises(KeyboardInterrupt, match="go on with") as kept:
+            loaded.run(tmp_path / "ray", address=nodes.address, verbose=False)
+    # Who keeps what was raised, as notebooks do, keeps nothing locked.
+    result = loaded.run(tmp_path / "ray", resume=True, address=nodes.address, verbose=False)
+    assert len(result.cases) == 4 and kept.tb is not None
 
 
 def test_what_a_case_fails_of_is_said_and_stops_no_other(bench, nodes, tmp_path):

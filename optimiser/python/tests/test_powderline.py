@@ -36,6 +36,9 @@ def test_scenes_come_and_go_as_dictionaries_files_and_pickles(scene, tmp_path):
     assert pl.Scene.from_dict(scene.to_dict()) == scene
     file = tmp_path / "mine.toml"
     file.write_text(scene.to_toml())
+    assert pl.Scene.from_toml(file.read_text()) == scene
+    with pytest.raises(pl.SceneError, match="the text"):
+        pl.Scene.from_toml("powder = 1")
     assert pl.Scene.load(str(file)).digest == pl.Scene.load(file).digest == scene.digest
     assert pickle.loads(pickle.dumps(scene)) == scene
     assert scene.displacements(THETA).shape == (330, 6)
@@ -110,6 +113,12 @@ def test_a_packing_is_the_scenes_own_if_none_is_asked_for(scene, simulator, foun
     other = scene.replace(powder={"seed": 7})
     assert (simulator.seed, pl.Simulator(other).seed, pl.Simulator(other, seed=1).seed) == (1, 7, 1)
     assert pl.Simulator(other).rollout(THETA).loss == pl.Simulator(scene, seed=7).rollout(THETA).loss != found.loss
+
+
+def test_what_was_found_comes_back_from_other_processes(found):
+    again = pickle.loads(pickle.dumps(found))
+    assert again == found and hash(again) == hash(found) and repr(again) == repr(found) and again.census == found.census
+    assert again != object()
 
 
 def test_rollouts_side_by_side_are_the_same_as_alone(simulator, found):
@@ -282,6 +291,7 @@ def test_a_motion_out_of_the_volume_is_refused(scene, simulator):
         (lambda s: pl.optimise(s.scene, precision="f16"), '"f32" or "f64"'),
         (lambda s: pl.optimise(s.scene, epochs=-1), "epochs is -1, but it must be from 0 to 10000"),
         (lambda s: pl.optimise(s.scene, epochs=100_001), "epochs is 100001"),
+        (lambda s: pl.optimise(resume="runs/a", out="runs/b"), "out=.. for a new one, or resume=.., not both"),
         (lambda s: pl.Simulator(s.scene, memory="3 potatoes"), "memory: .*potatoes"),
         (lambda s: pl.Simulator(s.scene, memory=-1), "memory is -1, but it must be a size"),
         (lambda s: pl.Simulator(s.scene, memory=1.5), "memory is 1.5"),
@@ -322,8 +332,16 @@ def test_plans_are_made_saved_loaded_and_turned_into_joints(scene, simulator, tm
         pl.Plan.load(file)
     with pytest.raises(FileNotFoundError, match="no such file"):
         pl.Plan.load(tmp_path / "nowhere.plan")
-    with pytest.raises(FileNotFoundError, match="cannot be written"):
-        plan.save(tmp_path / "no" / "folder.plan")
+    plan.save(tmp_path / "new" / "folder.plan")
+    with pytest.raises(OSError, match="folder.plan"):
+        plan.save(tmp_path / "new" / "folder.plan" / "below.plan")
+    assert [file.name for file in (tmp_path / "new").iterdir()] == ["folder.plan"]
+    # What comes with the package is known by itself, and another scene is refused.
+    vial = pl.Scene.load("vial")
+    with pytest.raises(pl.PlanError, match="'vial'|\"vial\" has"):
+        pl.Plan.from_bytes(plan.to_bytes(), vial)
+    assert pl.Plan.from_bytes(plan.to_bytes(), scene).met is False
+    assert (again.precision, again.census) == (simulator.precision, achieved.census)
 
 
 def test_a_plan_that_was_looked_at_on_smaller_cells_is_judged_by_them():

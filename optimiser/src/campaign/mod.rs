@@ -107,11 +107,18 @@ impl Campaign {
             )));
         }
         for (index, bench) in campaign.benches.iter().enumerate() {
-            if let Some(other) = campaign.benches[..index].iter().position(|other| other.name == bench.name) {
+            let name = safe(&bench.name);
+            if name.is_empty() {
+                return Err(CampaignError(format!(
+                    "benches: {} has the name {:?}, of which nothing is left in a file's; letters or digits would be right",
+                    campaign.file.benches[index], bench.name
+                )));
+            }
+            if let Some(other) = campaign.benches[..index].iter().position(|other| safe(&other.name) == name)
+            {
                 let [a, b] = [other, index].map(|index| &campaign.file.benches[index]);
                 return Err(CampaignError(format!(
-                    "benches: {a} and {b} have the same name, {:?}",
-                    bench.name
+                    "benches: {a} and {b} have the same name, {name:?}, as files have it"
                 )));
             }
         }

@@ -43,7 +43,7 @@ pub use crate::run::MAX_EPOCHS;
 pub use campaign::{Experiment, check_apart, perform_apart};
 pub use check::{CheckArgs, CheckReport, MemoryRow};
 pub use interrupt::Interrupt;
-pub use motion::scene_of_plan;
+pub use motion::{embedded_scene_of_plan, scene_of_plan};
 pub use options::{MAX_THREADS, PrecisionArg, Resources, Setup};
 pub use progress::{Progress, Stream, is_live};
 pub use report::{ReportArgs, execute as report};

@@ -239,6 +239,12 @@ pub fn scene_of_plan(plan: &Path, header: &PlanHeader) -> Option<Scene> {
     scene_found(plan, header).ok()
 }
 
+/// The embedded scene that the plan was made for, if it is one.
+pub fn embedded_scene_of_plan(header: &PlanHeader) -> Option<Scene> {
+    let mut embedded = EMBEDDED_SCENES.into_iter().filter_map(|(name, _)| Scene::load(name).ok());
+    embedded.find(|scene| scene.digest() == header.scene_digest)
+}
+
 /// The plan's scene: that beside it, or else the embedded one that it was made for, wherever the plan is now.
 ///
 /// # Errors
@@ -250,8 +256,7 @@ pub(super) fn scene_found(plan: &Path, header: &PlanHeader) -> Result<Scene, Cli
     if let Some(Ok(scene)) = beside {
         return Ok(scene);
     }
-    let embedded = EMBEDDED_SCENES.into_iter().filter_map(|(name, _)| Scene::load(name).ok());
-    if let Some(scene) = embedded.into_iter().find(|scene| scene.digest() == header.scene_digest) {
+    if let Some(scene) = embedded_scene_of_plan(header) {
         return Ok(scene);
     }
     let wanted = hex(&header.scene_digest[..4]);

@@ -1,6 +1,6 @@
 //! `optimise render`: pictures and animations of a motion, without a graphics card or a browser.
 
-use super::{CliError, Context, film::Film, motion::MotionArgs};
+use super::{CliError, Context, film::Film, motion::MotionArgs, run::safe_name};
 use clap::{Args, ValueEnum};
 use powderline_view::{
     Bench, Destination, Frame, Sink, ViewError,
@@ -70,6 +70,8 @@ struct Report<'a> {
     arm: Option<&'static str>,
     /// What there is to be said of it.
     remark: Option<&'a str>,
+    /// What makes the command fail, if anything does: then these are the files that there are.
+    failure: Option<String>,
 }
 
 /// What a picture shows.
@@ -101,22 +103,22 @@ const FAST_M_S: f64 = 0.5;
 struct Both {
     stills: Option<Stills>,
     animation: Option<Animation>,
+    /// Whether the animation is written.
+    is_animated: bool,
 }
 
 impl Sink for Both {
     fn frame(&mut self, frame: &Frame<'_>) -> Result<(), ViewError> {
-        self.each(|sink| sink.frame(frame))
+        self.stills.as_mut().map_or(Ok(()), |stills| stills.frame(frame))?;
+        self.animation.as_mut().map_or(Ok(()), |animation| animation.frame(frame))
     }
 
     fn finish(&mut self, destinations: &[Destination]) -> Result<(), ViewError> {
-        self.each(|sink| sink.finish(destinations))
-    }
-}
-
-impl Both {
-    fn each(&mut self, job: impl Fn(&mut dyn Sink) -> Result<(), ViewError>) -> Result<(), ViewError> {
-        self.stills.as_mut().map_or(Ok(()), |stills| job(stills))?;
-        self.animation.as_mut().map_or(Ok(()), |animation| job(animation))
+        // The one does not take the other along.
+        let stills = self.stills.as_mut().map_or(Ok(()), |stills| stills.finish(destinations));
+        let animation = self.animation.as_mut().map_or(Ok(()), |animation| animation.finish(destinations));
+        self.is_animated = animation.is_ok();
+        stills.and(animation)
     }
 }
 
@@ -135,7 +137,7 @@ pub(super) fn execute(arguments: &RenderArgs, context: &mut Context<'_>) -> Resu
     let camera = arguments.camera(&bench);
     let times = arguments.times(film.duration_s())?;
     let stills = (!times.is_empty())
-        .then(|| Stills::new(&bench, &camera, &look, &arguments.out, &bench.name, &times))
+        .then(|| Stills::new(&bench, &camera, &look, &arguments.out, &safe_name(&bench.name), &times))
         .transpose()?;
     let files = &arguments.animation;
     let interrupt = context.interrupt.clone();
@@ -144,18 +146,29 @@ pub(super) fn execute(arguments: &RenderArgs, context: &mut Context<'_>) -> Resu
         .then(|| Animation::new(&bench, &camera, &look, arguments.rate, files))
         .transpose()?
         .map(|animation| animation.with_progress(Box::new(watch)));
-    let mut both = Both { stills, animation };
-    film.shoot(&mut both, context)?;
-    let written: Vec<&Path> =
-        both.stills.iter().flat_map(|stills| stills.written()).chain(files).map(PathBuf::as_path).collect();
+    let mut both = Both { stills, animation, is_animated: false };
+    let shot = film.shoot(&mut both, context).map(|_| ());
+    let animations = files.iter().filter(|_| both.is_animated);
+    let written: Vec<&Path> = both
+        .stills
+        .iter()
+        .flat_map(|stills| stills.written())
+        .chain(animations)
+        .map(PathBuf::as_path)
+        .collect();
+    if written.is_empty() {
+        return shot;
+    }
     if arguments.json {
         let arm = bench.arm.as_ref().map(|arm| arm.motion.model.kind.name());
-        return context.json(&Report { files: written, arm, remark: film.arm_remark() });
+        let failure = shot.as_ref().err().map(ToString::to_string);
+        context.json(&Report { files: written, arm, remark: film.arm_remark(), failure })?;
+        return shot;
     }
     for path in written {
         writeln!(context.out, "{}", path.display())?;
     }
-    Ok(())
+    shot
 }
 
 impl RenderArgs {

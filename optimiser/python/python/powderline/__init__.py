@@ -21,8 +21,8 @@ Units are SI and stand in the names. World frame: z up, the floor at z = 0. Pose
 w, x, y, z. The same scene, seed and precision give the same bits on any machine, for any number of threads.
 
 What is here: `Scene`, `Simulator` with `Evaluation`, `Motion` and `Episode`, `Plan`, `optimise` and `Run`, `report` and `Report`; the
-exceptions `SceneError`, `SkillError` and `PlanError` (each a ValueError) and `SimulationError`; `SKILL_PARAMETERS`, what the components
-of theta are called.
+exceptions `SceneError`, `SkillError` and `PlanError` (each a ValueError), `SimulationError` and its `MotionError`; `SKILL_PARAMETERS`, what the
+components of theta are called.
 
 `powderline.torch` differentiates a rollout within PyTorch, `powderline.gym` has environments for reinforcement learning. The program
 `optimise` comes along; `python -m powderline` is the same.
@@ -32,6 +32,7 @@ from ._native import (
     Episode,
     Evaluation,
     Motion,
+    MotionError,
     Plan,
     PlanError,
     Scene,
@@ -57,6 +58,7 @@ __all__ = [
     "Episode",
     "Evaluation",
     "Motion",
+    "MotionError",
     "Plan",
     "PlanError",
     "Report",

@@ -129,6 +129,8 @@ def optimise(
     """
     if scene is not None and resume is not None:
         raise ValueError("give a scene to begin with, or resume=.. to go on with a run, not both")
+    if out is not None and resume is not None:
+        raise ValueError("a run that goes on writes into its own folder: give out=.. for a new one, or resume=.., not both")
     if scene is None and resume is None:
         scene = Scene.load()
     if callback is not None and not callable(callback):

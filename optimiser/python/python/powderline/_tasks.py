@@ -46,6 +46,8 @@ MAX_BATCH = 500
 MAX_TASKS = 10_000
 #: So often is a case begun that is lost with its node or its process of Ray's before it counts as failed.
 MAX_TRIES = 10
+#: How long a node that could do nothing waits before it is free for more, seconds: others take what there is meanwhile.
+SICK_S = 5.0
 #: From one look at the cluster to the next, seconds, and how long its head may be silent before that is said.
 LOOK_S = 5.0
 SILENT_S = 10.0
@@ -75,9 +77,8 @@ def perform(job: dict[str, Any], cases: list[Case], begun: dict[int, Files]) -> 
     node = ray.util.get_node_ip_address()
     if _native.__version__ != job["version"]:
         raise Unfit(f"{node} has powderline {_native.__version__}, but what it is to do is of {job['version']}")
-    names, results, ends, why = dict(cases), [], [], None
+    names, results, ends, why, sick = dict(cases), [], [], None, None
     kept: list[tuple[int, Files]] = []
-    scratch = Path(tempfile.mkdtemp(prefix="powderline-campaign-"))
     began = time.monotonic()
 
     def ended(index: int) -> None:
@@ -95,24 +96,27 @@ def perform(job: dict[str, Any], cases: list[Case], begun: dict[int, Files]) -> 
         ends.append(time.monotonic())
 
     try:
-        write_files(scratch, [(name, text.encode()) for name, text in job["files"]])
-        if job["command"] is None:
-            _native.perform_cases(str(scratch), list(names), job["threads"], job["memory_bytes"], PROGRAM, ended)
-        for index, name in cases if job["command"] is not None else []:
-            write_files(scratch / name, begun.get(index, []))
-            files, is_whole = run_command(job, scratch, name)
-            (results if is_whole else kept).append((index, files))
-            ends.append(time.monotonic())
+        with tempfile.TemporaryDirectory(prefix="powderline-campaign-", ignore_cleanup_errors=True) as folder:
+            scratch = Path(folder)
+            write_files(scratch, [(name, text.encode()) for name, text in job["files"]])
+            if job["command"] is None:
+                _native.perform_cases(str(scratch), list(names), job["threads"], job["memory_bytes"], PROGRAM, ended)
+            for index, name in cases if job["command"] is not None else []:
+                write_files(scratch / name, begun.get(index, []))
+                files, is_whole = run_command(job, scratch, name)
+                (results if is_whole else kept).append((index, files))
+                ends.append(time.monotonic())
     except Failed as error:
         why = str(error)
+    except (OSError, _native.SimulationError) as error:  # What a case itself fails of is its outcome: this is the node, or the storage.
+        sick = f"on {node}: {error}"
+        time.sleep(SICK_S)
     except Exception as error:  # Whatever it is, it is said of the case, and the others go on.
         why = f"{type(error).__name__}: {error}"
-    finally:
-        shutil.rmtree(scratch, ignore_errors=True)
     # The first one's time has that in it which the process takes to begin.
     case_s = (ends[-1] - ends[0]) / (len(ends) - 1) if len(ends) > 1 else None
     seconds = time.monotonic() - began
-    return {"node": node, "results": results, "kept": kept, "why": why, "case_s": case_s, "seconds": seconds}
+    return {"node": node, "results": results, "kept": kept, "why": why, "sick": sick, "case_s": case_s, "seconds": seconds}
 
 
 def write_files(folder: Path, files: Files) -> None:
@@ -292,6 +296,9 @@ class Work:
         if undone and found["why"] is not None:
             self.tell("failed", index=undone[0][0], why=f"on {found['node']}: {found['why']}")
             undone = undone[1:]
+        if undone and found["sick"] is not None:
+            self.lost(undone, found["sick"])
+            undone = []
         self.left.extendleft(reversed(undone))
         # The others have their turn meanwhile.
         self.left.extend(parted)

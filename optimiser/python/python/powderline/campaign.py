@@ -34,7 +34,7 @@ from typing import Any, Iterator
 
 from . import _native
 from ._driver import STOPPED, Board, ClusterError, Driver, connected, count, file_system, need_ray, of_shell
-from ._native import Plan
+from ._native import Plan, Scene
 
 Row = dict[str, Any]
 
@@ -144,8 +144,12 @@ class Campaign:
         cluster = {"address": address or connected(), "wait": wait, "runtime_env": runtime_env, "of_task": of_task}
         try:
             session = Session(self, place, place.open(self._native, resume), board)
-            session.work(cluster)
-            return Result(place, session.folder, self)
+            try:
+                session.work(cluster)
+                return Result(place, session.folder, self)
+            finally:
+                # Whoever keeps what was raised here, as notebooks do, would keep the folder locked.
+                del session.folder
         finally:
             board.clear()
             place.close()
@@ -192,7 +196,8 @@ class Result:
 
     def plan(self, case: str) -> Plan:
         """The plan of a case's search, by the case's name."""
-        return Plan.from_bytes(self._read(f"cases/{case}/skill.plan"))
+        scene = Scene.from_toml(self._read(f"cases/{case}/scene.toml").decode())
+        return Plan.from_bytes(self._read(f"cases/{case}/skill.plan"), scene)
 
     def _read(self, file: str) -> bytes:
         if self._storage is None:

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 from gymnasium import spaces
 
-from ._native import Episode, Evaluation, Scene, Simulator
+from ._native import Episode, Evaluation, MotionError, Scene, Simulator
 
 _F32 = npt.NDArray[np.float32]
 
@@ -28,9 +28,18 @@ def _info(found: Evaluation) -> dict[str, Any]:
     return {"loss": found.loss, "mass_kg": found.mass_kg, "miss": found.miss, "lost_kg": found.lost_kg}
 
 
+def _reach(limits: dict[str, Any], start: npt.NDArray[np.float64], forward: npt.NDArray[np.float64]) -> list[npt.NDArray[np.float64]]:
+    """Least and most travel along heading, up and in pitch that keep the tool within the workspace."""
+    low, high = np.array(limits["workspace_min_m"]) - start, np.array(limits["workspace_max_m"]) - start
+    along = [(low[k] / forward[k], high[k] / forward[k]) for k in (0, 1) if abs(forward[k]) > 1e-9]
+    least, most = max(min(pair) for pair in along), min(max(pair) for pair in along)
+    return [np.array([least, low[2], -np.inf]), np.array([most, high[2], np.inf])]
+
+
 class SkillEnv(gymnasium.Env[_F32, _F32]):
     """One skill an episode: the action is theta, shape (5,); the reward is the negated loss, metres; there is nothing to observe but a
-    constant. The problem that Wei et al. 2025 give to soft actor-critic.
+    constant. The problem that Wei et al. 2025 give to soft actor-critic. A skill that comes to no end (`MotionError`) costs twice what
+    lying still does, and `info` has `error` alone.
 
     Args:
         scene: a `Scene`, a name or a file.
@@ -56,7 +65,10 @@ class SkillEnv(gymnasium.Env[_F32, _F32]):
     def step(self, action: _F32) -> tuple[_F32, float, bool, bool, dict[str, Any]]:
         """Performs the skill. `info` has `loss` (m), `mass_kg`, `miss`, `lost_kg`."""
         theta = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
-        found = self.simulator.rollout(theta)
+        try:
+            found = self.simulator.rollout(theta)
+        except MotionError as error:
+            return np.ones(1, np.float32), -2.0 * self.simulator.initial_loss, True, False, {"error": str(error)}
         return np.ones(1, np.float32), -found.loss, True, False, _info(found)
 
 
@@ -64,14 +76,16 @@ class MotionEnv(gymnasium.Env[dict[str, Any], _F32]):
     """Moves the tool every 50 ms.
 
     Action: shape (3,), each from -1 to 1: along the heading, up, and pitching forward, in units of what the scene's limits allow at
-    constant speed. The motion accelerates no faster than the limits allow either; what is left of an action then is less.
+    constant speed. The motion accelerates and brakes no faster than the limits allow either, and comes to rest at the workspace's
+    border; what is left of an action then is less.
 
     Observation: `heights_m`, how high the powder is above each grid cell of the scene, metres, shape (cells along x, along y); `tool`,
     how far the tool is from its start along heading and up (m), and pitched (rad), with its velocities (m/s, rad/s), shape (6,); `time`,
     the share of the episode that is over, shape (1,).
 
     Reward: what is nearer to the wanted mass in the target container than at the last step, less what more is lost, in units of the
-    wanted mass: over an episode it adds up to 1 at most. An episode ends with the scene's horizon (truncated).
+    wanted mass: over an episode it adds up to 1 at most. An episode ends with the scene's horizon (terminated: `time` is observed). One
+    that comes to no end before (`MotionError`) ends there, with a sum of -1, and `info` has `error` alone.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}
@@ -99,9 +113,9 @@ class MotionEnv(gymnasium.Env[dict[str, Any], _F32]):
             [limits["linear_acceleration_m_s2"], limits["linear_acceleration_m_s2"], limits["angular_acceleration_rad_s2"]]
         )
         self._gain[:2] /= np.sqrt(2.0)
-        self._reach = [np.array(limits["workspace_min_m"]), np.array(limits["workspace_max_m"])]
         heading = np.radians(skill["heading_deg"])
         self._forward = np.array([np.cos(heading), np.sin(heading), 0.0])
+        self._reach = _reach(limits, self.scene.start_pose[:3], self._forward)
         self._pitch_axis = np.array([-np.sin(heading), np.cos(heading), 0.0])
         self._cells = np.ceil(self.scene.size_m[:2] / self.scene.cell_m - 1e-9).astype(int)
         self.action_space = spaces.Box(-1.0, 1.0, (3,), np.float32)
@@ -131,30 +145,36 @@ class MotionEnv(gymnasium.Env[dict[str, Any], _F32]):
         if self._episode is None:
             raise RuntimeError("the environment has not been reset yet")
         wanted = np.clip(np.asarray(action, np.float64), -1.0, 1.0) * self._speed
-        found = self._episode.step(self._displacements(wanted))
+        rows, velocity, travel = self._displacements(wanted)
+        try:
+            found = self._episode.step(rows)
+        except MotionError as error:
+            return self._observation(), -1.0 - self._worth, True, False, {"error": str(error)}
+        self._velocity, self._travel = velocity, travel
         self._count += 1
         short = min(1.0, abs(found.miss))
         worth = 1.0 - short - found.lost_kg / found.wanted_kg
         reward, self._worth = worth - self._worth, worth
-        return self._observation(), float(reward), False, self._count >= self._horizon, _info(found)
+        return self._observation(), float(reward), self._count >= self._horizon, False, _info(found)
 
-    def _displacements(self, wanted: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """From the present velocity towards the wanted one, within the workspace; shape (control steps, 6)."""
+    def _displacements(self, wanted: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.float64], ...]:
+        """From the present velocity towards the wanted one, within the workspace; shape (control steps, 6). And the velocity and how far
+        the tool is then."""
         rows = np.zeros((self._steps, 6))
-        low, high = self._reach
-        start = self.scene.start_pose[:3]
+        velocity, travel = self._velocity, self._travel
         for row in rows:
-            velocity = self._velocity + np.clip(wanted - self._velocity, -self._gain, self._gain)
-            travel = self._travel + velocity * self._period_s
-            position = start + travel[0] * self._forward + np.array([0.0, 0.0, travel[1]])
-            if np.any(position < low) or np.any(position > high):
-                velocity[:2] = 0.0
-                travel[:2] = self._travel[:2]
-            moved = travel - self._travel
+            aim = np.clip(wanted, -self._fastest(travel - self._reach[0]), self._fastest(self._reach[1] - travel))
+            velocity = velocity + np.clip(aim - velocity, -self._gain, self._gain)
+            moved = velocity * self._period_s
+            travel = travel + moved
             row[:3] = moved[0] * self._forward + np.array([0.0, 0.0, moved[1]])
             row[3:] = moved[2] * self._pitch_axis
-            self._velocity, self._travel = velocity, travel
-        return rows
+        return rows, velocity, travel
+
+    def _fastest(self, room: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """How fast the tool may be with so much room before it: as fast as it can be braked in it, in steps of the period."""
+        half = 0.5 * self._gain
+        return np.sqrt(half**2 + 2.0 * self._gain * np.maximum(room, 0.0) / self._period_s) - half
 
     def _observation(self) -> dict[str, Any]:
         assert self._episode is not None

@@ -23,10 +23,10 @@ class SkillLoss(torch.autograd.Function):
     """The loss of skills, metres; `loss` is the same as a function."""
 
     @staticmethod
-    def forward(ctx: Any, theta: torch.Tensor, simulator: Simulator, kind: str) -> torch.Tensor:
+    def forward(ctx: Any, theta: torch.Tensor, simulator: Simulator, kind: str, needs_gradient: bool) -> torch.Tensor:
         """theta: shape (5,) or (n, 5). Gradients are computed here, where they will be needed: the rollout is the same."""
         rows = theta.detach().to("cpu", torch.float64).numpy().reshape(-1, 5)
-        if ctx.needs_input_grad[0]:
+        if needs_gradient:
             found = [simulator.gradient(row, kind=kind) for row in rows]  # type: ignore[arg-type]
             losses = [evaluation.loss for evaluation, _ in found]
             gradients = np.array([gradient for _, gradient in found]).reshape(theta.shape)
@@ -37,10 +37,10 @@ class SkillLoss(torch.autograd.Function):
 
     @staticmethod
     @torch.autograd.function.once_differentiable
-    def backward(ctx: Any, *grad_outputs: torch.Tensor) -> tuple[torch.Tensor, None, None]:
+    def backward(ctx: Any, *grad_outputs: torch.Tensor) -> tuple[torch.Tensor, None, None, None]:
         """Of the losses' shape."""
         (gradient,) = ctx.saved_tensors
-        return grad_outputs[0].unsqueeze(-1) * gradient, None, None
+        return grad_outputs[0].unsqueeze(-1) * gradient, None, None, None
 
 
 def loss(simulator: Simulator, theta: torch.Tensor, *, kind: str = "restarted") -> torch.Tensor:
@@ -53,5 +53,15 @@ def loss(simulator: Simulator, theta: torch.Tensor, *, kind: str = "restarted") 
 
     Returns:
         A tensor of shape () or (n,).
+
+    Raises:
+        TypeError: theta is not of floating-point numbers.
+        ValueError: it has another shape.
     """
-    return SkillLoss.apply(theta, simulator, kind)  # type: ignore[no-any-return]
+    if not theta.is_floating_point():
+        raise TypeError(f"theta is of {theta.dtype}, but it must be of floating-point numbers, such as torch.float64")
+    if theta.dim() not in (1, 2) or theta.shape[-1] != 5:
+        raise ValueError(f"theta has shape {tuple(theta.shape)}, but it must be (5,) or (n, 5)")
+    # What the function itself is told says nothing of `torch.no_grad()`.
+    needs_gradient = torch.is_grad_enabled() and theta.requires_grad
+    return SkillLoss.apply(theta, simulator, kind, needs_gradient)  # type: ignore[no-any-return]

@@ -5,6 +5,7 @@ use powderline_simulator::{
     arm::{Clearance, Transit},
     scene::TurnBack,
 };
+use powderline_view::motion::urscript;
 use serde::Serialize;
 
 /// What a program makes around the motion, and how.
@@ -35,7 +36,7 @@ impl Program {
         let speed = if self.speed < 1.0 {
             format!(
                 " It goes at {} % of full speed; powder behaves as planned at full speed only.",
-                100.0 * self.speed
+                urscript::percent(self.speed)
             )
         } else {
             String::new()

@@ -97,7 +97,8 @@ fn a_skill_is_drawn_at_chosen_moments_and_as_a_whole() {
     assert!(names.iter().all(|name| Path::new(name).is_file()));
     let done = optimise(&[&skill[..], &moments, &["--json"]].concat());
     let report: Value = serde_json::from_str(&done.out).unwrap();
-    assert_eq!(report, serde_json::json!({ "files": names, "arm": "ur3e", "remark": null }));
+    let wanted = serde_json::json!({ "files": names, "arm": "ur3e", "remark": null, "failure": null });
+    assert_eq!(report, wanted);
     // Without moments there are six.
     let folder = place.text("more");
     let done = optimise(&[&skill[..], &["--out", &folder, "--cut"]].concat());
@@ -120,6 +121,17 @@ fn what_cannot_be_drawn_is_refused() {
     assert_sentence(&render(&["--zoom", "0"]), 2, "zoom 0.01 to 1000");
     fs::write(&folder, "a file").unwrap();
     assert_sentence(&render(&["--at", "1", "--size", "32x32"]), 1, "pictures");
+    // The animation is written all the same, and said to be.
+    let movie = place.text("skill.gif");
+    let both = ["--at", "1", "--size", "32x32", "--animation", &movie, "--rate", "5"];
+    let done = render(&both);
+    assert!(
+        done.code == 1 && done.err.contains("pictures") && done.out == format!("{movie}\n"),
+        "{}",
+        done.out
+    );
+    let report: Value = serde_json::from_str(&render(&[&both[..], &["--json"]].concat()).out).unwrap();
+    assert_eq!((&report["files"], report["failure"].is_string()), (&serde_json::json!([movie]), true));
     let interrupted = optimise_for(1, &["render", "bench-small", "--theta", "0,0,0,0,0", "--out", &folder]);
     assert_sentence(&interrupted, 130, "stopped");
 }

@@ -142,12 +142,13 @@ impl Sink for Series {
     }
 
     fn finish(&mut self, destinations: &[Destination]) -> Result<(), ViewError> {
-        write(&self.folder.join(DESTINATIONS), |file| csv::destinations(file, destinations))?;
         match &mut self.writer {
             Writer::Vtk(collection) => collection.finish(&self.folder),
             Writer::Ply => Ok(()),
             Writer::Csv(tables) => tables.finish(),
-        }
+        }?;
+        // Last: where it is, all is there.
+        write(&self.folder.join(DESTINATIONS), |file| csv::destinations(file, destinations))
     }
 }
 

@@ -1,0 +1,157 @@
+//! What somebody else on the wire does, or says once more: a stop on the way up stays a stop, a session that is over stops nobody,
+//! and an arm that brakes does not seem to stand.
+
+mod common;
+
+use common::{header, one_move, plan_bytes};
+use powderline_executor::{Action, Config, Executor, Outcome};
+use powderline_firmware_sim::controller::{ArmConfig, Controller};
+use powderline_shared::fault::FaultCode;
+use powderline_shared::plan::PlanReader;
+use powderline_shared::wire::message::{FromArm, NO_SESSION, Status, ToArm};
+use powderline_shared::wire::state::{Command, State};
+
+/// What an executor has to say at this moment; how it has ended, if it has.
+fn spoken(executor: &mut Executor<'_>, now_us: u64, mut say: impl FnMut(ToArm)) -> Option<Outcome> {
+    loop {
+        match executor.poll(now_us) {
+            Action::Send(message) => say(message),
+            Action::Wait => return None,
+            Action::Finished(outcome) => return Some(outcome),
+        }
+    }
+}
+
+fn own_status(message: &FromArm) -> Option<Status> {
+    match message {
+        FromArm::Status(status) if status.session != NO_SESSION => Some(*status),
+        _ => None,
+    }
+}
+
+#[test]
+fn an_arm_that_somebody_stops_on_its_way_up_is_not_led_up_again() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    for stopped_after in [Command::SwitchOn, Command::Shutdown] {
+        let mut arm = Controller::new(ArmConfig::ideal(plan.header().start_pose()));
+        let mut executor = Executor::new(0, &plan, Config::default());
+        let (mut now_us, mut enabled, mut stops) = (0, false, 0);
+        let outcome = loop {
+            while let Some(message) = arm.poll(now_us) {
+                enabled |= own_status(&message).is_some_and(|status| status.state == State::OperationEnabled);
+                executor.handle_message(now_us, &message);
+            }
+            let mut told = Vec::new();
+            let said = spoken(&mut executor, now_us, |message| {
+                arm.handle_message(now_us, &message);
+                if matches!(message, ToArm::Control { command, .. } if command == stopped_after) && stops == 0
+                {
+                    // The arm tells of its step before somebody stops it.
+                    told.extend(std::iter::from_fn(|| arm.poll(now_us)));
+                    arm.handle_message(now_us, &ToArm::Stop);
+                    stops += 1;
+                }
+            });
+            told.iter().for_each(|message| executor.handle_message(now_us, message));
+            if let Some(outcome) = said {
+                break outcome;
+            }
+            now_us += 1_000;
+            assert!(now_us < 30_000_000, "the session never ends");
+        };
+        let Outcome::Stopped { fault, standstill } = outcome else { panic!("{outcome:?}") };
+        assert!(!enabled && stops == 1, "{stopped_after:?}");
+        assert_eq!((fault.code, standstill), (FaultCode::StateUnexpected, true), "{stopped_after:?}");
+    }
+}
+
+/// It was suspended, lost the arm by that, and comes back while somebody else moves it.
+#[test]
+fn an_executor_whose_session_is_over_stops_nobody_elses_motion() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    let mut arm = Controller::new(ArmConfig::ideal(plan.header().start_pose()));
+    let mut suspended = Executor::new(0, &plan, Config::default());
+    // It goes slowly, from where the arm has come to.
+    let slowly = || Config {
+        session: 2,
+        reset: true,
+        period_us: Some(40_000),
+        anchor_tolerance_m: 0.05,
+        anchor_tolerance_rad: 0.5,
+        ..Config::default()
+    };
+    let (mut other, mut began_us) = (Executor::new(0, &plan, slowly()), None);
+    let (mut now_us, mut unheard, mut ends) = (0, Vec::new(), [None, None]);
+    while ends.contains(&None) {
+        let moves_there = other.last_sent().is_some_and(|sent| sent.tick > 5);
+        let is_suspended =
+            suspended.session_status().is_some_and(|status| status.applied_tick > 0) && !moves_there;
+        while let Some(message) = arm.poll(now_us) {
+            let latched =
+                matches!(message, FromArm::Status(Status { state: State::Fault, standstill: true, .. }));
+            if latched && began_us.is_none() {
+                other = Executor::new(now_us, &plan, slowly());
+                began_us = Some(now_us);
+            }
+            other.handle_message(now_us, &message);
+            unheard.push(message);
+        }
+        if !is_suspended && ends[0].is_none() {
+            unheard.drain(..).for_each(|message| suspended.handle_message(now_us, &message));
+            ends[0] = spoken(&mut suspended, now_us, |message| arm.handle_message(now_us, &message));
+        }
+        if began_us.is_some() && ends[1].is_none() {
+            ends[1] = spoken(&mut other, now_us, |message| arm.handle_message(now_us, &message));
+        }
+        now_us += 1_000;
+        assert!(now_us < 60_000_000, "a session never ends: {ends:?}");
+    }
+    assert_eq!(ends[1], Some(Outcome::Completed));
+    assert!(matches!(ends[0], Some(Outcome::Stopped { .. })), "{ends:?}");
+}
+
+/// By a node that repeats what it has heard, at a moment at which its counters are news.
+#[test]
+fn what_an_arm_said_on_its_way_up_is_no_standstill_when_somebody_says_it_again() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    let mut arm = Controller::new(ArmConfig::ideal(plan.header().start_pose()));
+    let mut executor = Executor::new(0, &plan, Config::default());
+    let (mut now_us, mut early, mut last) = (0, None, None);
+    const STOP_US: u64 = 600_000;
+    let outcome = loop {
+        while let Some(message) = arm.poll(now_us) {
+            if let Some(status) = own_status(&message) {
+                last = Some(status);
+                if status.state == State::ReadyToSwitchOn {
+                    early = early.or(Some(status));
+                }
+            }
+            executor.handle_message(now_us, &message);
+        }
+        if now_us == STOP_US {
+            executor.handle_stop(now_us);
+        }
+        if let Some((number, early)) =
+            (0..20u8).find(|number| now_us == STOP_US + 1_000 + u64::from(*number) * 10_000).zip(early)
+        {
+            let counter = last.map_or(0, |last| last.counter).wrapping_add(40 + number);
+            executor.handle_message(now_us, &FromArm::Status(Status { counter, ..early }));
+        }
+        if let Some(outcome) = spoken(&mut executor, now_us, |message| arm.handle_message(now_us, &message)) {
+            break outcome;
+        }
+        now_us += 1_000;
+        assert!(now_us < 30_000_000, "the session never ends");
+    };
+    let Outcome::Stopped { fault, standstill } = outcome else { panic!("{outcome:?}") };
+    assert!(early.is_some_and(|status| status.standstill));
+    assert_eq!((fault.code, standstill), (FaultCode::OperatorStop, true));
+    // And so it is.
+    assert!(
+        last.is_some_and(|status| status.standstill && status.state == State::QuickStopActive),
+        "{last:?}"
+    );
+}
