@@ -193,6 +193,8 @@ pub struct Executor<'a> {
     hard: bool,
     /// Signs of life of another arm.
     strangers: u8,
+    /// When the arm's last heartbeat in the session was.
+    own_heartbeat_us: u64,
     /// When the last was heard.
     stranger_us: Option<u64>,
     /// Since when the arm has said nothing but that it stands, while it is being stopped.
@@ -251,6 +253,7 @@ impl<'a> Executor<'a> {
             telemetry: Telemetry::default(),
             hard: false,
             strangers: 0,
+            own_heartbeat_us: 0,
             stranger_us: None,
             stands_since_us: None,
             heard_us: now_us,
@@ -284,6 +287,7 @@ impl<'a> Executor<'a> {
             FromArm::Fault { session, fault } if self.is_ours(session) => self.arm_fault(now_us, fault),
             FromArm::Heartbeat(heartbeat) if self.is_ours(heartbeat.session) => {
                 self.heard_us = now_us;
+                self.own_heartbeat_us = now_us;
                 self.telemetry.lost = heartbeat.lost;
                 self.telemetry.dropped = heartbeat.dropped;
             }
@@ -508,10 +512,11 @@ impl<'a> Executor<'a> {
         }
     }
 
-    /// An arm that is in a session does not say that it is in none. Ours does when it has lost the session, but says nothing
-    /// else then.
+    /// An arm that is in a session does not say that it is in none. Ours does when it has lost the session, and has no more heartbeats in
+    /// it then, though it answers in it.
     fn stranger(&mut self, now_us: u64) {
-        let heard_since = self.stranger_us.replace(now_us).is_none_or(|last_us| self.heard_us > last_us);
+        let heard_since =
+            self.stranger_us.replace(now_us).is_none_or(|last_us| self.own_heartbeat_us > last_us);
         if !matches!(self.stage, Stage::Enabling | Stage::Streaming) || !heard_since {
             return;
         }

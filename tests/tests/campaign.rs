@@ -208,21 +208,25 @@ fn what_is_stopped_or_killed_goes_on_to_the_same_table() {
 fn a_worker_that_is_killed_takes_no_other_case_along() {
     let place = Place::new();
     let file = campaign(&place, &many());
-    let folder = place.path("killed");
-    let child = command(OPTIMISE, &["campaign", &file, "--out", &folder, "--threads", "2"]).spawn().unwrap();
-    wait_for(3, &folder);
-    send("KILL", &workers(&child)[0]);
-    let ended = wait(child);
-    assert_eq!(ended.code, Some(1), "{ended:?}");
-    let last = ended.err.lines().last().unwrap();
-    assert!(last.starts_with("1 case failed; the first: its process was killed"), "{ended:?}");
-    assert!(ended.out.contains("Of 48 cases, 1 failed, 47 are simulated."), "{ended:?}");
-    let page = String::from_utf8(bytes(&folder, "report.html")).unwrap();
-    assert!(page.contains("its process was killed"));
-    // It is tried again.
-    run(OPTIMISE, &["campaign", "--resume", &folder]).succeeded();
     let (_, whole) = done(&place, &file, "whole", &[]);
-    assert!(bytes(&folder, "table.parquet") == bytes(&whole, "table.parquet"));
+    // One that is asked to end says that it was stopped; from here it was not.
+    for (signal, how) in [("KILL", "was killed"), ("TERM", "was stopped by somebody else")] {
+        let folder = place.path(signal);
+        let child =
+            command(OPTIMISE, &["campaign", &file, "--out", &folder, "--threads", "2"]).spawn().unwrap();
+        wait_for(3, &folder);
+        send(signal, &workers(&child)[0]);
+        let ended = wait(child);
+        assert_eq!(ended.code, Some(1), "{ended:?}");
+        let last = ended.err.lines().last().unwrap();
+        assert!(last.starts_with(&format!("1 case failed; the first: its process {how}")), "{ended:?}");
+        assert!(ended.out.contains("Of 48 cases, 1 failed, 47 are simulated."), "{ended:?}");
+        let page = String::from_utf8(bytes(&folder, "report.html")).unwrap();
+        assert!(page.contains(&format!("its process {how}")));
+        // It is tried again.
+        run(OPTIMISE, &["campaign", "--resume", &folder]).succeeded();
+        assert!(bytes(&folder, "table.parquet") == bytes(&whole, "table.parquet"));
+    }
 }
 
 #[test]

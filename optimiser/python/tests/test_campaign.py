@@ -258,8 +258,12 @@ def test_ctrl_c_stops_it_and_says_how_to_go_on(bench, nodes, tmp_path):
 
 def test_what_was_stopped_goes_on_in_the_same_process(bench, nodes, tmp_path, monkeypatch):
     loaded = Campaign.load(campaign(bench, ROLLOUTS.format(seeds=1)))
+
+    def press(*_):
+        raise KeyboardInterrupt
+
     with monkeypatch.context() as stopped:
-        stopped.setattr("powderline.campaign.Session.have_done", lambda *_: os.kill(os.getpid(), signal.SIGINT))
+        stopped.setattr("powderline.campaign.Session.have_done", press)
         with pytest.raises(KeyboardInterrupt, match="go on with") as kept:
             loaded.run(tmp_path / "ray", address=nodes.address, verbose=False)
     # Who keeps what was raised, as notebooks do, keeps nothing locked.

@@ -24,9 +24,11 @@ def test_torch_goes_back_through_a_rollout(scene):
     np.testing.assert_array_equal(theta.grad[1].numpy(), -other)
 
 
-def test_torch_computes_what_is_asked_for_and_nothing_else(simulator):
+def test_torch_computes_what_is_asked_for_and_nothing_else(scene):
     torch = pytest.importorskip("torch")
     from powderline.torch import loss
+
+    simulator = pl.Simulator(scene)
 
     class WithoutGradient:
         rollouts = staticmethod(simulator.rollouts)

@@ -280,13 +280,19 @@ impl<'a> Setting<'a> {
     }
 }
 
+/// Another one with whatever changes what a search comes to: how it searches, how its plan is corrected, what the arm may perform.
+const SEARCH_VERSION: u32 = 2;
+
 impl Case<'_> {
     /// What a result is of: 64 hexadecimal digits that change with everything that the result depends on.
     pub fn key(&self, scene: &Scene) -> String {
         let CampaignFile { epochs, theta, refine, precision, .. } = &self.setting.campaign.file;
         // A rollout makes no plan that could be corrected.
         let refine = *refine && theta.is_none();
-        let work = format!("{PHYSICS_VERSION} {} {epochs:?} {theta:?} {refine} {precision:?}", self.seed);
+        // How a search searches is nothing to a rollout.
+        let search = if theta.is_none() { SEARCH_VERSION } else { 0 };
+        let work =
+            format!("{PHYSICS_VERSION} {search} {} {epochs:?} {theta:?} {refine} {precision:?}", self.seed);
         let digest = Sha256::new().chain_update(scene.digest()).chain_update(work).finalize();
         crate::report::words::hex(&digest)
     }

@@ -408,7 +408,14 @@ impl Experiment {
                 }
                 Run::resume(RunFolder::open(&path)?, record, None)?
             }
-            None => Run::begin(RunFolder::create(&path)?, self.scene.clone(), (seed, precision), settings)?,
+            None => {
+                // Of a search that was killed as it began the scene alone may be there.
+                let scene = path.join(SCENE);
+                if std::fs::read(&scene).is_ok_and(|text| text == self.scene.to_toml().as_bytes()) {
+                    std::fs::remove_file(&scene)?;
+                }
+                Run::begin(RunFolder::create(&path)?, self.scene.clone(), (seed, precision), settings)?
+            }
         };
         if !self.is_enough(&run.record().state) {
             let setup = self.resources.setup(seed, precision);

@@ -68,6 +68,11 @@ impl Method {
         Self::value_variants()
     }
 
+    /// Whether it searches a skill first, and then something that is near it.
+    pub fn begins_with_a_skill(self) -> bool {
+        matches!(self, Self::Path | Self::PathCmaEs)
+    }
+
     /// Whether it takes the adjoint.
     pub fn has_adjoint(self) -> bool {
         self == Self::Path || self.source().is_some_and(|source| source != Source::Differences)
@@ -158,9 +163,11 @@ impl Problem {
         theta.is_some_and(|theta| (self.is_able)(&theta, trial.splines.as_ref()))
     }
 
-    /// Whether what arrives is what is wanted, within the tolerance.
+    /// Whether what arrives is what is wanted, within the tolerance: to a billionth, as [`Amounts::is_met`] has it.
+    ///
+    /// [`Amounts::is_met`]: crate::report::amounts::Amounts::is_met
     pub(super) fn is_met(&self, found: &Evaluation) -> bool {
-        (self.amount(found) - 1.0).abs() <= self.tolerance
+        ((self.amount(found) - 1.0) * 1e9).round().abs() <= self.tolerance * (1e9 + 1.0)
     }
 
     /// The cheapest world.

@@ -321,7 +321,16 @@ impl Finding {
             coarse_epochs: coarse.map(|record| record.epoch).collect(),
             ended_of,
             patience_epochs: settings.patience_epochs,
-            last_gain: rule.last_gain(&amounts, epochs),
+            last_gain: rule.last_gain(&amounts, epochs).and_then(|gain| {
+                match settings.method.begins_with_a_skill() {
+                    // What comes after the skill has its patience, too.
+                    true => epochs
+                        .iter()
+                        .find(|epoch| epoch.record.splines.is_some())
+                        .map(|first| gain.max(first.record.epoch)),
+                    false => Some(gain),
+                }
+            }),
             restarts: restarts.map(|record| record.epoch).collect(),
             passed_over: passed_over.collect(),
             rounded_out: rounded_out.into_iter().map(|epoch| epoch as u32).collect(),

@@ -77,7 +77,7 @@ impl Rule {
             };
             let falls = last.is_some() && record.loss <= (1.0 - LOSS_WORTH_GOING_ON) * lowest;
             lowest = record.loss.min(lowest);
-            if off < f64::INFINITY && off <= least_off - least || falls {
+            if off < least_off && off <= least_off - least || falls {
                 last = Some(record.epoch);
                 least_off = off.min(least_off);
             }
@@ -94,12 +94,12 @@ impl Rule {
     /// What makes one motion better than another: what is smaller, the first number before the second.
     fn key(self, amounts: &Amounts, census: &Census, loss: f64) -> [f64; 3] {
         match self {
+            // Of a motion that came to no end nobody knows where the powder is.
+            Self::LeastLost if *census == Census::default() => [2.0, 1.0, loss],
             Self::LeastLost if amounts.is_met(census.target) == Some(true) => {
                 // To a millionth: sums are rounded.
                 [0.0, (amounts.off_share(census) * 1e6).round(), loss]
             }
-            // Of a motion that came to no end nobody knows where the powder is.
-            Self::LeastLost if *census == Census::default() => [2.0, 1.0, loss],
             Self::LeastLost => [1.0, amounts.miss(census.target).abs(), loss],
             Self::LowestLoss => [loss; 3],
         }

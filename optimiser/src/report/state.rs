@@ -28,7 +28,7 @@ pub struct Settings {
 impl Settings {
     /// As usual for a way to search: one that has a second part gets time for it.
     pub fn of(method: Method) -> Self {
-        let epochs = if matches!(method, Method::Path | Method::PathCmaEs) { 32 } else { 16 };
+        let epochs = if method.begins_with_a_skill() { 32 } else { 16 };
         Self { method, epochs, patience_epochs: 2, refine_by: 2 }
     }
 }

@@ -172,9 +172,11 @@ class MotionEnv(gymnasium.Env[dict[str, Any], _F32]):
         return rows, velocity, travel
 
     def _fastest(self, room: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """How fast the tool may be with so much room before it: as fast as it can be braked in it, in steps of the period."""
-        half = 0.5 * self._gain
-        return np.sqrt(half**2 + 2.0 * self._gain * np.maximum(room, 0.0) / self._period_s) - half
+        """How fast the tool may be with so much room before it: as fast as it can be braked in it, in steps of the period. Of n whole steps
+        of the acceleration and a part f, braking takes (n + 1) (n / 2 + f) of the way that one such step goes in a period."""
+        ways = np.clip(room / (self._gain * self._period_s), 0.0, 1e9)
+        whole = np.floor(0.5 * (np.sqrt(1.0 + 8.0 * ways) - 1.0))
+        return self._gain * (0.5 * whole + ways / (whole + 1.0))
 
     def _observation(self) -> dict[str, Any]:
         assert self._episode is not None

@@ -211,14 +211,21 @@ impl Work<'_> {
                 *worker = Some(employed);
                 Ok(true)
             }
-            ("stopped", _) => Ok(false),
             ("broken", why) => Err(CliError::Failed(why.into())),
-            _ => self.lost(case, employed),
+            ("stopped", _) if self.is_stopped(place) => Ok(false),
+            ("stopped", _) => self.lost(case, employed, Some("was stopped by somebody else")),
+            _ => self.lost(case, employed, None),
         }
     }
 
-    /// What is written of a case in the midst of which its worker is gone.
-    fn lost(&self, case: u64, mut employed: Employed) -> Result<bool, CliError> {
+    /// Whether a worker was asked to stop from here.
+    fn is_stopped(&self, place: usize) -> bool {
+        let input = self.inputs[place].lock().unwrap_or_else(PoisonError::into_inner);
+        input.is_none() || self.interrupt.is_requested()
+    }
+
+    /// What is written of a case in the midst of which its worker is gone, by its own words or by how its process ended.
+    fn lost(&self, case: u64, mut employed: Employed, how: Option<&str>) -> Result<bool, CliError> {
         let status = employed.child.wait()?;
         let last_words = employed.last_words.join().unwrap_or_default();
         if self.interrupt.is_requested() {
@@ -226,7 +233,8 @@ impl Work<'_> {
         }
         let case = self.site.campaign.case(case);
         let scene = case.setting.scene().map_err(|error| CliError::Failed(error.to_string()))?;
-        let why = format!("its process {}{}", ended(status), said(&last_words));
+        let how = how.map_or_else(|| ended(status), String::from);
+        let why = format!("its process {how}{}", said(&last_words));
         let folder = folder_of(self.site.folder, &case);
         write_down(&folder, Outcome { key: case.key(&scene), end: End::Error(why) })?;
         Ok(true)

@@ -47,6 +47,20 @@ fn a_path_is_found_shipped_told_apart_from_a_skill_and_gone_on_with_to_the_same_
     assert_eq!(bytes(&stopped, "skill.plan"), bytes(&folder, "skill.plan"));
 }
 
+/// A search that has gained nothing for long as a skill begins its path all the same, and that has its patience, too.
+#[test]
+fn a_path_begins_before_patience_ends() {
+    let place = Place::new();
+    for patience in ["1", "2"] {
+        let folder = place.text(patience);
+        let search =
+            ["bench-small", "--method", "path", "--no-refine", "--patience", patience, "--out", &folder];
+        assert!(optimise(&search).is_finished());
+        let paths = metrics(&folder).iter().filter(|epoch| !epoch["splines"].is_null()).count();
+        assert!(paths > patience.parse().unwrap(), "{paths} after a patience of {patience}");
+    }
+}
+
 /// Where powder escapes there is no gradient, and the search goes on without: to its plan, and to the same bits if it is stopped.
 #[test]
 fn a_motion_that_the_adjoint_cannot_follow_does_not_end_the_run() {
