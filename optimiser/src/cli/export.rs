@@ -346,9 +346,17 @@ impl ExportArgs {
                 urscript::MAX_TICKS
             )));
         }
-        if self.arm.cycle_us() > motion.path.period_us {
-            let [asked, ticks] =
-                [self.arm.cycle_us(), motion.path.period_us].map(|period_us| 1_000_000 / period_us);
+        let cycle_us = self.arm.cycle_us(motion.path.period_us);
+        if self.format == FormatArg::Urscript && motion.path.period_us < CYCLE_US {
+            return Err(wrong(format!(
+                "has {} ticks a second, but UR's controller takes no more than {} setpoints; a plan of a scene with \
+                 time.control_period_us = {CYCLE_US} at least would be right",
+                1_000_000 / motion.path.period_us,
+                1_000_000 / CYCLE_US
+            )));
+        }
+        if cycle_us > motion.path.period_us {
+            let [asked, ticks] = [cycle_us, motion.path.period_us].map(|period_us| 1_000_000 / period_us);
             return Err(CliError::Input(format!(
                 "--rate is {asked}, but {} has {ticks} ticks a second, and what is between fewer setpoints nobody looks at; {ticks} or \
                  more would be right",
@@ -357,15 +365,11 @@ impl ExportArgs {
         }
         let Some(setting) = self.setting(path, plan.header())? else { return Ok((motion, None)) };
         let Setting { mount, surroundings, .. } = &setting;
-        let arm =
-            ArmMotion::new(&motion.path, mount, surroundings, self.arm.cycle_us()).map_err(|refusal| {
-                let how = if self.arm.arm.is_some() {
-                    "; --base, --tool, --near, --rate say otherwise"
-                } else {
-                    ""
-                };
-                wrong(format!("is no motion for this arm: {refusal}{how}"))
-            })?;
+        let arm = ArmMotion::new(&motion.path, mount, surroundings, cycle_us).map_err(|refusal| {
+            let how =
+                if self.arm.arm.is_some() { "; --base, --tool, --near, --rate say otherwise" } else { "" };
+            wrong(format!("is no motion for this arm: {refusal}{how}"))
+        })?;
         let program =
             (self.format == FormatArg::Urscript).then(|| self.program(path, &motion, &arm, &setting));
         let program = program.transpose()?;
@@ -384,6 +388,15 @@ impl ExportArgs {
                 Err(_) => None,
             },
         };
+        let scene = match (self.arm.table, scene) {
+            // The table that is named, for the tool as for the links.
+            (Some(table_m @ -10.0..=0.0), Some(scene)) if scene.arm.is_some() => {
+                Some(scene.with(|spec| {
+                    spec.arm.iter_mut().for_each(|arm| arm.table_height_m = table_m);
+                })?)
+            }
+            (_, scene) => scene,
+        };
         let Some(mount) = self.arm.mount(header, scene.as_ref()) else {
             return match self.needs_arm() {
                 Some(what) => Err(CliError::Input(format!(
@@ -394,7 +407,7 @@ impl ExportArgs {
                 None => Ok(None),
             };
         };
-        let surroundings = self.arm.surroundings(scene.as_ref());
+        let surroundings = self.arm.surroundings(scene.as_ref(), &mount);
         Ok(Some(Setting { mount, surroundings, scene }))
     }
 
@@ -409,7 +422,8 @@ impl ExportArgs {
         let Setting { mount, surroundings, scene } = setting;
         let scene = scene.as_ref();
         let home = self.arm.home.map(|joints| joints.map(f64::to_radians));
-        let around = Around { mount, surroundings, scene, home, cycle_us: self.arm.cycle_us() };
+        let cycle_us = self.arm.cycle_us(motion.path.period_us);
+        let around = Around { mount, surroundings, scene, home, cycle_us };
         let transit = Transit::new(&motion.path, arm, &around)
             .map_err(|error| CliError::Input(format!("{} gets no program: {error}", path.display())))?;
         let payload_kg = scene.and_then(|scene| scene.arm.as_ref()?.payload_kg);
@@ -449,7 +463,8 @@ impl ExportArgs {
     fn write_to(&self, out: &mut dyn Write, motion: &Motion, program: Option<&Program>) -> io::Result<()> {
         match (self.format, &motion.arm, program) {
             (_, Some(arm), Some(Program { transit, payload_kg, speed, knows_scene })) => {
-                let (cycle_us, speed, payload_kg) = (self.arm.cycle_us(), *speed, *payload_kg);
+                let (speed, payload_kg) = (*speed, *payload_kg);
+                let cycle_us = self.arm.cycle_us(motion.path.period_us);
                 let knows_scene = *knows_scene;
                 urscript::Program { motion, arm, transit, cycle_us, speed, payload_kg, knows_scene }
                     .write(out)
@@ -484,7 +499,7 @@ impl ExportArgs {
             model.posture,
             clearance_words(figures),
             model.singularity_margin,
-            f64::from(self.arm.cycle_us()) / 1e3,
+            f64::from(self.arm.cycle_us(motion.path.period_us)) / 1e3,
             percent(linear_velocity),
             percent(linear_acceleration),
             percent(linear_jerk),
@@ -560,7 +575,8 @@ impl ArmArgs {
         let near = self.near.map(|joints| joints.map(f64::to_radians));
         let of_scene = scene.and_then(|scene| scene.arm.as_ref());
         // What is kept of something that is known.
-        let clearance_m = of_scene.map(|arm| arm.clearance_m).or(self.table.map(|_| CLEARANCE_M));
+        let is_known = self.table.is_some() || scene.is_some();
+        let clearance_m = of_scene.map(|arm| arm.clearance_m).or(is_known.then_some(CLEARANCE_M));
         if let (Some(kind), Some(world_from_base), Some(flange_from_tool)) = (self.arm, self.base, self.tool)
         {
             return Some(Mount { kind, world_from_base, flange_from_tool, posture: None, near, clearance_m });
@@ -569,16 +585,18 @@ impl ArmArgs {
         Some(Mount { posture: mount.posture.filter(|_| near.is_none()), near, ..mount })
     }
 
-    /// Table, containers and gates, as far as they are known.
-    fn surroundings(&self, scene: Option<&Scene>) -> Surroundings {
+    /// Table, containers and gates, as far as they are known. A table of which nobody says how high it is is as high as the base that stands
+    /// on it, and no higher than the bench.
+    fn surroundings(&self, scene: Option<&Scene>, mount: &Mount) -> Surroundings {
         let of_scene = scene.and_then(|scene| scene.arm.as_ref()).map(|arm| arm.table_height_m);
-        let table_m = self.table.or(of_scene).unwrap_or(0.0);
+        let of_base = mount.world_from_base.position_m[2].min(0.0);
+        let table_m = self.table.or(of_scene).unwrap_or(of_base);
         scene.map_or_else(|| Surroundings::table(table_m), |scene| Surroundings::of_scene(scene, table_m))
     }
 
-    /// From setpoint to setpoint; what is between ticks is looked at as often.
-    fn cycle_us(&self) -> u32 {
-        self.rate.map_or(CYCLE_US, |rate| 1_000_000 / rate)
+    /// From setpoint to setpoint, of a plan with ticks of this period; what is between ticks is looked at as often.
+    fn cycle_us(&self, period_us: u32) -> u32 {
+        self.rate.map_or(CYCLE_US.min(period_us), |rate| 1_000_000 / rate)
     }
 }
 

@@ -13,6 +13,7 @@ use super::path::ToolPath;
 use super::self_collision::{Contact, Part, contact};
 use super::spline;
 use super::surroundings::Surroundings;
+use super::transit::BEFORE_S;
 use crate::scene::Obstacle;
 use std::f64::consts::FRAC_PI_4;
 
@@ -375,6 +376,9 @@ impl ArmMotion {
     fn checked(&self, path: &ToolPath, cycle_us: u32, kept: &Kept<'_>) -> Result<Figures, Stuck> {
         let (model, mut figures) = (&self.model, Figures::new());
         let near = |time_us| move |cause| Stuck { time_us, cause };
+        // While the powder settled it stood there, before gates that are gone at once.
+        let around = &kept.around.standing(BEFORE_S);
+        figures.keep_clear(model, &self.joints[0], 0, &Kept { around, ..*kept }).map_err(near(0))?;
         figures.keep_clear(model, &self.joints[0], 0, kept).map_err(near(0))?;
         let mut checker = LimitChecker::new(widened(&path.limits, path.lsb), EXACT, cycle_us, path.poses[0]);
         let mut before = self.joints[0];
@@ -557,6 +561,36 @@ mod tests {
             (arm.tool_position_m, arm.base_position_m) = ([0.0, 0.0, -0.12], [0.26, -0.48, -0.1]);
         };
         assert_refused(within, "the tool's handle would pass through the arm's wrist 1");
+    }
+
+    /// It is gone when the motion begins, but stood there while the powder settled, and so did the wrist.
+    #[test]
+    fn a_gate_that_is_gone_at_once_is_in_the_way_before() {
+        use crate::scene::{Gate, GateOpening, GateShape};
+        let mut scene = Scene::load("bench").unwrap();
+        let arm = scene.arm.clone().unwrap();
+        let map = SkillMap::new(&scene);
+        let path = ToolPath::of_skill(&map, &map.quantise(&Theta::MIDDLE).unwrap());
+        let made = |scene: &Scene| {
+            let around = Surroundings::of_scene(scene, arm.table_height_m);
+            ArmMotion::new(&path, &Mount::of(&arm), &around, CYCLE_US)
+        };
+        let free = made(&scene).unwrap();
+        // Wherever the other links are, the last one is there.
+        let [from, to] = axes(free.model.kind, &free.joints[0])[4];
+        let base = free.model.world_from_base;
+        let middle = base.position_m + base.orientation * ((from + to) * 0.5);
+        scene.gates = vec![Gate {
+            name: "lid".into(),
+            position_m: middle.into(),
+            yaw_deg: 0.0,
+            friction: 0.4,
+            opens_at_s: 0.0,
+            shape: GateShape::Box { size_m: [0.02, 0.02, 0.02] },
+            opening: GateOpening::Vanish {},
+        }];
+        let refusal = made(&scene).map(drop).unwrap_err();
+        assert!(refusal.to_string().contains("gate \"lid\""), "{refusal}");
     }
 
     /// Some base stands so that the arm is free at both ends of the motion, and passes through itself between.

@@ -22,7 +22,7 @@ use crate::skill::{Collision, minimum_jerk_position, rest_to_rest_steps, standin
 const SHARE: f64 = 0.5;
 
 /// When all gates are shut, seconds from the motion's start: one may open with it.
-const BEFORE_S: f64 = -1.0;
+pub(super) const BEFORE_S: f64 = -1.0;
 
 /// From one height that is tried to the next, metres.
 const RISE_M: f64 = 0.005;

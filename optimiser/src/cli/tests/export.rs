@@ -198,6 +198,41 @@ fn links_stay_clear_of_what_the_scene_has() {
         "{}",
         said.err
     );
+    // Nor does it take an arm of the scene's own for that.
+    let scene = Scene::load("bench-small").unwrap().with(|spec| spec.arm = None).unwrap();
+    fs::write(place.path("armless.toml"), scene.to_toml()).unwrap();
+    let (file, folder) = (place.text("armless.toml"), place.text("armless"));
+    let search = ["--method", "mixed", "--no-refine", "--epochs", "1", "--out", &folder];
+    assert!(optimise(&[&[file.as_str()][..], &search].concat()).is_finished());
+    let near = ["--arm", "ur3e", "--base", "0.22,-0.5,-0.1,0,0,-90", "--tool", "0,0,0.05,90,0,-90"];
+    let said = export(&format!("{folder}/skill.plan"), "urscript", &near);
+    assert!(said.code == 2 && said.err.contains("mm deep in container \"source\""), "{}", said.err);
+}
+
+/// What goes faster than a controller of UR is written as it is, but for a program.
+#[test]
+fn a_plan_of_shorter_ticks_is_exported() {
+    let (_place, plan) = with_plan();
+    let quick = golden_with(|header| {
+        let powderline_shared::limits::Limits { workspace_min_m, workspace_max_m, .. } = header.limits;
+        let limits = powderline_shared::limits::Limits {
+            workspace_min_m,
+            workspace_max_m,
+            linear_velocity_m_s: 1e3 * header.limits.linear_velocity_m_s,
+            linear_acceleration_m_s2: 1e3 * header.limits.linear_acceleration_m_s2,
+            linear_jerk_m_s3: 1e4 * header.limits.linear_jerk_m_s3,
+            angular_velocity_rad_s: 1e3 * header.limits.angular_velocity_rad_s,
+            angular_acceleration_rad_s2: 1e3 * header.limits.angular_acceleration_rad_s2,
+            angular_jerk_rad_s3: 1e4 * header.limits.angular_jerk_rad_s3,
+        };
+        PlanHeader { control_period_us: 1_000, limits, arm: None, ..header }
+    });
+    fs::write(&plan, quick).unwrap();
+    for format in ["csv", "json", "mcap"] {
+        let done = export(&plan, format, &[]);
+        assert_eq!(done.code, 0, "{}", done.err);
+    }
+    assert_sentence(&export(&plan, "urscript", &ARM), 2, "takes no more than 500 setpoints");
 }
 
 #[test]
