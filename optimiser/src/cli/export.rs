@@ -38,7 +38,7 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// What links keep from a table that is given for a scene without an arm, metres.
+/// What links keep from what is known around them, where no scene's arm says how much, metres.
 const CLEARANCE_M: f64 = 0.02;
 
 /// Control steps from one frame of powder to the next.
@@ -109,8 +109,8 @@ pub(super) struct ArmArgs {
     #[arg(long, value_name = "J1,..,J6", allow_hyphen_values = true, value_parser = parse_joints)]
     pub near: Option<[f64; 6]>,
     /// Height of the table beneath arm and bench, metres, in the scene's world: a motion that takes a link nearer to anything than
-    /// the scene's arm.clearance_m, or 20 mm, is refused [default: the scene's; without one, links that pass through something
-    /// are said]
+    /// the scene's arm.clearance_m, or 20 mm, is refused [default: the scene's, or that of the base; where the plan's scene is not
+    /// known either, links that pass through something are said]
     #[arg(long, value_name = "Z", allow_hyphen_values = true, value_parser = parse_height)]
     pub table: Option<f64>,
     /// Setpoints a second of a URScript program; a whole part of 500 [default: 500, the e-Series' own]
