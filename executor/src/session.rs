@@ -193,10 +193,10 @@ pub struct Executor<'a> {
     hard: bool,
     /// Signs of life of another arm.
     strangers: u8,
-    /// When the arm's last heartbeat in the session was.
-    own_heartbeat_us: u64,
     /// When the last was heard.
     stranger_us: Option<u64>,
+    /// When the arm's last heartbeat in the session was.
+    own_heartbeat_us: u64,
     /// Since when the arm has said nothing but that it stands, while it is being stopped.
     stands_since_us: Option<u64>,
     heard_us: u64,
@@ -1062,11 +1062,12 @@ fn may_move(state: State) -> bool {
     matches!(state, State::OperationEnabled | State::QuickStopActive | State::FaultReactionActive)
 }
 
-/// Whether an arm that was in one state of the way up is in an earlier one now.
+/// Whether an arm on its way up is back where it begins: a stop or the end of the session does that. From switched on to ready it may
+/// have been taken by a shutdown of our own, said twice and overtaken.
 fn falls_back(before: State, now: State) -> bool {
-    let step = |state| WAY_UP.iter().position(|(from, _)| *from == state);
-    let before = if before == State::OperationEnabled { Some(WAY_UP.len()) } else { step(before) };
-    before.zip(step(now)).is_some_and(|(before, now)| now < before)
+    let is_beyond = matches!(before, State::ReadyToSwitchOn | State::SwitchedOn | State::OperationEnabled);
+    let is_let_go = before == State::OperationEnabled && now == State::ReadyToSwitchOn;
+    is_beyond && now == State::SwitchOnDisabled || is_let_go
 }
 
 #[cfg(test)]
@@ -1075,14 +1076,17 @@ mod tests {
     use powderline_shared::wire::state::{Event, transition};
 
     #[test]
-    fn only_what_is_below_falls_back() {
-        let ways = WAY_UP.map(|(from, _)| from);
-        for (k, now) in ways.into_iter().enumerate() {
-            for (j, before) in ways.into_iter().enumerate() {
-                assert_eq!(falls_back(before, now), k < j);
+    fn what_goes_back_to_the_beginning_falls_back() {
+        use State as S;
+        for before in State::ALL {
+            let wanted: &[State] = match before {
+                S::OperationEnabled => &[S::SwitchOnDisabled, S::ReadyToSwitchOn],
+                S::SwitchedOn | S::ReadyToSwitchOn => &[S::SwitchOnDisabled],
+                _ => &[],
+            };
+            for now in State::ALL {
+                assert_eq!(falls_back(before, now), wanted.contains(&now), "{before:?} {now:?}");
             }
-            assert!(falls_back(State::OperationEnabled, now) && !falls_back(now, State::OperationEnabled));
-            assert!(!falls_back(State::Fault, now) && !falls_back(now, State::Fault));
         }
     }
 

@@ -213,6 +213,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<ExitCode> {
     let plan = check_plan(&arguments.plan, &bytes)?;
     let file = arguments.plan.display().to_string();
     let config = config(arguments, &plan)?;
+    check_record(arguments)?;
     let load = check_wire(arguments, &plan, &config)?;
     announce(arguments, &format!("{}  wire      {}{load}\n", PlanFacts::new(&file, &plan), arguments.to))?;
     if arguments.dry_run {
@@ -221,7 +222,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<ExitCode> {
         }
         return say_dry(arguments);
     }
-    let mut record = record(arguments)?;
+    let mut record = arguments.record.as_deref().map(Record::create).transpose()?;
     let performed = match &arguments.to {
         Link::Sim => perform_here(arguments, &plan, config),
         to => perform_there(arguments, &plan, config, to, record.as_mut()),
@@ -229,9 +230,8 @@ fn run(arguments: &Arguments) -> anyhow::Result<ExitCode> {
     let result = match performed {
         Ok(result) => result,
         Err(error) => {
-            if let Some(record) = record {
-                record.finish(&arguments.to, &format!("{error:#}"))?;
-            }
+            let written = record.map_or(Ok(()), |record| record.finish(&arguments.to, &format!("{error:#}")));
+            written.unwrap_or_else(|other| tell(&format!("execute: {other:#}\n")));
             return Err(error);
         }
     };
@@ -430,15 +430,15 @@ fn announce(arguments: &Arguments, text: &str) -> anyhow::Result<()> {
     if arguments.json { Ok(()) } else { say(text) }
 }
 
-fn record(arguments: &Arguments) -> anyhow::Result<Option<Record>> {
-    let Some(path) = &arguments.record else { return Ok(None) };
+fn check_record(arguments: &Arguments) -> anyhow::Result<()> {
+    let Some(path) = &arguments.record else { return Ok(()) };
     if arguments.to == Link::Sim {
         bail!(
             "--record {} is for an arm on a wire: there are no frames here; give --to WIRE too",
             path.display()
         );
     }
-    Record::create(path).map(Some)
+    Ok(())
 }
 
 /// Where the last frames go when the session is over: to a file beside it, which is there before the arm moves. One of before stays until

@@ -67,12 +67,12 @@ impl Transport for Clogged {
 
     fn receive(&mut self) -> Result<Option<Received>, LinkError> {
         let _ = self.bell.read(&mut [0; 64]);
-        // In small steps, so that an arm whose process was held up by this machine does not stop for that.
         if self.nap_us.is_some_and(|nap_us| self.now_us() > nap_us) {
             self.nap_us = None;
             thread::sleep(Duration::from_millis(120));
         }
         let now_us = self.now_us();
+        // In small steps, so that an arm whose process was held up by this machine does not stop for that.
         let mut frame = self.arm.poll(self.passed_us);
         while frame.is_none() && self.passed_us < now_us {
             self.passed_us = now_us.min(self.passed_us + 5_000);

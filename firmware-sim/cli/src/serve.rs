@@ -155,7 +155,8 @@ impl Server<'_> {
             self.mind_wire(result, announcer);
             self.tell(announcer)?;
             if self.is_over() {
-                return Ok(());
+                // A motion that a person has ended is told of, too.
+                return self.tell(announcer);
             }
             self.wait().context("waiting failed")?;
         }

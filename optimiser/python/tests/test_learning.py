@@ -120,5 +120,5 @@ def test_motions_that_come_to_no_end_end_an_episode(scene):
     env.reset()
     _, worth, *_ = env.step(np.zeros(3, np.float32))
     env._episode = Escapes()
-    assert env.step(np.ones(3, np.float32))[1:] == (-1.0 - worth, True, False, {"error": "powder left"})
+    assert env.step(np.ones(3, np.float32))[1:] == (-1.0 - max(worth, 0.0), True, False, {"error": "powder left"})
     assert not env._velocity.any()

@@ -290,9 +290,9 @@ impl Case<'_> {
         // A rollout makes no plan that could be corrected.
         let refine = *refine && theta.is_none();
         // How a search searches is nothing to a rollout.
-        let search = if theta.is_none() { SEARCH_VERSION } else { 0 };
+        let search = if theta.is_none() { format!(" {SEARCH_VERSION}") } else { String::new() };
         let work =
-            format!("{PHYSICS_VERSION} {search} {} {epochs:?} {theta:?} {refine} {precision:?}", self.seed);
+            format!("{PHYSICS_VERSION} {} {epochs:?} {theta:?} {refine} {precision:?}{search}", self.seed);
         let digest = Sha256::new().chain_update(scene.digest()).chain_update(work).finalize();
         crate::report::words::hex(&digest)
     }

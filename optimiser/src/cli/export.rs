@@ -390,11 +390,9 @@ impl ExportArgs {
         };
         let scene = match (self.arm.table, scene) {
             // The table that is named, for the tool as for the links.
-            (Some(table_m @ -10.0..=0.0), Some(scene)) if scene.arm.is_some() => {
-                Some(scene.with(|spec| {
-                    spec.arm.iter_mut().for_each(|arm| arm.table_height_m = table_m);
-                })?)
-            }
+            (Some(table_m), Some(scene)) if scene.arm.is_some() => Some(scene.with(|spec| {
+                spec.arm.iter_mut().for_each(|arm| arm.table_height_m = table_m);
+            })?),
             (_, scene) => scene,
         };
         let Some(mount) = self.arm.mount(header, scene.as_ref()) else {
@@ -638,8 +636,8 @@ fn parse_speed(text: &str) -> Result<f64, String> {
 }
 
 fn parse_height(text: &str) -> Result<f64, String> {
-    let height = text.parse().ok().filter(|height: &f64| height.is_finite());
-    height.ok_or("a height in metres would be right".into())
+    let height = text.parse().ok().filter(|height: &f64| (-10.0..=0.0).contains(height));
+    height.ok_or("a height in metres from -10 to 0, the bench's, would be right".into())
 }
 
 fn parse_rate(text: &str) -> Result<u32, String> {

@@ -6,6 +6,7 @@ use super::descent::{Descent, Source};
 use super::path::{By, SkillThenPath};
 use super::{Search, Trial, World, initial_theta};
 use crate::able::obstacle;
+use crate::report::amounts::Amounts;
 use clap::ValueEnum;
 use powderline_baseline::{CmaEs, RandomSearch, Sac};
 use powderline_simulator::{
@@ -121,6 +122,7 @@ pub struct Problem {
     pub(super) unit_m: f64,
     /// Particles that are wanted.
     wanted: f64,
+    amounts: Amounts,
     has_coarse: bool,
     /// From a skill to its motion.
     pub(super) map: Rc<SkillMap>,
@@ -146,6 +148,7 @@ impl Problem {
             ranges,
             unit_m,
             wanted: scene.target_count() as f64,
+            amounts: Amounts::from(scene),
             has_coarse: scene.coarse().is_some(),
             map: Rc::clone(&map),
             path: scene.skill.path.clone(),
@@ -163,11 +166,9 @@ impl Problem {
         theta.is_some_and(|theta| (self.is_able)(&theta, trial.splines.as_ref()))
     }
 
-    /// Whether what arrives is what is wanted, within the tolerance: to a billionth, as [`Amounts::is_met`] has it.
-    ///
-    /// [`Amounts::is_met`]: crate::report::amounts::Amounts::is_met
+    /// Whether what arrives is what is wanted, within the tolerance; anything is where as much as can be had is wanted.
     pub(super) fn is_met(&self, found: &Evaluation) -> bool {
-        ((self.amount(found) - 1.0) * 1e9).round().abs() <= self.tolerance * (1e9 + 1.0)
+        self.amounts.is_met(found.census.target).unwrap_or(true)
     }
 
     /// The cheapest world.

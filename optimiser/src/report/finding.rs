@@ -214,7 +214,8 @@ pub struct Finding {
     pub ended_of: Option<u32>,
     /// How many epochs that gain nothing end it.
     pub patience_epochs: u32,
-    /// The last epoch that brought a gain worth going on for; none as long as the amount is not met.
+    /// The last epoch that brought a gain worth going on for; none as long as the amount is not met. Of a path, which has the patience for
+    /// itself, its first epoch at the earliest, and none before that.
     pub last_gain: Option<u32>,
     /// Epochs after which it began anew from another skill.
     pub restarts: Vec<u32>,

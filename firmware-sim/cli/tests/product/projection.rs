@@ -63,8 +63,16 @@ const DEADLINES: [&str; 6] =
     ["give_up_at_us", "heartbeat_at_us", "next_tick_us", "resend_at_us", "retry_at_us", "stop_ends_at_us"];
 
 /// Fields that are moments past, microseconds.
-const EVENTS: [&str; 7] =
-    ["at_us", "heard_us", "progress_us", "reported_us", "resting_since_us", "stands_since_us", "stranger_us"];
+const EVENTS: [&str; 8] = [
+    "at_us",
+    "heard_us",
+    "own_heartbeat_us",
+    "progress_us",
+    "reported_us",
+    "resting_since_us",
+    "stands_since_us",
+    "stranger_us",
+];
 
 /// Now, and the grid of time, microseconds.
 #[derive(Clone, Copy, Debug)]

@@ -110,12 +110,13 @@ def perform(job: dict[str, Any], cases: list[Case], begun: dict[int, Files]) -> 
         why = str(error)
     except (OSError, _native.SimulationError) as error:  # What a case itself fails of is its outcome: this is the node, or the storage.
         sick = f"on {node}: {error}"
-        time.sleep(SICK_S)
     except Exception as error:  # Whatever it is, it is said of the case, and the others go on.
         why = f"{type(error).__name__}: {error}"
     # The first one's time has that in it which the process takes to begin.
     case_s = (ends[-1] - ends[0]) / (len(ends) - 1) if len(ends) > 1 else None
     seconds = time.monotonic() - began
+    if sick is not None:
+        time.sleep(SICK_S)
     return {"node": node, "results": results, "kept": kept, "why": why, "sick": sick, "case_s": case_s, "seconds": seconds}
 
 

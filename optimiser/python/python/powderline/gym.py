@@ -85,7 +85,7 @@ class MotionEnv(gymnasium.Env[dict[str, Any], _F32]):
 
     Reward: what is nearer to the wanted mass in the target container than at the last step, less what more is lost, in units of the
     wanted mass: over an episode it adds up to 1 at most. An episode ends with the scene's horizon (terminated: `time` is observed). One
-    that comes to no end before (`MotionError`) ends there, with a sum of -1, and `info` has `error` alone.
+    that comes to no end before (`MotionError`) ends there, with a sum of -1 at most, and `info` has `error` alone.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}
@@ -149,7 +149,7 @@ class MotionEnv(gymnasium.Env[dict[str, Any], _F32]):
         try:
             found = self._episode.step(rows)
         except MotionError as error:
-            return self._observation(), -1.0 - self._worth, True, False, {"error": str(error)}
+            return self._observation(), -1.0 - max(self._worth, 0.0), True, False, {"error": str(error)}
         self._velocity, self._travel = velocity, travel
         self._count += 1
         short = min(1.0, abs(found.miss))
