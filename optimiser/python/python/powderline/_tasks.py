@@ -77,8 +77,10 @@ def perform(job: dict[str, Any], cases: list[Case], begun: dict[int, Files]) -> 
     node = ray.util.get_node_ip_address()
     if _native.__version__ != job["version"]:
         raise Unfit(f"{node} has powderline {_native.__version__}, but what it is to do is of {job['version']}")
-    names, results, ends, why, sick = dict(cases), [], [], None, None
+    names, why, sick = dict(cases), None, None
+    results: list[tuple[int, Files]] = []
     kept: list[tuple[int, Files]] = []
+    ends: list[float] = []
     began = time.monotonic()
 
     def ended(index: int) -> None:
