@@ -39,6 +39,9 @@ struct Clogged {
     passed_us: u64,
     /// When the process is kept from its work, in the middle of a turn.
     nap_us: Option<u64>,
+    /// When the device is gone, and how often it was asked since. Like a terminal that is hung up it says that there is something.
+    gone_us: Option<u64>,
+    asked_since: u32,
 }
 
 impl Clogged {
@@ -66,6 +69,10 @@ impl Transport for Clogged {
     }
 
     fn receive(&mut self) -> Result<Option<Received>, LinkError> {
+        if self.gone_us.is_some_and(|gone_us| self.now_us() > gone_us) {
+            self.asked_since += 1;
+            return Err(LinkError::Gone { link: "wire".into() });
+        }
         let _ = self.bell.read(&mut [0; 64]);
         if self.nap_us.is_some_and(|nap_us| self.now_us() > nap_us) {
             self.nap_us = None;
@@ -121,10 +128,15 @@ fn bell() -> UnixStream {
 }
 
 fn played(wish: StopWish, full_for_us: u64) -> (RunResult, Clogged) {
-    played_with(wish, full_for_us, None)
+    played_with(wish, full_for_us, None, None)
 }
 
-fn played_with(wish: StopWish, full_for_us: u64, nap_us: Option<u64>) -> (RunResult, Clogged) {
+fn played_with(
+    wish: StopWish,
+    full_for_us: u64,
+    nap_us: Option<u64>,
+    gone_us: Option<u64>,
+) -> (RunResult, Clogged) {
     let slow = Move { steps: 100, ..one_move().remove(0) };
     let bytes = plan_bytes(&PlanHeader { control_period_us: 20_000, ..header() }, &[slow]);
     let plan = PlanReader::new(&bytes).unwrap();
@@ -140,6 +152,8 @@ fn played_with(wish: StopWish, full_for_us: u64, nap_us: Option<u64>) -> (RunRes
         bell: bell(),
         passed_us: 0,
         nap_us,
+        gone_us,
+        asked_since: 0,
     };
     let mut person = Person { is_full, wish, full_since_us: None, full_for_us };
     let config = Config { silence_us: 2_000_000, ..Config::default() };
@@ -150,9 +164,18 @@ fn played_with(wish: StopWish, full_for_us: u64, nap_us: Option<u64>) -> (RunRes
 /// What is read after a pause was said during it: the arm is not ahead of its time.
 #[test]
 fn an_executor_that_was_kept_from_its_work_does_not_doubt_the_arm_for_that() {
-    let (result, wire) = played_with(StopWish::None, 0, Some(700_000));
+    let (result, wire) = played_with(StopWish::None, 0, Some(700_000), None);
     assert_eq!((result.outcome, result.doubt), (Outcome::Completed, None));
     assert_eq!(wire.nap_us, None);
+}
+
+/// It waits for a device that may come back, and looks for it a thousand times a second, not as often as a processor can.
+#[test]
+fn a_wire_that_is_gone_is_not_asked_without_a_pause() {
+    let (result, wire) = played_with(StopWish::None, 0, None, Some(500_000));
+    let Outcome::Stopped { fault, standstill } = result.outcome else { panic!("{:?}", result.outcome) };
+    assert_eq!((fault.code, standstill), (FaultCode::LinkLost, false));
+    assert!((2..50_000).contains(&wire.asked_since), "{}", wire.asked_since);
 }
 
 #[test]

@@ -374,6 +374,11 @@ fn a_stop_that_the_arm_does_not_confirm_is_not_reported_as_one() {
     let report = Report::new("skill.plan", &plan, &unconfirmed);
     let text = report.to_string();
     assert!(!text.contains("Stopped") && text.contains("may be moving"), "{text}");
+    assert!(
+        report.cause().starts_with("given up, and nobody knows whether it stands, at tick "),
+        "{}",
+        report.cause()
+    );
     assert!(!report.stopped_by_a_person() && !report.succeeded());
     assert_eq!(serde_json::to_value(&report).unwrap()["standstill"], false);
 }

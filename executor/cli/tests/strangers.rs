@@ -8,8 +8,14 @@ use powderline_executor::{Action, Config, Executor, Outcome};
 use powderline_firmware_sim::controller::{ArmConfig, Controller};
 use powderline_shared::fault::FaultCode;
 use powderline_shared::plan::PlanReader;
-use powderline_shared::wire::message::{FromArm, NO_SESSION, Status, ToArm};
+use powderline_shared::wire::message::{FromArm, Heartbeat, NO_SESSION, Status, ToArm};
 use powderline_shared::wire::state::{Command, State};
+
+/// An arm where the plan begins, and an executor that is to play it.
+fn at_start<'p>(plan: &PlanReader<'p>) -> (Controller, Executor<'p>) {
+    let arm = Controller::new(ArmConfig::ideal(plan.header().start_pose()));
+    (arm, Executor::new(0, plan, Config::default()))
+}
 
 /// What an executor has to say at this moment; how it has ended, if it has.
 fn spoken(executor: &mut Executor<'_>, now_us: u64, mut say: impl FnMut(ToArm)) -> Option<Outcome> {
@@ -34,8 +40,7 @@ fn an_arm_that_somebody_stops_on_its_way_up_is_not_led_up_again() {
     let bytes = plan_bytes(&header(), &one_move());
     let plan = PlanReader::new(&bytes).unwrap();
     for stopped_after in [Command::SwitchOn, Command::Shutdown] {
-        let mut arm = Controller::new(ArmConfig::ideal(plan.header().start_pose()));
-        let mut executor = Executor::new(0, &plan, Config::default());
+        let (mut arm, mut executor) = at_start(&plan);
         let (mut now_us, mut enabled, mut stops) = (0, false, 0);
         let outcome = loop {
             while let Some(message) = arm.poll(now_us) {
@@ -71,8 +76,7 @@ fn an_arm_that_somebody_stops_on_its_way_up_is_not_led_up_again() {
 fn an_executor_whose_session_is_over_stops_nobody_elses_motion() {
     let bytes = plan_bytes(&header(), &one_move());
     let plan = PlanReader::new(&bytes).unwrap();
-    let mut arm = Controller::new(ArmConfig::ideal(plan.header().start_pose()));
-    let mut suspended = Executor::new(0, &plan, Config::default());
+    let (mut arm, mut suspended) = at_start(&plan);
     // It goes slowly, from where the arm has come to.
     let slowly = || Config {
         session: 2,
@@ -112,13 +116,47 @@ fn an_executor_whose_session_is_over_stops_nobody_elses_motion() {
     assert!(matches!(ends[0], Some(Outcome::Stopped { .. })), "{ends:?}");
 }
 
+/// It answers in a session that it has closed meanwhile, and says otherwise that it is in none: that is one arm, not two.
+#[test]
+fn an_arm_that_has_closed_the_session_is_no_other_arm() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    let (mut arm, mut executor) = at_start(&plan);
+    let mut now_us = 0;
+    let mut status = loop {
+        while let Some(message) = arm.poll(now_us) {
+            executor.handle_message(now_us, &message);
+        }
+        if let Some(status) = executor.session_status() {
+            break status;
+        }
+        assert_eq!(spoken(&mut executor, now_us, |message| arm.handle_message(now_us, &message)), None);
+        now_us += 1_000;
+        assert!(now_us < 1_000_000, "it is never opened");
+    };
+    let outcome = loop {
+        now_us += 100_000;
+        status.counter = status.counter.wrapping_add(1);
+        executor.handle_message(now_us, &FromArm::Status(status));
+        executor.handle_message(
+            now_us,
+            &FromArm::Heartbeat(Heartbeat { session: NO_SESSION, lost: 0, dropped: 0 }),
+        );
+        if let Some(outcome) = spoken(&mut executor, now_us, |_| ()) {
+            break outcome;
+        }
+        assert!(now_us < 30_000_000, "the session never ends");
+    };
+    let Outcome::Stopped { fault, .. } = outcome else { panic!("{outcome:?}") };
+    assert_eq!(fault.code, FaultCode::HandshakeTimeout);
+}
+
 /// By a node that repeats what it has heard, at a moment at which its counters are news.
 #[test]
 fn what_an_arm_said_on_its_way_up_is_no_standstill_when_somebody_says_it_again() {
     let bytes = plan_bytes(&header(), &one_move());
     let plan = PlanReader::new(&bytes).unwrap();
-    let mut arm = Controller::new(ArmConfig::ideal(plan.header().start_pose()));
-    let mut executor = Executor::new(0, &plan, Config::default());
+    let (mut arm, mut executor) = at_start(&plan);
     let (mut now_us, mut early, mut last) = (0, None, None);
     const STOP_US: u64 = 600_000;
     let outcome = loop {

@@ -507,4 +507,20 @@ mod tests {
         bench.exchange();
         assert_eq!(bench.notes.0, [(7, PERIOD_US, TICKS), (8, PERIOD_US, TICKS)]);
     }
+
+    #[test]
+    fn a_motion_that_nobody_has_let_go_is_told_of_when_a_person_ends_the_program() {
+        let options = options();
+        let mut bench = Bench::new(&options);
+        bench.open(7, PERIOD_US);
+        bench.start();
+        bench.let_pass(20);
+        bench.exchange();
+        assert_eq!(bench.notes.0, []);
+        let process = std::process::id().to_string();
+        let press = std::process::Command::new("sh").args(["-c", "kill -INT \"$0\"", &process]).status();
+        assert!(press.unwrap().success());
+        bench.server.run(&mut bench.notes).unwrap();
+        assert_eq!(bench.notes.0, [(7, PERIOD_US, TICKS)]);
+    }
 }

@@ -346,7 +346,7 @@ impl ExportArgs {
                 urscript::MAX_TICKS
             )));
         }
-        let cycle_us = self.arm.cycle_us(motion.path.period_us);
+        let cycle_us = self.arm.cycle_us(&motion);
         if self.format == FormatArg::Urscript && motion.path.period_us < CYCLE_US {
             return Err(wrong(format!(
                 "has {} ticks a second, but UR's controller takes no more than {} setpoints; a plan of a scene with \
@@ -420,7 +420,7 @@ impl ExportArgs {
         let Setting { mount, surroundings, scene } = setting;
         let scene = scene.as_ref();
         let home = self.arm.home.map(|joints| joints.map(f64::to_radians));
-        let cycle_us = self.arm.cycle_us(motion.path.period_us);
+        let cycle_us = self.arm.cycle_us(motion);
         let around = Around { mount, surroundings, scene, home, cycle_us };
         let transit = Transit::new(&motion.path, arm, &around)
             .map_err(|error| CliError::Input(format!("{} gets no program: {error}", path.display())))?;
@@ -462,7 +462,7 @@ impl ExportArgs {
         match (self.format, &motion.arm, program) {
             (_, Some(arm), Some(Program { transit, payload_kg, speed, knows_scene })) => {
                 let (speed, payload_kg) = (*speed, *payload_kg);
-                let cycle_us = self.arm.cycle_us(motion.path.period_us);
+                let cycle_us = self.arm.cycle_us(motion);
                 let knows_scene = *knows_scene;
                 urscript::Program { motion, arm, transit, cycle_us, speed, payload_kg, knows_scene }
                     .write(out)
@@ -497,7 +497,7 @@ impl ExportArgs {
             model.posture,
             clearance_words(figures),
             model.singularity_margin,
-            f64::from(self.arm.cycle_us(motion.path.period_us)) / 1e3,
+            f64::from(self.arm.cycle_us(motion)) / 1e3,
             percent(linear_velocity),
             percent(linear_acceleration),
             percent(linear_jerk),
@@ -592,9 +592,9 @@ impl ArmArgs {
         scene.map_or_else(|| Surroundings::table(table_m), |scene| Surroundings::of_scene(scene, table_m))
     }
 
-    /// From setpoint to setpoint, of a plan with ticks of this period; what is between ticks is looked at as often.
-    fn cycle_us(&self, period_us: u32) -> u32 {
-        self.rate.map_or(CYCLE_US.min(period_us), |rate| 1_000_000 / rate)
+    /// From setpoint to setpoint; what is between ticks is looked at as often.
+    fn cycle_us(&self, motion: &Motion) -> u32 {
+        self.rate.map_or(CYCLE_US.min(motion.path.period_us), |rate| 1_000_000 / rate)
     }
 }
 

@@ -108,7 +108,7 @@ pub fn execute(arguments: &ReportArgs, context: &mut Context<'_>) -> Result<(), 
     };
     page.notes.extend(arguments.obstacle.iter().map(|why| format!("There is no replay: {why}.")));
     let mut replayed = None;
-    if let Some(task) = task.filter(|_| !arguments.no_replay) {
+    if let Some(task) = task.filter(|_| !arguments.no_replay && arguments.obstacle.is_none()) {
         let film = Film::new(&task, PERIOD_S, Recorder::most_bytes)?.with_arm();
         let mut recorder = Recorder::new(&film.bench());
         let found = film.shoot(&mut recorder, context)?;

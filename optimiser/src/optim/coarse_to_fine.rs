@@ -119,7 +119,7 @@ impl CoarseToFine {
 
     /// Whether another epoch in the coarse world is worth it.
     fn is_on_the_way(&self) -> bool {
-        let near = self.problem.tolerance.max(COARSE_NEAR);
+        let near = self.problem.tolerance().max(COARSE_NEAR);
         self.coarse_falls || self.coarse.is_off(&self.edge, near)
     }
 

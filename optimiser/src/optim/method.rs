@@ -120,16 +120,13 @@ pub struct Problem {
     pub(super) ranges: [[f64; 2]; 5],
     /// What it costs if all that is wanted is missing, metres; 0 where as much as can be had is wanted.
     pub(super) unit_m: f64,
-    /// Particles that are wanted.
-    wanted: f64,
+    /// What is wanted.
     amounts: Amounts,
     has_coarse: bool,
     /// From a skill to its motion.
     pub(super) map: Rc<SkillMap>,
     /// What a path may add to it.
     pub(super) path: PathSplines,
-    /// How far what arrives may be off that, relative; any distance where as much as can be had is wanted.
-    pub(super) tolerance: f64,
     is_able: IsAble,
 }
 
@@ -147,15 +144,10 @@ impl Problem {
             first: initial_theta(&ranges, seed).components().to_vec(),
             ranges,
             unit_m,
-            wanted: scene.target_count() as f64,
             amounts: Amounts::from(scene),
             has_coarse: scene.coarse().is_some(),
             map: Rc::clone(&map),
             path: scene.skill.path.clone(),
-            tolerance: match scene.objective.aim {
-                Aim::Amount => scene.objective.amount.tolerance,
-                Aim::All => f64::INFINITY,
-            },
             is_able: Rc::new(move |theta, splines| obstacle(&bench, &map, theta, splines).is_none()),
         }
     }
@@ -178,7 +170,12 @@ impl Problem {
 
     /// What arrives, over what is wanted.
     pub(super) fn amount(&self, found: &Evaluation) -> f64 {
-        f64::from(found.census.target) / self.wanted
+        f64::from(found.census.target) / f64::from(self.amounts.wanted_particles)
+    }
+
+    /// How far that may be off, relative; any distance where as much as can be had is wanted.
+    pub(super) fn tolerance(&self) -> f64 {
+        self.amounts.tolerance.unwrap_or(f64::INFINITY)
     }
 }
 

@@ -209,7 +209,7 @@ impl Work<'_> {
             of: self.folder.into(),
             executed: None,
             out: None,
-            no_replay: !self.campaign.file().replays || obstacle.is_some(),
+            no_replay: !self.campaign.file().replays,
             obstacle,
             json: false,
             resources: self.resources,

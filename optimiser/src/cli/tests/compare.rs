@@ -156,6 +156,39 @@ fn searches_done_one_by_one_make_the_comparison_that_one_process_makes() {
     assert_sentence(&no_such, 2, "sac-seed3, but the comparison has surrogate-seed1, ");
 }
 
+/// Killed between its first two files.
+#[test]
+fn a_search_that_had_hardly_begun_is_begun_anew() {
+    let place = Place::new();
+    let folder = place.text("killed");
+    let search = [
+        "compare",
+        "bench-small",
+        "--methods",
+        "random",
+        "--seeds",
+        "1",
+        "--rollouts",
+        "3",
+        "--out",
+        &folder,
+    ];
+    assert_eq!(optimise(&search).code, 0);
+    let begun = place.path("killed/random-seed1");
+    for file in fs::read_dir(&begun).unwrap().map(|file| file.unwrap().path()) {
+        if file.file_name().is_some_and(|name| name != SCENE) {
+            fs::remove_file(file).unwrap();
+        }
+    }
+    let done = optimise(&["compare", "--resume", &folder]);
+    assert!(done.code == 0 && begun.join(STATE).exists(), "{}", done.err);
+    // Another scene is nobody's to be taken away.
+    fs::remove_file(begun.join(STATE)).unwrap();
+    fs::write(begun.join(SCENE), "something else").unwrap();
+    assert_eq!(optimise(&["compare", "--resume", &folder]).code, 2);
+    assert_eq!(bytes(begun.to_str().unwrap(), SCENE), b"something else");
+}
+
 #[test]
 fn ways_down_the_gradient_differ_in_what_they_are_called_by() {
     let place = Place::new();
