@@ -419,6 +419,24 @@ mod tests {
         assert_eq!(Rule::LeastLost.choose(&amounts, &epochs), Some(2));
     }
 
+    /// Nobody knows where its powder is: it is no plan before one that misses, however wide the tolerance.
+    #[test]
+    fn a_motion_that_came_to_no_end_comes_last() {
+        let mut amounts = Amounts::from(&Scene::load("bench").unwrap());
+        amounts.tolerance = Some(1.0);
+        let mut epochs = judged(&[0, 300], &[1.0, 9.0], &[]);
+        epochs[1].record.census.spilled = 900;
+        assert_eq!(Rule::LeastLost.choose(&amounts, &epochs), Some(1));
+    }
+
+    #[test]
+    fn the_very_amount_again_is_no_gain() {
+        let mut amounts = Amounts::from(&Scene::load("bench").unwrap());
+        amounts.tolerance = Some(0.0);
+        let epochs = judged(&[1200, 1200, 1200], &[9.0, 9.0, 9.0], &[]);
+        assert_eq!(Rule::LeastLost.last_gain(&amounts, &epochs), Some(0));
+    }
+
     #[test]
     fn a_search_is_settled_when_the_amount_is_met_and_nothing_more_is_gained() {
         let scene = Scene::load("bench").unwrap();

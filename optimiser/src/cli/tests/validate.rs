@@ -88,6 +88,7 @@ fn a_table_that_is_not_whole_says_so_first_and_is_not_kept() {
     );
     assert_eq!(fs::read_dir(&folder).unwrap().count(), 0);
     let object: Value = serde_json::from_str(&stopped(&["--json"]).out).unwrap();
+    assert!(object["failure"].as_str().is_some_and(|why| why.contains("lines are measured")), "{object}");
     let (lines, wanted) = (object["lines"].as_array().unwrap(), object["wanted"].as_u64().unwrap());
     assert!(!lines.is_empty() && (lines.len() as u64) < wanted);
     assert_eq!(object["no_longer_holds"], serde_json::json!([]));
