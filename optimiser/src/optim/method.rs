@@ -158,9 +158,10 @@ impl Problem {
         theta.is_some_and(|theta| (self.is_able)(&theta, trial.splines.as_ref()))
     }
 
-    /// Whether what arrives is what is wanted, within the tolerance; anything is where as much as can be had is wanted.
-    pub(super) fn is_met(&self, found: &Evaluation) -> bool {
-        self.amounts.is_met(found.census.target).unwrap_or(true)
+    /// Whether what arrives is well within the tolerance, for a search to go on from. Without what rounding forgives elsewhere: on the very
+    /// edge a better skill is near, and on `bench-small` a path that began there ended at 3.13 m for 2.85.
+    pub(super) fn is_well_within(&self, found: &Evaluation) -> bool {
+        (self.amount(found) - 1.0).abs() <= self.tolerance()
     }
 
     /// The cheapest world.

@@ -96,7 +96,7 @@ impl SkillThenPath {
     fn keep_best(&mut self, trials: &[Trial], found: &[Found]) {
         let fine = trials.iter().zip(found).filter(|(trial, _)| trial.is_rounded);
         for (trial, Found { evaluation, .. }) in fine {
-            let key = |found: &Evaluation| (self.problem.is_met(found), -found.loss);
+            let key = |found: &Evaluation| (self.problem.is_well_within(found), -found.loss);
             if self.best.as_ref().is_none_or(|(_, best)| key(evaluation) > key(best)) {
                 self.best = Some((trial.point.clone(), *evaluation));
             }
@@ -107,7 +107,7 @@ impl SkillThenPath {
     fn begun(&self, before: Option<Evaluation>) -> Option<Box<dyn Search>> {
         let (skill, found) = self.best.as_ref()?;
         let gains_little = before.is_some_and(|before| {
-            self.problem.is_met(&before) && found.loss > (1.0 - SKILL_GAIN) * before.loss
+            self.problem.is_well_within(&before) && found.loss > (1.0 - SKILL_GAIN) * before.loss
         });
         if !gains_little && self.fine_epochs < SKILL_EPOCHS {
             return None;
