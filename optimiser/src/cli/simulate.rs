@@ -134,8 +134,7 @@ impl From<Collision> for CollisionReport {
         let (container, gate) = match collision.obstacle {
             Obstacle::Gate(name) => (None, Some(name)),
             Obstacle::Container(name) => (Some(name), None),
-            // The arm's affair, not the tool's.
-            Obstacle::Table | Obstacle::Stand => (None, None),
+            Obstacle::Table | Obstacle::Stand | Obstacle::Border => (None, None),
         };
         Self { part, container, gate, at_s: collision.at_s, sentence }
     }

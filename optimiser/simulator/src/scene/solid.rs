@@ -42,6 +42,8 @@ pub enum Obstacle {
     Container(String),
     /// A gate, while it is there.
     Gate(String),
+    /// Where the simulated volume ends: there is nothing, but what a tool does beyond it is not simulated.
+    Border,
 }
 
 impl fmt::Display for Obstacle {
@@ -51,6 +53,7 @@ impl fmt::Display for Obstacle {
             Self::Stand => f.write_str("the stand below the bench"),
             Self::Container(name) => write!(f, "container {name:?}"),
             Self::Gate(name) => write!(f, "gate {name:?}"),
+            Self::Border => f.write_str("the border of the simulated volume (domain.size_m)"),
         }
     }
 }

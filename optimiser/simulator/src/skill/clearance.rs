@@ -1,7 +1,8 @@
-//! Whether the tool stays clear of the containers, of the gates that are there, and of what all stands on, all along a motion.
+//! Whether the tool stays clear of the containers, of the gates that are there, and of what all stands on, all along a motion, and
+//! its body within the simulated volume.
 //!
 //! The simulation does not check this: there tool, containers, gates and floor are kinematic and pass through each other. A real
-//! arm would collide.
+//! arm would collide. Beyond the volume nothing is simulated.
 
 use super::{SkillMap, SkillParameter, Theta};
 use crate::scene::{Gate, Obstacle, PlacedTool, Scene, ToolPart};
@@ -14,7 +15,10 @@ const SAMPLES: usize = 3;
 /// Looks in one control step, at most: velocity limits are far from that in any motion that is performed.
 const MOST_LOOKS: f64 = 1000.0;
 
-/// A place where the tool would be inside the material of a container, gate, stand or table.
+/// How far beyond the simulated volume the tool may be: more than the rounding of controls, less than shows, metres.
+const BORDER_SLACK_M: f64 = 1e-4;
+
+/// A place where the tool would be inside the material of a container, gate, stand or table, or its body beyond the simulated volume.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[error("the {part} would pass through {obstacle} at {at_s:.2} s")]
 #[non_exhaustive]
@@ -32,29 +36,40 @@ pub struct Collision {
 /// Between two samples no point of the tool moves as far, seen from any wall, as the thinnest wall or tool part is thick (no
 /// tunnelling), whatever the control period. Where the tool comes to rest, as between two segments and at the end, there is always a sample.
 pub fn collision(scene: &Scene, start: &Pose, controls: &[Displacement]) -> Option<Collision> {
-    collision_by(scene, start, controls, |steps| steps * scene.time.control_period_s())
+    let solids = scene.solids();
+    let period_s = scene.time.control_period_s();
+    let meets = |tool: &PlacedTool<'_>, at_s: f64| {
+        let leaves = || {
+            tool.leaves(scene.domain.size_m, BORDER_SLACK_M).then_some((ToolPart::Body, &Obstacle::Border))
+        };
+        tool.inside_of(&solids, at_s).or_else(leaves)
+    };
+    first_by(scene, start, controls, |steps| steps * period_s, meets)
 }
 
-/// The same with all gates where they are so long after the motion's start.
+/// The same with all gates where they are so long after the motion's start, and of no matter how far the tool goes: a way home leads out of
+/// the simulated volume.
 pub(crate) fn standing_collision(
     scene: &Scene,
     start: &Pose,
     controls: &[Displacement],
     time_s: f64,
 ) -> Option<Collision> {
-    collision_by(scene, start, controls, |_| time_s)
+    let solids = scene.solids();
+    first_by(scene, start, controls, |_| time_s, |tool, at_s| tool.inside_of(&solids, at_s))
 }
 
-/// `clock` says when, in seconds from the start of the motion, so many control steps are done.
-fn collision_by(
+/// `clock` says when, in seconds from the start of the motion, so many control steps are done; `meets` what a tool meets then.
+fn first_by<'s>(
     scene: &Scene,
     start: &Pose,
     controls: &[Displacement],
     clock: impl Fn(f64) -> f64,
+    meets: impl Fn(&PlacedTool<'_>, f64) -> Option<(ToolPart, &'s Obstacle)>,
 ) -> Option<Collision> {
-    let (solids, stride_m) = (scene.solids(), stride_m(scene));
+    let stride_m = stride_m(scene);
     let inside = |pose: &Pose, at_s: f64| {
-        let (part, obstacle) = PlacedTool::at(&scene.tool, pose).inside_of(&solids, at_s)?;
+        let (part, obstacle) = meets(&PlacedTool::at(&scene.tool, pose), at_s)?;
         Some(Collision { part, obstacle: obstacle.clone(), at_s })
     };
     let (mut pose, mut unseen_m, mut last_m, mut slows) = (*start, 0.0, f64::INFINITY, false);
@@ -274,6 +289,24 @@ mod tests {
         assert!(found.at_s > 0.01 && found.at_s < 0.02, "{found}");
         // The way over the walls is free.
         assert_eq!(collision(&scene, map.start_pose(), &[step(0.0, 0.06), step(0.13, 0.0)]), None);
+    }
+
+    /// Within the workspace it may, were it not for what is simulated; a way home leads out of it all the same.
+    #[test]
+    fn the_body_stays_within_the_simulated_volume() {
+        let scene = Scene::load("bench").unwrap();
+        let start = *SkillMap::new(&scene).start_pose();
+        let top_m = PlacedTool::at(&scene.tool, &start).body_support([0.0, 0.0, 1.0]);
+        let up = |beyond_m: f64| {
+            let way_m = scene.domain.size_m[2] - top_m + beyond_m;
+            let step = Displacement { translation_m: [0.0, 0.0, way_m / 40.0], ..Displacement::default() };
+            [step; 40]
+        };
+        assert_eq!(collision(&scene, &start, &up(0.0)), None);
+        let found = collision(&scene, &start, &up(0.001)).unwrap();
+        assert_eq!((found.part, &found.obstacle), (ToolPart::Body, &Obstacle::Border));
+        assert!(found.to_string().contains("the border of the simulated volume (domain.size_m) at 0."), "{found}");
+        assert_eq!(standing_collision(&scene, &start, &up(0.001), 0.0), None);
     }
 
     /// A plate in the way from the source to the target.

@@ -79,12 +79,24 @@ impl<'a> PlacedTool<'a> {
         body.or_else(|| within(&|piece| self.handle_clears(piece)).then_some(ToolPart::Handle))
     }
 
+    /// Whether the body reaches beyond the simulated volume, whose corners are 0 and `size_m`, by more than `slack_m`, metres.
+    pub(crate) fn leaves(&self, size_m: Vec3, slack_m: f64) -> bool {
+        (0..3).any(|axis| {
+            let reach = |sign: f64| {
+                let mut direction = [0.0; 3];
+                direction[axis] = sign;
+                self.body_support(direction)
+            };
+            reach(1.0) > size_m[axis] + slack_m || reach(-1.0) > slack_m
+        })
+    }
+
     fn to_tool(&self, direction: Vec3) -> Vec3 {
         self.axes.map(|axis| dot(axis, direction))
     }
 
     /// Largest p . `direction` over the body, world frame.
-    pub(in crate::scene) fn body_support(&self, direction: Vec3) -> f64 {
+    pub(crate) fn body_support(&self, direction: Vec3) -> f64 {
         dot(self.origin, direction) + self.tool.body_support(self.to_tool(direction))
     }
 
