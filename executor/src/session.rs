@@ -163,6 +163,8 @@ pub struct Executor<'a> {
     context: Context,
     /// What the arm has given out to be reset by; 0 if it need not or may not be.
     reset_nonce: u32,
+    /// The stop that it had latched when it gave that out.
+    latched: Option<Reported>,
     lsb: Lsb,
     period_us: u32,
     player: Player<'a>,
@@ -230,6 +232,7 @@ impl<'a> Executor<'a> {
             plan_hash: plan.content_hash(),
             context: Context::NONE,
             reset_nonce: 0,
+            latched: None,
             lsb: config.lsb.unwrap_or(header.lsb),
             period_us,
             player: Player::new(plan),
@@ -453,6 +456,12 @@ impl<'a> Executor<'a> {
         self.refusal
     }
 
+    /// The stop that the arm had latched and was reset from, [`Config::reset`]; none before it has opened the session.
+    #[must_use]
+    pub fn reset_from(&self) -> Option<Reported> {
+        self.latched.filter(|_| self.context != Context::NONE)
+    }
+
     /// Largest use of each limit by the setpoints sent.
     #[must_use]
     pub fn peak_use(&self) -> PeakUse {
@@ -543,7 +552,8 @@ impl<'a> Executor<'a> {
             Refusal::Busy => {}
             Refusal::Closed => self.renumber(),
             // Asked for again at once, but not twice: an arm that moves is asked with the next request.
-            Refusal::Latched { nonce, .. } if self.config.reset => {
+            Refusal::Latched { nonce, fault } if self.config.reset => {
+                self.latched = Some(*fault);
                 let news = self.reset_nonce != *nonce;
                 self.reset_nonce = *nonce;
                 if news {

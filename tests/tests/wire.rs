@@ -389,6 +389,8 @@ fn survives_a_killed_executor(on: &str) -> Result<(), HeldUp> {
     // After a reset it is the anchor that is wrong: nothing moves the arm back by itself.
     let report = json(execute(&plan, &wire, &["--json", "--reset"]), 1);
     assert_eq!(report["stop"]["code"], 402, "{report}");
+    let from = report["reset_from"].as_str().unwrap();
+    assert!(from.starts_with("fault 101 at tick ") || from.starts_with("fault 131 at tick "), "{report}");
     Ok(())
 }
 

@@ -30,6 +30,8 @@ pub struct Report {
     pub stop: Option<Stop>,
     /// Whether the arm has reported that it stands still; if not, it may be moving yet.
     pub standstill: bool,
+    /// The stop that the arm had latched and was taken out of before, in words; none if it had none.
+    pub reset_from: Option<String>,
     /// What was played.
     pub ticks: Ticks,
     /// Begin to end, seconds of the arm's time.
@@ -174,6 +176,7 @@ impl Report {
                 Outcome::Completed => true,
                 Outcome::Stopped { standstill, .. } => standstill,
             },
+            reset_from: run.reset_from.map(|fault| fault.to_string()),
             ticks: Ticks {
                 planned: header.step_count,
                 applied: run.arm.map_or(0, |arm| arm.applied_tick),
@@ -369,6 +372,7 @@ impl fmt::Display for Report {
                 stop.detail.iter().try_for_each(|detail| writeln!(f, "            {detail}"))?;
             }
         }
+        self.reset_from.iter().try_for_each(|fault| writeln!(f, "  reset     the arm had stopped: {fault}"))?;
         if lost > 0 {
             let lost = counted(lost, "setpoint was", "setpoints were");
             writeln!(f, "  lost      {lost} not there when the arm needed them")?;

@@ -11,6 +11,7 @@ use powderline_host::jitter::JitterSummary;
 pub use powderline_host::signals::StopWish;
 use powderline_host::wait::Interest;
 use powderline_shared::displacement::{Lsb, Setpoint};
+use powderline_shared::fault::Reported;
 use powderline_shared::limits::{PeakUse, Violation};
 use powderline_shared::plan::PlanReader;
 use powderline_shared::pose::Pose;
@@ -40,6 +41,8 @@ pub struct RunResult {
     pub violation: Option<Violation>,
     /// Why the arm refused the session; none once it has opened it.
     pub refusal: Option<Refusal>,
+    /// The stop that the arm had latched and was reset from.
+    pub reset_from: Option<Reported>,
     /// Why the arm was not believed.
     pub doubt: Option<Doubt>,
     /// From begin to end, microseconds; in virtual time, of that.
@@ -115,6 +118,7 @@ pub fn play(
                 peak_use: executor.peak_use(),
                 violation: executor.violation().or(arm.violation()),
                 refusal: executor.refusal(),
+                reset_from: executor.reset_from(),
                 doubt: executor.doubt(),
                 duration_us: now_us,
                 jitter: pace.jitter(),

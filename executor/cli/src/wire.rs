@@ -159,6 +159,7 @@ impl Player<'_, '_> {
             peak_use: executor.peak_use(),
             violation: executor.violation(),
             refusal: executor.refusal(),
+            reset_from: executor.reset_from(),
             doubt: executor.doubt(),
             duration_us: self.now_us(),
             jitter: self.wire.jitter.summary(),

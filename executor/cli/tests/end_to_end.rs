@@ -423,7 +423,11 @@ fn a_refusal_that_was_overcome_is_forgotten() {
     let plan = PlanReader::new(&bytes).unwrap();
     let fault = Fault { code: FaultCode::SetpointMissing, tick: 7 }.into();
     for reason in [Refusal::Latched { fault, nonce: 3 }, Refusal::Busy, Refusal::Closed] {
-        assert_eq!(opened_after(&plan, reason).refusal(), None, "{reason:?}");
+        let executor = opened_after(&plan, reason);
+        assert_eq!(executor.refusal(), None, "{reason:?}");
+        // What it was reset from is not.
+        let latched = matches!(reason, Refusal::Latched { .. }).then_some(fault);
+        assert_eq!(executor.reset_from(), latched, "{reason:?}");
     }
 }
 
@@ -435,6 +439,7 @@ fn a_stop_is_detailed_by_what_it_is_about() {
     // Whatever else there is to tell.
     let run = RunResult {
         refusal: Some(Refusal::Busy),
+        reset_from: None,
         doubt: Some(Doubt::Back { tick: 40, known: 49 }),
         violation: violation(Limit::LinearJerk),
         ..play_on(&plan, arm_for(&plan))

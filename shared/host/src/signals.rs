@@ -26,13 +26,18 @@ pub enum StopWish {
 /// Takes SIGINT, SIGTERM and SIGHUP from the system, which would end the process, and counts them instead. SIGQUIT
 /// (Ctrl-\) still ends the process, should it ever hang.
 ///
+/// SIGHUP is a wish, but never a second one: a terminal that is closed sends it twice, and a service manager beside SIGTERM.
+///
 /// Each arrives as a byte on a pipe, so that it wakes [`wait_until`](crate::wait::wait_until) even if it comes just before
 /// the wait.
 #[derive(Debug)]
 pub struct Signals {
     read_end: UnixStream,
+    /// A byte for each that has been read there.
+    hang_up_end: UnixStream,
     registered: Vec<SigId>,
-    presses: usize,
+    arrived: usize,
+    hang_ups: usize,
 }
 
 impl Signals {
@@ -42,8 +47,13 @@ impl Signals {
     /// If the system has no pipe or no handler to give.
     pub fn install() -> io::Result<Self> {
         let (read_end, write_end) = UnixStream::pair()?;
-        read_end.set_nonblocking(true)?;
-        let mut signals = Self { read_end, registered: Vec::new(), presses: 0 };
+        let (hang_up_end, hang_up) = UnixStream::pair()?;
+        for end in [&read_end, &hang_up_end] {
+            end.set_nonblocking(true)?;
+        }
+        let mut signals = Self { read_end, hang_up_end, registered: Vec::new(), arrived: 0, hang_ups: 0 };
+        // First of its two: whoever finds its byte among all of them finds it here too.
+        signals.registered.push(pipe::register(SIGHUP, hang_up)?);
         for signal in [SIGINT, SIGTERM, SIGHUP] {
             signals.registered.push(pipe::register(signal, write_end.try_clone()?)?);
         }
@@ -58,16 +68,23 @@ impl Signals {
 
     /// What is wished by now.
     pub fn wish(&mut self) -> StopWish {
-        let mut bytes = [0; 16];
-        while let Ok(count @ 1..) = self.read_end.read(&mut bytes) {
-            self.presses = self.presses.saturating_add(count);
-        }
-        match self.presses {
-            0 => StopWish::None,
-            1 => StopWish::Controlled,
+        self.arrived = self.arrived.saturating_add(drained(&mut self.read_end));
+        self.hang_ups = self.hang_ups.saturating_add(drained(&mut self.hang_up_end));
+        match (self.arrived.saturating_sub(self.hang_ups), self.hang_ups) {
+            (0, 0) => StopWish::None,
+            (0 | 1, _) => StopWish::Controlled,
             _ => StopWish::Immediate,
         }
     }
+}
+
+/// How many bytes there were.
+fn drained(end: &mut UnixStream) -> usize {
+    let (mut bytes, mut all) = ([0; 16], 0);
+    while let Ok(count @ 1..) = end.read(&mut bytes) {
+        all += count;
+    }
+    all
 }
 
 impl Drop for Signals {
@@ -97,9 +114,16 @@ mod tests {
         assert_eq!((woken.ready, woken.late_us), ([true], None));
         assert_eq!(signals.wish(), StopWish::Controlled);
         assert_eq!(signals.wish(), StopWish::Controlled, "a wish stays");
+        for _ in 0..2 {
+            raise(SIGHUP).unwrap();
+            assert_eq!(signals.wish(), StopWish::Controlled, "a terminal that was closed");
+        }
         raise(SIGTERM).unwrap();
         assert_eq!(signals.wish(), StopWish::Immediate);
+        drop(signals);
+        let mut signals = Signals::install().unwrap();
         raise(SIGHUP).unwrap();
-        assert_eq!(signals.wish(), StopWish::Immediate);
+        raise(SIGTERM).unwrap();
+        assert_eq!(signals.wish(), StopWish::Controlled);
     }
 }
