@@ -372,7 +372,9 @@ impl fmt::Display for Report {
                 stop.detail.iter().try_for_each(|detail| writeln!(f, "            {detail}"))?;
             }
         }
-        self.reset_from.iter().try_for_each(|fault| writeln!(f, "  reset     the arm had stopped: {fault}"))?;
+        self.reset_from
+            .iter()
+            .try_for_each(|fault| writeln!(f, "  reset     the arm had stopped: {fault}"))?;
         if lost > 0 {
             let lost = counted(lost, "setpoint was", "setpoints were");
             writeln!(f, "  lost      {lost} not there when the arm needed them")?;

@@ -94,7 +94,7 @@ fn figures(campaign: &Campaign, outcomes: &[Option<Outcome>]) -> Vec<Figure> {
     }
     figures.push(number("Failed", failed).toned(if failed > 0 { Tone::Bad } else { Tone::Plain }));
     if let Some(worst) = misses.last() {
-        let middle = misses[misses.len() / 2];
+        let middle = median(&misses);
         figures.push(
             Figure::new("Median miss", &percent(middle)).with_note(&format!("the worst {}", percent(*worst))),
         );
@@ -225,17 +225,25 @@ fn heat_map(campaign: &Campaign, outcomes: &[Option<Outcome>]) -> Option<HeatMap
     })
 }
 
+/// Of numbers in order, at least one: the middle one, or the mean of the two in the middle.
+fn median(ordered: &[f64]) -> f64 {
+    let half = ordered.len() / 2;
+    if ordered.len() % 2 == 1 { ordered[half] } else { 0.5 * (ordered[half - 1] + ordered[half]) }
+}
+
 /// What several cases came to.
 fn heat(cases: &[&Outcome]) -> Option<Heat> {
-    let mut misses: Vec<f64> = cases.iter().filter_map(|outcome| Some(outcome.found()?.miss)).collect();
+    let misses: Vec<f64> = cases.iter().filter_map(|outcome| Some(outcome.found()?.miss)).collect();
     let failed = cases.len() - misses.len();
     if cases.is_empty() {
         return None;
     }
-    misses.sort_by(|a, b| a.abs().total_cmp(&b.abs()));
-    let Some(median) = misses.get(misses.len() / 2).copied() else {
+    if misses.is_empty() {
         return Some(Heat { text: "failed".into(), tone: Tone::Bad, strength: 1.0, ..Heat::default() });
-    };
+    }
+    let mut sizes: Vec<f64> = misses.iter().map(|miss| miss.abs()).collect();
+    sizes.sort_by(f64::total_cmp);
+    let median = median(&sizes);
     let number_of = |status: Status| cases.iter().filter(|outcome| outcome.status() == status).count();
     let met = number_of(Status::Met);
     // Nobody judges a rollout of a skill that was given, nor one of which as much as can be had is wanted.
@@ -245,7 +253,12 @@ fn heat(cases: &[&Outcome]) -> Option<Heat> {
     if failed > 0 {
         note += &format!(", {failed} failed");
     }
-    let sign = if median > 0.0 { "+" } else { "" };
+    let sign = match median > 0.0 {
+        false => "",
+        true if misses.iter().all(|miss| *miss >= 0.0) => "+",
+        true if misses.iter().all(|miss| *miss <= 0.0) => "-",
+        true => "±",
+    };
     Some(Heat {
         text: format!("{sign}{}", percent(median)),
         note,
@@ -255,7 +268,7 @@ fn heat(cases: &[&Outcome]) -> Option<Heat> {
             false => Tone::Plain,
         },
         // Small misses are told apart, and large ones too: a root.
-        strength: if met == cases.len() { 1.0 } else { median.abs().sqrt() },
+        strength: if met == cases.len() { 1.0 } else { median.sqrt() },
     })
 }
 
@@ -289,5 +302,24 @@ mod tests {
             assert_eq!(cell(&outcomes), Some((tone, note.to_owned())));
         }
         assert_eq!(cell(&[&failed]), Some((Tone::Bad, String::new())));
+    }
+
+    #[test]
+    fn a_cell_has_the_median_of_how_far_its_cases_are_off() {
+        let amounts = Amounts::from(&Scene::load("bench").unwrap());
+        let text = |arrive: &[u32]| {
+            let outcome = |target: &u32| {
+                let census = Census { target: *target, ..Census::default() };
+                let found = Found::of_rollout(&amounts, Theta::MIDDLE, &Evaluation::new(1.0, 300, census));
+                Outcome { key: String::new(), end: End::Found(found) }
+            };
+            let outcomes: Vec<Outcome> = arrive.iter().map(outcome).collect();
+            heat(&outcomes.iter().collect::<Vec<_>>()).unwrap().text
+        };
+        // 1,200 are wanted.
+        assert_eq!(text(&[1188, 1680]), "±20 %");
+        assert_eq!(text(&[1320, 1440]), "+15 %");
+        assert_eq!(text(&[1080, 1188, 600]), "-10 %");
+        assert_eq!(text(&[1200]), "0 %");
     }
 }

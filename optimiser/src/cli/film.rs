@@ -4,9 +4,9 @@ use std::ops::ControlFlow;
 
 use super::{
     CliError, Context, Progress,
-    motion::{ArmShown, Motion, Task, collision_words},
+    motion::{ArmShown, Motion, NOT_REPRODUCED, Task, collision_words, is_reproduced},
 };
-use crate::report::view;
+use crate::report::{amounts::Amounts, view};
 use powderline_shared::{displacement::Displacement, pose::Pose};
 use powderline_simulator::{
     rollout::{Evaluation, Recording, RolloutError, Snapshot, Workload},
@@ -64,6 +64,25 @@ impl<'a> Film<'a> {
         self.arm.as_ref()?.remark.as_deref()
     }
 
+    /// Why the motion cannot be made as it is shown: one sentence each.
+    pub(super) fn obstacles(&self) -> Vec<String> {
+        let collision = self.task.collision().map(|collision| format!("{}.", collision_words(&collision)));
+        collision.into_iter().chain(self.arm_remark().map(String::from)).collect()
+    }
+
+    /// That what was seen is not what the plan says of itself, if it is not.
+    pub(super) fn disagreement(&self, found: &Evaluation) -> Option<String> {
+        let Motion::Plan { header, .. } = &self.task.motion else { return None };
+        (!is_reproduced(header, found)).then(|| {
+            let amounts = Amounts::from(&self.task.scene);
+            let [says, brings] = [header.predicted.census, found.census]
+                .map(|census| amounts.powder(census.target));
+            format!(
+                "{NOT_REPRODUCED}: it says {says}, and here it brings {brings}; a plan of another version has to be made anew."
+            )
+        })
+    }
+
     /// Length of the motion, seconds.
     pub(super) fn duration_s(&self) -> f64 {
         self.controls.len() as f64 * self.task.scene.time.control_period_s()
@@ -99,12 +118,8 @@ impl<'a> Film<'a> {
         let mut simulator = (context.factory)(&task.scene, &task.setup)?;
         let progress = Progress::new(&context.err, context.live);
         simulator.set_progress(progress.watch(&context.interrupt));
-        if let Some(collision) = task.collision() {
-            progress.line(&format!("Warning: {}.", collision_words(&collision)));
-        }
-        if let Some(remark) = self.arm_remark() {
-            progress.line(&format!("Warning: {remark}"));
-        }
+        let warn = |sentence: &String| progress.line(&format!("Warning: {sentence}"));
+        self.obstacles().iter().for_each(warn);
         progress.begin("simulating", 0, &[]);
         let mut refusal = None;
         let mut observer = |snapshot: &Snapshot<'_>| {
@@ -127,6 +142,7 @@ impl<'a> Film<'a> {
             (_, Some(refusal)) => Err(refusal.into()),
             (Err(error), None) => Err(RolloutError::into(error)),
             (Ok((evaluation, destinations)), None) => {
+                self.disagreement(&evaluation).iter().for_each(warn);
                 sink.finish(&destinations)?;
                 Ok(evaluation)
             }

@@ -2,7 +2,7 @@
 
 use super::{
     CliError, Resources, Setup,
-    executed::Executed,
+    executed::{Executed, ExecutedReport},
     options::{DEFAULT_PRECISION, PrecisionArg},
 };
 use crate::report::{folder, view, words::hex};
@@ -19,6 +19,7 @@ use powderline_shared::{
 };
 use powderline_simulator::{
     arm::{ArmMotion, CYCLE_US, Mount, Refusal, Surroundings, ToolPath},
+    rollout::Evaluation,
     scene::{DEFAULT_SCENE, EMBEDDED_SCENES, Scene},
     skill::{Collision, LSB, QuantisedControls, SkillMap, Splines, Theta, collision, controls_of},
 };
@@ -88,6 +89,14 @@ pub(super) enum Motion {
     },
 }
 
+/// Whether a simulation of a plan's motion came to the very bits that the plan says of itself.
+pub(super) fn is_reproduced(header: &PlanHeader, found: &Evaluation) -> bool {
+    found.loss.to_bits() == header.predicted.loss_m.to_bits() && found.census == header.predicted.census
+}
+
+/// What is said where it is not.
+pub(super) const NOT_REPRODUCED: &str = "the plan's loss and amount were not reproduced";
+
 impl Task {
     /// Where the motion takes the tool through a container or a gate, of which the simulation says nothing.
     pub(super) fn collision(&self) -> Option<Collision> {
@@ -100,6 +109,16 @@ impl Task {
             }
             Motion::Plan { controls, .. } => collision(&self.scene, start, controls),
             Motion::Executed { executed, .. } => collision(&self.scene, &executed.anchor, &executed.controls),
+        }
+    }
+}
+
+impl Task {
+    /// What there is to know of a motion that an arm made of a plan.
+    pub(super) fn executed(&self) -> Option<&ExecutedReport> {
+        match &self.motion {
+            Motion::Executed { executed, .. } => Some(&executed.report),
+            _ => None,
         }
     }
 }

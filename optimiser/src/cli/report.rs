@@ -3,6 +3,7 @@
 use super::{
     CliError, Context, Resources,
     compare::Experiment,
+    executed::ExecutedReport,
     film::Film,
     inspect::run_of,
     motion::{Motion, MotionArgs, Task},
@@ -17,7 +18,7 @@ use crate::{
         judged::Judged,
         record::RunRecord,
         summary::cells,
-        words::{count, duration, hex, parameter},
+        words::{capitalised, count, duration, hex, parameter},
     },
 };
 use clap::Args;
@@ -52,6 +53,10 @@ struct Report<'a> {
     run: Option<Finding>,
     /// What the replay showed, where there is one.
     replayed: Option<Outcome>,
+    /// Of a motion that an arm made of the plan.
+    executed: Option<&'a ExecutedReport>,
+    /// Why what is replayed cannot be made as it is shown, or is not what the plan says.
+    remarks: Vec<String>,
 }
 
 /// What a page is made of.
@@ -69,7 +74,7 @@ pub struct ReportArgs {
     #[arg(value_name = "RUN_OR_COMPARISON_OR_PLAN")]
     pub of: PathBuf,
     /// Motion that the arm made of the plan, as recorded: shown over the planned one
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", conflicts_with = "no_replay")]
     pub executed: Option<PathBuf>,
     /// The page [default: report.html in the folder, or beside the plan]
     #[arg(long, value_name = "FILE")]
@@ -94,6 +99,7 @@ pub struct ReportArgs {
 /// One sentence.
 pub fn execute(arguments: &ReportArgs, context: &mut Context<'_>) -> Result<(), CliError> {
     let of = &arguments.of;
+    let path = arguments.page()?;
     let Draft { mut page, task, finding } = if of.join(COMPARISON).exists() {
         arguments.comparison()?
     } else if of.join(STATE).exists() {
@@ -104,57 +110,74 @@ pub fn execute(arguments: &ReportArgs, context: &mut Context<'_>) -> Result<(), 
             of.display()
         )));
     } else {
-        arguments.plan(of)?
+        arguments.plan(of, None)?
     };
     page.notes.extend(arguments.obstacle.iter().map(|why| format!("There is no replay: {why}.")));
-    let mut replayed = None;
-    if let Some(task) = task.filter(|_| !arguments.no_replay && arguments.obstacle.is_none()) {
-        let film = Film::new(&task, PERIOD_S, Recorder::most_bytes)?.with_arm();
+    let task = task.filter(|_| !arguments.no_replay && arguments.obstacle.is_none());
+    let (mut replayed, mut remarks) = (None, Vec::new());
+    if let Some(task) = &task {
+        let film = Film::new(task, PERIOD_S, Recorder::most_bytes)?.with_arm();
         let mut recorder = Recorder::new(&film.bench());
         let found = film.shoot(&mut recorder, context)?;
         page.replay = recorder.into_replay();
-        page.notes.extend(film.arm_remark().map(String::from));
         let amounts = Amounts::from(&task.scene);
         let outcome = Outcome::of_evaluation(&amounts, &found);
         // Of a plan the page says what the plan says: the smaller cells come first, where it was looked at there.
         if !matches!(task.motion, Motion::Plan { .. }) || page.figures.is_empty() {
-            show_outcome(&mut page, &task, &amounts, &outcome);
+            show_outcome(&mut page, task, &amounts, &outcome);
         }
         replayed = Some(outcome);
+        remarks = film.obstacles().into_iter().chain(film.disagreement(&found)).collect();
+        remarks.iter().for_each(|remark| doubt(&mut page, remark));
     }
-    let usual = || if of.is_dir() { of.join(REPORT) } else { of.with_file_name(REPORT) };
-    let path = arguments.out.clone().unwrap_or_else(usual);
     page.write(&path)?;
+    let executed = task.as_ref().and_then(Task::executed);
     if arguments.json {
-        return context.json(&Report { page: &path, run: finding, replayed });
+        return context.json(&Report { page: &path, run: finding, replayed, executed, remarks });
     }
     if let Some(finding) = finding {
         writeln!(context.out, "{}", finding.headline())?;
+    }
+    if let Some((executed, (_, verdict))) = executed.zip(page.verdict) {
+        write!(context.out, "{verdict}\n{}", executed.text())?;
     }
     writeln!(context.out, "The page is {}: open it in a browser.", path.display())?;
     Ok(())
 }
 
 impl ReportArgs {
-    /// What is to be replayed of a plan, with the arm's motion where there is a record of it.
-    fn task(&self, plan: &Path) -> Result<Task, CliError> {
-        let motion = MotionArgs {
-            scene: None,
-            theta: None,
-            plan: Some(plan.into()),
-            executed: self.executed.clone(),
-            seed: None,
-            precision: None,
-            resources: self.resources,
-        };
-        motion.task()
+    /// Where the page will be: looked at before anything is simulated.
+    fn page(&self) -> Result<PathBuf, CliError> {
+        let of = &self.of;
+        let usual = || if of.is_dir() { of.join(REPORT) } else { of.with_file_name(REPORT) };
+        let path = self.out.clone().unwrap_or_else(usual);
+        if path.is_dir() {
+            return Err(CliError::Input(format!(
+                "{} is a folder; the name of the page, such as {}, would be right",
+                path.display(),
+                path.join(REPORT).display()
+            )));
+        }
+        if let Some(folder) = self.out.as_deref().and_then(Path::parent) {
+            fs::create_dir_all(folder).map_err(|error| {
+                CliError::Failed(format!("the folder of {} cannot be made: {error}", path.display()))
+            })?;
+        }
+        Ok(path)
     }
 
-    fn plan(&self, path: &Path) -> Result<Draft, CliError> {
+    /// What is to be replayed of a plan, with the arm's motion where there is a record of it.
+    fn task(&self, plan: &Path) -> Result<Task, CliError> {
+        let executed = self.executed.clone();
+        MotionArgs { executed, ..MotionArgs::of_plan(plan, self.resources) }.task()
+    }
+
+    /// With what its run found, if that is known already.
+    fn plan(&self, path: &Path, known: Option<Finding>) -> Result<Draft, CliError> {
         let bytes = read_plan_file(path)?;
         let plan = parse_plan(path, &bytes)?;
         let task = self.task(path)?;
-        let finding = run_of(path, &plan);
+        let finding = known.or_else(|| run_of(path, &plan));
         let (amounts, outcome) = Outcome::finest_of_plan(&Amounts::from(&task.scene), plan.header());
         let mut facts = scene_facts(&task.scene);
         facts.extend(plan_facts(&plan));
@@ -166,7 +189,7 @@ impl ReportArgs {
             replay_shows: shows(&task, finding.as_ref().and_then(|finding| finding.epoch)),
             tables: vec![parameters(&plan)],
             facts,
-            notes: notes(finding.as_ref(), plan.header()),
+            notes: notes(finding.as_ref(), plan.header(), task.executed()),
             ..Page::default()
         };
         Ok(Draft { page, task: Some(task), finding })
@@ -177,9 +200,25 @@ impl ReportArgs {
         let finding = record.finding();
         let title =
             format!("{}, seed {}, {}", record.scene.name, record.state.seed, record.state.precision.name());
-        let mut draft = match record.shipped {
-            Some(_) => self.plan(&self.of.join(PLAN))?,
-            None => {
+        let plan = self.of.join(PLAN);
+        let mut draft = match (record.shipped, plan.exists()) {
+            (Some(_), _) => self.plan(&plan, finding.clone())?,
+            (None, true) => {
+                let mut draft = self.plan(&plan, None)?;
+                if let Some((_, verdict)) = draft.page.verdict.take() {
+                    let words = format!("The run is not finished; the plan as it is now: {verdict}");
+                    draft.page.verdict = Some((Tone::Plain, words));
+                }
+                draft
+            }
+            (None, false) => {
+                if let Some(executed) = &self.executed {
+                    return Err(CliError::Input(format!(
+                        "--executed is {}, but the run in {} has no plan yet that it could be of",
+                        executed.display(),
+                        self.of.display()
+                    )));
+                }
                 let page = Page {
                     verdict: Some((Tone::Plain, "The run is not finished: there is no plan yet.".into())),
                     facts: scene_facts(&record.scene),
@@ -193,13 +232,13 @@ impl ReportArgs {
             draft.page.charts = run_charts(&record, finding);
             draft.page.tables.push(epochs(&record.epochs, finding));
             if finding.plan.is_none() {
-                draft.page.notes = finding.sentences();
+                draft.page.notes.extend(finding.sentences());
             }
             draft
                 .page
                 .notes
                 .extend(finding.advice.iter().map(|advice| format!("What could help: {advice}.")));
-            draft.page.facts.extend(run_facts(&record));
+            draft.page.facts.extend(run_facts(&record, finding));
         }
         Ok(Draft { finding, ..draft })
     }
@@ -232,15 +271,30 @@ impl ReportArgs {
 }
 
 /// What a page says of a plan: of which cells its figures are, and what the run found where that is at hand.
-fn notes(finding: Option<&Finding>, header: &PlanHeader) -> Vec<String> {
-    let of_which = header.finer.map(|finer| {
-        format!(
-            "The figures are those on {}; on the scene's own, which the replay shows, the plan brings {}.",
+fn notes(finding: Option<&Finding>, header: &PlanHeader, executed: Option<&ExecutedReport>) -> Vec<String> {
+    let own = mass(header.predicted.arrives_kg());
+    let of_which = header.finer.map(|finer| match executed {
+        None => format!(
+            "The figures are those on {}; on the scene's own, which the replay shows, the plan brings {own}.",
             cells(finer.cell_m),
-            mass(header.predicted.arrives_kg())
-        )
+        ),
+        Some(_) => format!(
+            "The figures are those of the executed motion on the scene's own cells, where the plan predicts {own}; on {} it predicts {}.",
+            cells(finer.cell_m),
+            mass(finer.arrives_kg())
+        ),
     });
-    of_which.into_iter().chain(finding.iter().flat_map(|finding| finding.sentences())).collect()
+    let of_motion = executed.map(ExecutedReport::text).unwrap_or_default();
+    let of_motion = of_motion.lines().map(String::from).collect::<Vec<_>>();
+    let of_run = finding.iter().flat_map(|finding| finding.sentences());
+    of_which.into_iter().chain(of_motion).chain(of_run).collect()
+}
+
+/// Says at the top of a page what keeps its motion from being what it seems.
+fn doubt(page: &mut Page, remark: &str) {
+    let remark = capitalised(remark);
+    let before = page.verdict.take().map(|(_, words)| words + " But: ").unwrap_or_default();
+    page.verdict = Some((Tone::Bad, before + &remark));
 }
 
 /// What is replayed, above the replay.
@@ -401,11 +455,9 @@ fn date(of: &Path) -> Option<(String, String)> {
     Some(fact("Date", format!("{day}, {} UTC", time.get(..5)?)))
 }
 
-fn run_facts(record: &RunRecord) -> Vec<(String, String)> {
+fn run_facts(record: &RunRecord, finding: &Finding) -> Vec<(String, String)> {
     let seconds: f64 = record.epochs.iter().map(|epoch| epoch.record.seconds).sum();
-    let mut work = Work::default();
-    record.epochs.iter().for_each(|epoch| work.add(&epoch.record.work));
-    let Work { coarse_rollouts, rollouts, adjoints, cpu_seconds } = work;
+    let Work { coarse_rollouts, rollouts, adjoints, cpu_seconds } = finding.work;
     let simulated = [(coarse_rollouts, "coarse rollout"), (rollouts, "rollout"), (adjoints, "adjoint")]
         .into_iter()
         .filter(|(count, _)| *count > 0)
@@ -438,7 +490,7 @@ fn by_parameter(epochs: &[Judged], value: impl Fn(&EpochRecord) -> [Option<f64>;
 /// Marks the shipped epoch, those passed over, and those of the coarse world.
 fn marked(mut chart: Chart, finding: &Finding) -> Chart {
     if let Some(epoch) = finding.epoch.filter(|epoch| finding.is_shipped(*epoch)) {
-        chart = chart.marked(f64::from(epoch), Mark::shipped());
+        chart = chart.marked(f64::from(epoch), chosen(finding));
     }
     for passed in &finding.passed_over {
         chart = chart.marked(f64::from(passed.epoch), Mark::passed_over(&passed.reason));
@@ -447,6 +499,11 @@ fn marked(mut chart: Chart, finding: &Finding) -> Chart {
         None => chart,
         Some(last) => chart.shaded(0.0, f64::from(*last), "in a coarse copy of the scene"),
     }
+}
+
+/// What became of the epoch that the search left.
+fn chosen(finding: &Finding) -> Mark {
+    if finding.is_corrected() { Mark::corrected() } else { Mark::shipped() }
 }
 
 fn run_charts(record: &RunRecord, finding: &Finding) -> Vec<Chart> {
@@ -520,7 +577,7 @@ fn epochs(epochs: &[Judged], finding: &Finding) -> Table {
         ],
         mark: match obstacle {
             Some(reason) => Some(Mark::passed_over(reason)),
-            None => finding.is_shipped(record.epoch).then(Mark::shipped),
+            None => finding.is_shipped(record.epoch).then(|| chosen(finding)),
         },
         link: None,
     };

@@ -3,7 +3,7 @@
 use super::{
     CliError, Context, Progress, Setup,
     executed::ExecutedReport,
-    motion::{Motion, MotionArgs, Task, collision_words},
+    motion::{Motion, MotionArgs, NOT_REPRODUCED, Task, collision_words, is_reproduced},
 };
 use crate::report::{
     amounts::{Amounts, off, percent},
@@ -166,7 +166,7 @@ pub(super) fn execute(arguments: &SimulateArgs, context: &mut Context<'_>) -> Re
     let further = report.look_further(&task, finer.as_ref(), arguments.packings, context);
     let ended = match report.plan {
         Some(PlanReport { reproduced: Some(false), .. }) => {
-            let other = CliError::Failed("the plan's loss and amount were not reproduced".into());
+            let other = CliError::Failed(NOT_REPRODUCED.into());
             Err(match further {
                 Ok(()) => other,
                 Err(further) => other.with_remark(&further.to_string()),
@@ -361,9 +361,8 @@ impl Report {
         let (theta, plan, executed) = match &task.motion {
             Motion::Skill(theta, _) => (theta.components(), None, None),
             Motion::Plan { header, content_hash, .. } => {
-                let Prediction { loss_m, census, .. } = header.predicted;
-                let reproduced = found.loss.to_bits() == loss_m.to_bits() && found.census == census;
-                (header.theta, Some(PlanReport::new(header, *content_hash, Some(reproduced))), None)
+                let reproduced = Some(is_reproduced(header, found));
+                (header.theta, Some(PlanReport::new(header, *content_hash, reproduced)), None)
             }
             Motion::Executed { header, content_hash, executed, .. } => {
                 let plan = PlanReport::new(header, *content_hash, None);

@@ -1,6 +1,6 @@
 //! Particles as the powder that they stand for: grams first, particles beside them.
 
-use super::words::count;
+use super::words::{capitalised, count};
 use powderline_simulator::{
     rollout::Census,
     scene::{Aim, Scene, figures::mass},
@@ -66,9 +66,7 @@ impl Amounts {
 
     /// Where the powder is that did not arrive, as a sentence.
     pub fn rest(&self, census: &Census) -> String {
-        let rest = census.rest(self.particle_mass_kg).to_string();
-        // Numbers have no capitals.
-        rest[..1].to_uppercase() + &rest[1..] + "."
+        capitalised(&census.rest(self.particle_mass_kg).to_string()) + "."
     }
 
     /// What is wrong where one particle more or less decides.
@@ -89,9 +87,14 @@ impl Amounts {
         format!("{} ({})", mass(self.wanted_kg), counted(self.wanted_particles))
     }
 
-    /// Such as `0.17 % too little`.
+    /// Such as `0.17 % too little`; in as many digits as tell it from the tolerance where it is beyond that.
     pub fn off(&self, particles: u32) -> String {
-        off(self.miss(particles))
+        let miss = self.miss(particles);
+        let beyond = self.tolerance.filter(|_| self.is_met(particles) == Some(false));
+        match beyond.filter(|tolerance| percent(*tolerance) == percent(miss.abs())) {
+            None => off(miss),
+            Some(tolerance) => too_much_or_little(miss, &told_apart(miss.abs(), tolerance)),
+        }
     }
 
     /// The tolerance, such as `2 %`.
@@ -121,9 +124,19 @@ pub fn percent(share: f64) -> String {
 pub fn off(miss: f64) -> String {
     match percent(miss.abs()) {
         none if none == "0 %" => "no more and no less".into(),
-        percent if miss < 0.0 => format!("{percent} too little"),
-        percent => format!("{percent} too much"),
+        percent => too_much_or_little(miss, &percent),
     }
+}
+
+fn too_much_or_little(miss: f64, percent: &str) -> String {
+    format!("{percent} too {}", if miss < 0.0 { "little" } else { "much" })
+}
+
+/// A share in per cent, in so few digits that it is not what another one is in as many.
+fn told_apart(share: f64, other: f64) -> String {
+    let [share, other] = [share, other].map(|share| move |digits| format!("{:.digits$} %", 100.0 * share));
+    let digits = (2..9).find(|digits| share(*digits) != other(*digits));
+    share(digits.unwrap_or(9))
 }
 
 #[cfg(test)]
@@ -140,6 +153,14 @@ mod tests {
         assert_eq!(amounts.off(1260), "5 % too much");
         assert_eq!(amounts.off(1200), "no more and no less");
         assert_eq!(amounts.off(0), "100 % too little");
+        // Beyond a tolerance of 2 % it never reads like it.
+        let mut many = Amounts { wanted_particles: 9_600, ..amounts };
+        many.particle_mass_kg = many.wanted_kg / 9_600.0;
+        assert_eq!(
+            [192, 193, 195].map(|more| many.off(9_600 + more)),
+            ["2 % too much", "2.01 % too much", "2.03 % too much"]
+        );
+        assert_eq!(many.off(9_600 - 193), "2.01 % too little");
         let met = |particles| amounts.is_met(particles);
         assert_eq!([1175, 1176, 1224, 1225].map(met), [Some(false), Some(true), Some(true), Some(false)]);
     }

@@ -10,7 +10,7 @@ use plotters::{
 };
 use powderline_shared::plan::SkillParameter;
 use powderline_simulator::{scene::figures::mass, skill::SkillMap};
-use std::ops::Range;
+use std::{collections::HashSet, ops::Range};
 use thiserror::Error;
 
 const SIZE: (u32, u32) = (960, 1120);
@@ -40,8 +40,10 @@ pub struct Curves<'a> {
     pub epochs: u32,
     /// The epoch whose skill is the plan: of those that the arm may perform, the best.
     pub shipped: Option<u32>,
-    /// What the plan brings; the epoch's own figures are those before its motion was rounded.
+    /// What the plan brings, as the search left it; the epoch's own figures are those before its motion was rounded.
     pub plan: Option<&'a Outcome>,
+    /// Whether the plan was changed after that, by what it brings on smaller cells.
+    pub corrected: bool,
     /// Better epochs whose skill the arm may not perform.
     pub passed_over: &'a [u32],
     /// What theta means in metres and radians.
@@ -116,6 +118,7 @@ impl Curves<'_> {
     fn note(&self, value: impl Fn(&Outcome) -> String) -> String {
         let best = self.shipped().map(|record| Outcome::of_epoch(self.amounts, record));
         match (self.plan, best) {
+            (Some(plan), _) if self.corrected => format!("as found: {}", value(plan)),
             (Some(plan), _) => format!("the plan: {}", value(plan)),
             (None, Some(best)) => format!("best so far: {}", value(&best)),
             (None, None) => String::new(),
@@ -228,11 +231,12 @@ impl Curves<'_> {
             return Ok(());
         }
         chart.draw_series(points().map(|point| Circle::new(point, 2, line.colour.filled())))?;
+        let passed_over: HashSet<u32> = self.passed_over.iter().copied().collect();
         for (record, point) in self.history.iter().zip(points()) {
             if Some(record.epoch) == self.shipped {
                 let of_plan = (point.0, line.of_plan.unwrap_or(point.1));
                 chart.draw_series([Circle::new(of_plan, 6, INK.stroke_width(2))])?;
-            } else if self.passed_over.contains(&record.epoch) {
+            } else if passed_over.contains(&record.epoch) {
                 chart.draw_series([Cross::new(point, 5, INK.stroke_width(2))])?;
             }
         }
@@ -249,7 +253,11 @@ impl Curves<'_> {
             // A plan's motion is rounded to whole counts, and no epoch's is.
             let is_other = self.plan.is_some() && !shipped.rounded;
             let rounded = if is_other { "; curves before rounding" } else { "" };
-            let what = if self.plan.is_some() { "shipped" } else { "best so far" };
+            let what = match self.plan {
+                Some(_) if self.corrected => "corrected",
+                Some(_) => "shipped",
+                None => "best so far",
+            };
             area.draw(&Text::new(format!("{what}: epoch {}{rounded}", shipped.epoch), (x + 26, y), font()))?;
             x += if is_other { 360 } else { 190 };
         }
@@ -324,6 +332,7 @@ mod tests {
             epochs,
             shipped: evaluated.checked_sub(2),
             plan: plan.as_ref(),
+            corrected: false,
             passed_over: if evaluated > 0 { &[evaluated - 1] } else { &[] },
             map: &map,
             amounts: &amounts,
@@ -341,6 +350,7 @@ mod tests {
             epochs: 1,
             shipped: None,
             plan: None,
+            corrected: false,
             passed_over: &[],
             map: &map,
             amounts: &amounts,

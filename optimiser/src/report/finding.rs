@@ -374,6 +374,11 @@ impl Finding {
         self.finer.as_ref().map(|finer| &finer.before[0]).or(self.plan.as_ref())
     }
 
+    /// Whether the plan is another skill's than that of the epoch which the search left.
+    pub fn is_corrected(&self) -> bool {
+        self.finer.is_some_and(|finer| finer.corrected)
+    }
+
     /// Whether an epoch is the plan's.
     pub fn is_shipped(&self, epoch: u32) -> bool {
         self.plan.is_some() && self.epoch == Some(epoch)
@@ -388,7 +393,7 @@ impl Finding {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use powderline_simulator::scene::Aim;
+    use powderline_simulator::{scene::Aim, skill::SkillMap};
 
     fn judged(transported: &[u32], losses: &[f64], blocked: &[u32]) -> Vec<Judged> {
         let epoch = |(epoch, (&transported, &loss))| Judged {
@@ -427,6 +432,11 @@ mod tests {
         let mut epochs = judged(&[0, 300], &[1.0, 9.0], &[]);
         epochs[1].record.census.spilled = 900;
         assert_eq!(Rule::LeastLost.choose(&amounts, &epochs), Some(1));
+        let scene = Scene::load("bench").unwrap();
+        let map = SkillMap::new(&scene);
+        let judged = |record: EpochRecord| Judged::new(&scene, &map, record).obstacle;
+        assert_eq!(judged(epochs[1].record.clone()), None);
+        assert_eq!(judged(epochs[0].record.clone()).as_deref(), Some("powder leaves the grid"));
     }
 
     #[test]

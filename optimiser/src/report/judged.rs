@@ -94,8 +94,7 @@ impl Rule {
     /// What makes one motion better than another: what is smaller, the first number before the second.
     fn key(self, amounts: &Amounts, census: &Census, loss: f64) -> [f64; 3] {
         match self {
-            // Of a motion that came to no end nobody knows where the powder is.
-            Self::LeastLost if *census == Census::default() => [2.0, 1.0, loss],
+            Self::LeastLost if is_endless(census) => [2.0, 1.0, loss],
             Self::LeastLost if amounts.is_met(census.target) == Some(true) => {
                 // To a millionth: sums are rounded.
                 [0.0, (amounts.off_share(census) * 1e6).round(), loss]
@@ -114,6 +113,11 @@ impl Rule {
         able.sort_by(order);
         able.into_iter().map(|epoch| epoch.record.epoch as usize).collect()
     }
+}
+
+/// Of a motion that came to no end nobody knows where the powder is.
+fn is_endless(census: &Census) -> bool {
+    *census == Census::default()
 }
 
 fn ordered(a: &[f64; 3], b: &[f64; 3]) -> Ordering {
@@ -142,9 +146,11 @@ impl Judged {
         self.obstacle.is_none() && self.record.world == World::Fine
     }
 
-    /// Judges the motion of an epoch's skill: the limits that it keeps, walls in the tool's way, and whether the scene's arm can.
+    /// Judges the motion of an epoch's skill: the limits that it keeps, walls in the tool's way, whether the scene's arm can, and whether it
+    /// came to an end.
     pub fn new(scene: &Scene, map: &SkillMap, record: EpochRecord) -> Self {
-        let obstacle = obstacle(scene, map, &record.theta, record.splines.as_ref());
+        let endless = || is_endless(&record.census).then(|| "powder leaves the grid".into());
+        let obstacle = obstacle(scene, map, &record.theta, record.splines.as_ref()).or_else(endless);
         Self { record, obstacle }
     }
 }

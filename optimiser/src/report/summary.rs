@@ -93,10 +93,10 @@ impl Finding {
         format!(
             "Epoch {epoch} of {} is {}: of the epochs{which}{able} it {why}. Its loss is {:.3} m;{before} epoch 0{} had {:.3} m and brought {}.",
             self.last_epoch,
-            match (self.plan, self.finer) {
-                (None, _) => "the best so far",
-                (Some(_), Some(finer)) if finer.corrected => "what was corrected",
-                (Some(_), _) => "the plan",
+            match self.plan {
+                None => "the best so far",
+                Some(_) if self.is_corrected() => "what was corrected",
+                Some(_) => "the plan",
             },
             found.loss_m,
             if self.coarse_epochs.first() == Some(&0) { ", in the coarse world," } else { "" },

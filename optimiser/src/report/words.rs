@@ -18,6 +18,12 @@ pub(crate) fn parameter(which: SkillParameter, value: f64) -> String {
     if which.is_angle() { format!("{:.1} deg", value.to_degrees()) } else { format!("{:.1} mm", 1e3 * value) }
 }
 
+/// A text that begins with a capital.
+pub(crate) fn capitalised(text: &str) -> String {
+    let mut letters = text.chars();
+    letters.next().map_or(String::new(), |first| first.to_uppercase().chain(letters).collect())
+}
+
 /// Bytes as hexadecimal digits.
 pub(crate) fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()

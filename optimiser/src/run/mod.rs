@@ -323,6 +323,7 @@ impl Run {
             },
             shipped: finding.epoch,
             plan: finding.as_found(),
+            corrected: finding.is_corrected(),
             passed_over: &finding.passed_over.iter().map(|passed| passed.epoch).collect::<Vec<_>>(),
             map,
             amounts: &finding.amounts,
@@ -427,10 +428,6 @@ impl Run {
         let mut nearest: Option<Performed> = None;
         for epoch in rule.candidates(&amounts, &self.record.epochs) {
             let record = &self.record.epochs[epoch].record;
-            // In whole counts already, it came to no end: another one may.
-            if record.rounded && record.census == Default::default() {
-                continue;
-            }
             let (theta, known) = (record.theta, record.rounded.then(|| record.evaluation()));
             let controls = self.record.map.motion(&theta, record.splines.as_ref())?;
             let quantised = QuantisedControls::new(&controls)?;

@@ -188,7 +188,7 @@ pub enum ViewError {
         /// What would be right.
         wanted: &'static str,
     },
-    /// The one who was told of the progress wanted no more. No file is left.
-    #[error("stopped; no file was written")]
+    /// The one who was told of the progress of an animation wanted no more. None of its files is left.
+    #[error("stopped; the animation was not written")]
     Stopped,
 }

@@ -92,7 +92,7 @@ pub fn arm_motion(
 pub struct Ability {
     /// How it makes the motion in the middle of all ranges.
     pub middle: Result<ArmMotion, Refusal>,
-    /// A corner whose motion it cannot make, if there is one.
+    /// A corner whose motion it cannot make, if there is one, or else the middle.
     pub unable: Option<(Theta, Refusal)>,
     /// It can make none of them.
     pub none: bool,
@@ -118,6 +118,7 @@ impl Ability {
             Theta::lattice(2).filter_map(|theta| Some((theta, can(&path(&theta)?)))).collect();
         let none = middle.is_err() && tried.iter().all(|(_, can)| can.is_err());
         let unable = tried.into_iter().find_map(|(theta, can)| Some((theta, can.err()?)));
+        let unable = unable.or_else(|| Some((Theta::MIDDLE, middle.as_ref().err()?.clone())));
         Some(Self { middle, unable, none })
     }
 }

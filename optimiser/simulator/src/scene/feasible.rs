@@ -30,6 +30,23 @@ pub enum Infeasible {
         /// In how many equal parts it could be brought.
         trips: u32,
     },
+    /// At every pitch within the bounds it all slides off.
+    #[error(
+        "objective.amount is {}, but the tool carries nothing that it could be: with skill.scooping_angle_deg = [{}, {}] it leans by {} to \
+         {} degrees on its way, and powder stands up to {}; a larger skill.scooping_angle_deg would be right",
+        mass(*wanted_kg), about(scooping_angle_deg[0], 4), about(scooping_angle_deg[1], 4), about(pitch_deg[0], 4), about(pitch_deg[1], 4),
+        about(*friction_angle_deg, 4)
+    )]
+    Leans {
+        /// What is wanted.
+        wanted_kg: f64,
+        /// The bounds of the skill.
+        scooping_angle_deg: [f64; 2],
+        /// Pitches of the tool while it carries.
+        pitch_deg: [f64; 2],
+        /// How steeply the powder stands.
+        friction_angle_deg: f64,
+    },
     /// The lip never comes over the target.
     #[error(
         "objective.target {target:?} is out of reach: within the bounds the tool's lip comes no nearer to its opening than {} mm; \
@@ -116,6 +133,12 @@ impl Scene {
         let (wanted_kg, heaped_kg) = (self.target_mass_kg(), self.tool_capacity().heaped_kg);
         if wanted_kg <= heaped_kg {
             return Ok(());
+        }
+        if heaped_kg < self.particle_mass_kg() {
+            let (scooping_angle_deg, friction_angle_deg) =
+                (self.skill.scooping_angle_deg, self.powder.friction_angle_deg);
+            let pitch_deg = [1, 0].map(|end| self.tool.start_pitch_deg - scooping_angle_deg[end]);
+            return Err(Infeasible::Leans { wanted_kg, scooping_angle_deg, pitch_deg, friction_angle_deg });
         }
         // A spoon is not filled to its last grain.
         let trips = (wanted_kg / (0.9 * heaped_kg)).ceil().max(2.0) as u32;
@@ -239,6 +262,19 @@ mod tests {
         scene.objective.amount = Amount::new(Quantity::MassKg(0.030));
         scene.objective.aim = Aim::All;
         assert_eq!(scene.check_feasible(), Ok(()));
+    }
+
+    #[test]
+    fn a_tool_that_leans_too_far_is_told_from_one_that_is_too_small() {
+        let mut scene = Scene::load("bench").unwrap();
+        scene.skill.scooping_angle_deg = [1.0, 5.0];
+        scene.tool.start_pitch_deg = 170.0;
+        let text = scene.check_feasible().unwrap_err().to_string();
+        assert!(
+            text.contains("it leans by 165 to 169 degrees")
+                && text.contains("a larger skill.scooping_angle_deg"),
+            "{text}"
+        );
     }
 
     #[test]

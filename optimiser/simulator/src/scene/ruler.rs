@@ -18,6 +18,11 @@ impl Ruler {
         Self::in_parts(extent_m, PARTS)
     }
 
+    /// An extent that has one part more at its upper end.
+    pub(super) fn with_one_more([from_m, to_m]: [f64; 2]) -> [f64; 2] {
+        [from_m, to_m + (to_m - from_m) / (PARTS - 1) as f64]
+    }
+
     fn in_parts([from_m, to_m]: [f64; 2], parts: usize) -> Self {
         Self { from_m, step_m: (to_m - from_m) / parts as f64, parts }
     }

@@ -1,22 +1,26 @@
 //! How long a scene's skills last, for judging the scene before any motion is made.
 
-use super::Scene;
+use super::{Scene, Timing};
 use crate::skill::{SkillMap, Theta};
 
 impl Scene {
     /// Duration of the longest skill within the bounds, seconds, rest excluded: theta = 1 throughout, but with an overlap perhaps -1 for the
-    /// transport, of which little leaves little to overlap.
+    /// transport, of which little leaves little to overlap. In whole control steps each of the two overlaps may be one shorter in between.
     pub fn longest_skill_s(&self) -> f64 {
         let map = SkillMap::new(self);
         let lasts_s = |transport| map.duration_s(&Theta::clamped([1.0, 1.0, 1.0, transport, 1.0]));
-        lasts_s(1.0).max(lasts_s(-1.0))
+        let rounding_s = match self.skill.timing == Timing::Rounded && self.skill.overlap > 0.0 {
+            true => 2.0 * self.time.control_period_s(),
+            false => 0.0,
+        };
+        lasts_s(1.0).max(lasts_s(-1.0)) + rounding_s
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{Profile, Timing};
+    use crate::scene::Profile;
 
     #[test]
     fn longest_skill_at_constant_speed_is_the_sum_of_travel_over_speed() {
@@ -30,6 +34,19 @@ mod tests {
         assert!((scene.longest_skill_s() - expected_s).abs() < 1e-12);
         scene.skill.timing = Timing::Rounded;
         assert!((scene.longest_skill_s() - expected_s).abs() < 6.0 * 0.005);
+    }
+
+    /// In whole control steps a transport in between may leave less to overlap than either end.
+    #[test]
+    fn no_rounded_skill_lasts_longer_than_the_longest() {
+        let mut scene = Scene::load("bench").unwrap();
+        (scene.skill.timing, scene.skill.overlap) = (Timing::Rounded, 1.0);
+        scene.skill.transport_displacement_m = [0.001, 0.16];
+        let (map, longest_s) = (SkillMap::new(&scene), scene.longest_skill_s());
+        for transport in (0..=1000).map(|part| f64::from(part) / 500.0 - 1.0) {
+            let theta = Theta::clamped([1.0, 1.0, 1.0, transport, 1.0]);
+            assert!(map.duration_s(&theta) <= longest_s + 1e-12, "{theta}");
+        }
     }
 
     /// Also where a short transport leaves little to overlap.

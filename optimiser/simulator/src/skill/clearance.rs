@@ -305,7 +305,10 @@ mod tests {
         assert_eq!(collision(&scene, &start, &up(0.0)), None);
         let found = collision(&scene, &start, &up(0.001)).unwrap();
         assert_eq!((found.part, &found.obstacle), (ToolPart::Body, &Obstacle::Border));
-        assert!(found.to_string().contains("the border of the simulated volume (domain.size_m) at 0."), "{found}");
+        assert!(
+            found.to_string().contains("the border of the simulated volume (domain.size_m) at 0."),
+            "{found}"
+        );
         assert_eq!(standing_collision(&scene, &start, &up(0.001), 0.0), None);
     }
 

@@ -9,7 +9,7 @@ use crate::mpm::principal;
 use crate::mpm::sort::EscapedParticle;
 use crate::mpm::substep::{State, Workspace};
 use crate::real::Real;
-use crate::scene::{BLOCK_CELLS, MAX_VISCOUS_LOSS, Scene, SceneSpec};
+use crate::scene::{BLOCK_CELLS, FillShape, MAX_VISCOUS_LOSS, Scene, SceneSpec};
 use crate::small::{Sym3, inner, plus_diagonal, trace};
 use crate::validate::case::{Halt, Meter};
 
@@ -33,6 +33,7 @@ pub(super) fn apparatus(law: &SceneSpec, size_m: [f64; 3], cell_m: f64) -> Scene
     scene.domain.gravity_m_s2 = [0.0, 0.0, -GRAVITY];
     scene.containers.clear();
     scene.gates.clear();
+    scene.powder.fill_shape = FillShape::Box;
     scene.powder.cohesion_pa = 0.0;
     scene.powder.tensile_strength_pa = None;
     scene.powder.youngs_modulus_pa = YOUNGS_MODULUS;
@@ -293,6 +294,16 @@ mod tests {
         viscous.powder.viscosity_pa_s = 10.0;
         set_time_step(&mut viscous, 1.0);
         assert!(viscous.time.substeps > scene.time.substeps && viscous.viscous_loss() <= MAX_VISCOUS_LOSS);
+    }
+
+    /// Nothing of where a scene's own powder lies is taken from it.
+    #[test]
+    fn a_box_is_filled_whatever_the_shape_of_the_scenes_powder() {
+        let mut law = Scene::load(DEFAULT_SCENE).unwrap().into_spec();
+        let packed = |law: &SceneSpec| packed(&apparatus(law, [0.03; 3], 0.004), [0.004; 3], [0.012; 3], 1);
+        let boxed = packed(&law);
+        law.powder.fill_shape = FillShape::Cylinder;
+        assert_eq!(packed(&law), boxed);
     }
 
     #[test]

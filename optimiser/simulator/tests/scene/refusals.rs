@@ -758,6 +758,11 @@ const RULES_BETWEEN_FIELDS: &[Case] = &[
         r#": skill.scooping_depth_m is [0.002, 0.02], but at the deepest scoop the tool would go 0.003 m below the floor of container "source"; at most 0.017 would be right"#,
     ),
     (
+        "approach_m = 0.020",
+        "approach_m = 0.050",
+        r#": skill.scooping_depth_m is [0.002, 0.02], but at the deepest scoop the tool would go 0.028 m below the floor of container "source"; a tool.start_position_m that is 0.028 m higher, or a skill.approach_m that is so much shorter, would be right"#,
+    ),
+    (
         "start_position_m = [0.048, 0.048, 0.066]",
         "start_position_m = [0.038, 0.048, 0.066]",
         r#": tool.start_position_m is [0.038, 0.048, 0.066], but on its way down from there the tool would go 0.006 m into the -x wall of container "source"; a start further inside would be right"#,

@@ -89,12 +89,16 @@ function told(value, step) {
   return rounded.toLocaleString('en', { maximumFractionDigits: 8, useGrouping: Math.abs(value) >= 1e4 });
 }
 
-/** Lowest and highest of numbers, never the same. */
+/** Lowest and highest of what is a number: too many for the arguments of a call. */
+function endsOf(numbers) {
+  return numbers.filter(isNumber)
+    .reduce(([low, high], number) => [Math.min(low, number), Math.max(high, number)], [Infinity, -Infinity]);
+}
+
+/** The same a little apart, and never the same. */
 function rangeOf(numbers, padding) {
-  const finite = numbers.filter((number) => number !== null && Number.isFinite(number));
-  const low = finite.reduce((a, b) => Math.min(a, b), Infinity);
-  const high = finite.reduce((a, b) => Math.max(a, b), -Infinity);
-  if (!finite.length) return [0, 1];
+  const [low, high] = endsOf(numbers);
+  if (low > high) return [0, 1];
   const more = high > low ? padding * (high - low) : 0.5 * Math.abs(high) || 1;
   return [low - more, high + more];
 }
@@ -119,8 +123,7 @@ const LEAST_LOGARITHMIC = 1e-12;
 
 /** Whether y goes up by powers of ten: where it may, and where numbers above zero span more than one. */
 function isLog(chart) {
-  const ys = chart.series.flatMap((series) => series.points.map(([, y]) => y)).filter(isNumber);
-  const [low, high] = [ys.reduce((a, b) => Math.min(a, b), Infinity), ys.reduce((a, b) => Math.max(a, b), -Infinity)];
+  const [low, high] = endsOf(chart.series.flatMap((series) => series.points.map(([, y]) => y)));
   return chart.y_scale === 'log-if-wide' && low >= LEAST_LOGARITHMIC && high > 10 * low;
 }
 
@@ -129,8 +132,7 @@ function upwards(chart, height) {
   const ys = chart.series.flatMap((series) => series.points.map(([, y]) => y));
   const most = Math.max(3, Math.floor((height - LABEL_TOP - MARGIN.bottom) / 24));
   if (isLog(chart)) {
-    const known = ys.filter(isNumber);
-    const ends = [Math.min(...known), Math.max(...known)];
+    const ends = endsOf(ys);
     const digits = logDigits(...ends, height - LABEL_TOP - MARGIN.bottom);
     const [low, high] = logEnds(...ends, digits);
     // A band may reach below zero, where there are no logarithms.
@@ -147,7 +149,9 @@ function upwards(chart, height) {
 /** Where numbers of a chart lie in a picture of a size. */
 function frameOf(chart, width, height) {
   const xs = chart.series.flatMap((series) => series.points.map(([x]) => x));
-  const [xLow, xHigh] = rangeOf(xs, 0);
+  const [least, most] = endsOf(xs);
+  // Before a single epoch there is none.
+  const [xLow, xHigh] = least === most && isWhole(xs) ? [least, least + 1] : rangeOf(xs, 0);
   const [right, bottom] = [width - MARGIN.right, height - MARGIN.bottom];
   const up = upwards(chart, height);
   const top = chart.marks.some(([, { kind }]) => kind === 'chosen') ? LABEL_TOP : MARGIN.top;
@@ -206,22 +210,24 @@ function sign(kind) {
 
 /** Signs on every curve at the x of each mark; what was chosen has a line and its label besides. */
 function signs(chart, frame) {
+  const at = new Map();
+  for (const [x, y] of chart.series.filter(({ reference }) => !reference).flatMap(({ points }) => points)) {
+    if (isNumber(y)) at.set(x, [...(at.get(x) ?? []), y]);
+  }
   return chart.marks.filter(([x]) => x >= frame.xLow && x <= frame.xHigh).flatMap(([x, { kind, label }]) => {
-    const points = chart.series.filter(({ reference }) => !reference)
-      .flatMap(({ points }) => points.filter(([at, y]) => at === x && isNumber(y)));
-    const on = points.map(([, y]) => {
+    const on = (at.get(x) ?? []).map((y) => {
       const placed = sign(kind);
       placed.setAttribute('transform', `translate(${frame.x(x).toFixed(1)},${frame.y(y).toFixed(1)})`);
       placed.classList.add(kind);
       return placed;
     });
     if (kind !== 'chosen') return on;
-    const at = frame.x(x);
-    const share = (at - MARGIN.left) / (frame.right - MARGIN.left);
+    const place = frame.x(x);
+    const share = (place - MARGIN.left) / (frame.right - MARGIN.left);
     const anchor = share < 0.12 ? 'start' : share > 0.88 ? 'end' : 'middle';
     return [
-      svg('line', { class: 'chosen-at', x1: at, x2: at, y1: frame.top, y2: frame.bottom }),
-      svg('text', { class: 'chosen-label', x: at, y: frame.top - 8, 'text-anchor': anchor }, [label]),
+      svg('line', { class: 'chosen-at', x1: place, x2: place, y1: frame.top, y2: frame.bottom }),
+      svg('text', { class: 'chosen-label', x: place, y: frame.top - 8, 'text-anchor': anchor }, [label]),
       ...on,
     ];
   });

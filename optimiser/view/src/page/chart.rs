@@ -138,6 +138,13 @@ impl Mark {
         Self { kind: MarkKind::Chosen, label: "shipped".into(), note: String::new() }
     }
 
+    /// What the plan was made of, and is no more.
+    #[must_use]
+    pub fn corrected() -> Self {
+        let note = "the plan is that skill, corrected by what it brings on smaller cells";
+        Self { kind: MarkKind::Chosen, label: "corrected".into(), note: note.into() }
+    }
+
     /// What did not, and why.
     #[must_use]
     pub fn passed_over(reason: &str) -> Self {

@@ -36,8 +36,9 @@ impl Body for Cuboids<'_> {
             let field = |name: &str| format!("tool.shape.cuboid[{index}].{name}");
             found.vector(&field("centre_m"), &cuboid.centre_m, Range::closed(-1.0, 1.0));
             let least = cuboid.size_m.iter().copied().fold(f64::INFINITY, f64::min);
-            found.vector(&field("size_m"), &cuboid.size_m, Range::above(0.0, 1.0));
-            found.wall(&field("size_m"), least, cell_m);
+            if found.vector(&field("size_m"), &cuboid.size_m, Range::above(0.0, 1.0)) {
+                found.thick(&field("size_m"), least, cell_m);
+            }
             found.vector(&field("rotation_deg"), &cuboid.rotation_deg, TURN_DEG);
         }
     }
@@ -69,11 +70,8 @@ impl Body for Cuboids<'_> {
 
     /// Half of what they measure across.
     fn half_width_m(&self) -> f64 {
-        let half = |axis: usize| {
-            let ends = self.cuboids.iter().map(|c| c.centre_m[axis].abs() + 0.5 * c.size_m[axis]);
-            ends.fold(0.0, f64::max)
-        };
-        half(0).min(half(1))
+        let [low, high] = self.extent_m();
+        0.5 * (high[0] - low[0]).min(high[1] - low[1])
     }
 
     /// In the box around them, with room for a heap, which is at most as high as they are.
@@ -84,7 +82,9 @@ impl Body for Cuboids<'_> {
     }
 
     fn cavity_extent_m(&self, turned: &dyn Fn(Point) -> Point) -> [[f64; 2]; 3] {
-        extent(self.corners_m().map(turned))
+        let [x, y, [low, high]] = extent(self.corners_m().map(turned));
+        // With room above the highest of them, which powder lies on too.
+        [x, y, Ruler::with_one_more([low, high])]
     }
 
     /// Over one of the cuboids and within none.

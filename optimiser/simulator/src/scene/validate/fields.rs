@@ -147,8 +147,9 @@ fn gate(found: &mut Found<'_>, path: &str, gate: &Gate, cell_m: f64) {
     found.number(&field("opens_at_s"), gate.opens_at_s, Range::closed(0.0, 1e4));
     match &gate.shape {
         GateShape::Box { size_m } => {
-            found.vector(&field("shape.size_m"), size_m, Range::above(0.0, 10.0));
-            found.wall(&field("shape.size_m"), gate.shape.least_thickness_m(), cell_m);
+            if found.vector(&field("shape.size_m"), size_m, Range::above(0.0, 10.0)) {
+                found.thick(&field("shape.size_m"), gate.shape.least_thickness_m(), cell_m);
+            }
         }
         GateShape::Tube { inner_radius_m, height_m, wall_thickness_m } => {
             let inner = Range::closed(cell_m, 10.0);

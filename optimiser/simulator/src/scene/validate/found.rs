@@ -47,10 +47,17 @@ impl Found<'_> {
         self.vector(field, &bounds, range) && self.keep(self.checker.ordered(field, bounds))
     }
 
-    /// Walls much thinner than a cell would let powder through.
+    /// The thickness of a wall.
     pub(in crate::scene) fn wall(&mut self, field: &str, thickness_m: f64, cell_m: f64) {
+        if self.number(field, thickness_m, Range::above(0.0, 1.0)) {
+            self.thick(field, thickness_m, cell_m);
+        }
+    }
+
+    /// What is much thinner than a cell would let powder through.
+    pub(in crate::scene) fn thick(&mut self, field: &str, thickness_m: f64, cell_m: f64) {
         let least_m = 0.5 * cell_m;
-        if self.number(field, thickness_m, Range::above(0.0, 1.0)) && thickness_m < least_m * (1.0 - 1e-9) {
+        if thickness_m < least_m * (1.0 - 1e-9) {
             let right = format!(
                 "it must be at least half a cell, {} for domain.cell_m = {}",
                 plain(least_m),

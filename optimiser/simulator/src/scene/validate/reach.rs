@@ -81,15 +81,21 @@ fn check_floor(checker: &Checker<'_>, scene: &Scene) -> Checked {
     if skill.scooping_depth_m[1] <= room_m + TOUCH_M {
         return Ok(());
     }
+    let below_m = skill.scooping_depth_m[1] - room_m;
+    let right = match room_m >= skill.scooping_depth_m[0] {
+        true => format!("at most {} would be right", at_most(room_m)),
+        false => format!(
+            "a tool.start_position_m that is {} m higher, or a skill.approach_m that is so much shorter, would be right",
+            about(below_m, 3)
+        ),
+    };
     Err(checker.invalid(
         "skill.scooping_depth_m",
         list(&skill.scooping_depth_m),
         format!(
-            "at the deepest scoop the tool would go {} m below the {floor} of container {:?}; at most {} would be \
-             right",
-            about(skill.scooping_depth_m[1] - room_m, 3),
+            "at the deepest scoop the tool would go {} m below the {floor} of container {:?}; {right}",
+            about(below_m, 3),
             scene.source().name,
-            at_most(room_m)
         ),
     ))
 }
