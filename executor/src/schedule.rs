@@ -96,12 +96,6 @@ impl Schedule {
         self.look_ahead
     }
 
-    /// Longest time that an answer has taken, microseconds.
-    #[must_use]
-    pub fn round_trip_us(&self) -> u64 {
-        self.round_trip_us
-    }
-
     /// How long after the moment at which the setpoint of `tick` could leave at the soonest it leaves now, microseconds;
     /// `None` before the arm's clock is known. The estimate of that clock follows the reports that came quickest, so this is
     /// what held up the arm's report, its way here, and this side.

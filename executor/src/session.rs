@@ -165,6 +165,8 @@ pub struct Executor<'a> {
     reset_nonce: u32,
     /// The stop that it had latched when it gave that out.
     latched: Option<Reported>,
+    /// Whether it has been in somebody else's session since it was asked first.
+    was_busy: bool,
     lsb: Lsb,
     period_us: u32,
     player: Player<'a>,
@@ -233,6 +235,7 @@ impl<'a> Executor<'a> {
             context: Context::NONE,
             reset_nonce: 0,
             latched: None,
+            was_busy: false,
             lsb: config.lsb.unwrap_or(header.lsb),
             period_us,
             player: Player::new(plan),
@@ -549,10 +552,10 @@ impl<'a> Executor<'a> {
         self.refusal = Some(*reason);
         match reason {
             // A session whose executor is gone is closed by the arm before we give up.
-            Refusal::Busy => {}
+            Refusal::Busy => self.was_busy = true,
             Refusal::Closed => self.renumber(),
             // Asked for again at once, but not twice: an arm that moves is asked with the next request.
-            Refusal::Latched { nonce, fault } if self.config.reset => {
+            Refusal::Latched { nonce, fault } if self.config.reset && self.was_looked_at(*nonce) => {
                 self.latched = Some(*fault);
                 let news = self.reset_nonce != *nonce;
                 self.reset_nonce = *nonce;
@@ -562,6 +565,11 @@ impl<'a> Executor<'a> {
             }
             _ => self.end_untouched(Fault { code: FaultCode::SessionRefused, tick: 0 }),
         }
+    }
+
+    /// Whether the stop is the one that was there when a person said that it may be reset: not one that was latched since.
+    fn was_looked_at(&self, nonce: u32) -> bool {
+        !self.was_busy && (self.reset_nonce == 0 || self.reset_nonce == nonce)
     }
 
     /// Another number, asked for with the next request.
@@ -680,8 +688,11 @@ impl<'a> Executor<'a> {
         }
         self.arm = self.ours;
         match self.stage {
-            // Somebody has stopped it on its way up, or it has closed the session: it is not led up once more.
-            Stage::Enabling if falls_back => self.stop(now_us, FaultCode::StateUnexpected),
+            // Somebody has stopped it on its way up, or it has closed the session: it is not led up once more. Why, its fault says.
+            Stage::Enabling if falls_back || is_latched(status.state) => {
+                self.stop(now_us, FaultCode::StateUnexpected);
+            }
+            Stage::Leaving if is_latched(status.state) => self.stop(now_us, FaultCode::StateUnexpected),
             // Once operation is enabled the anchor is on its way.
             Stage::Enabling if news && status.state != State::OperationEnabled => {
                 self.answered(now_us);
@@ -1070,6 +1081,11 @@ impl<'a> Executor<'a> {
 /// Whether an arm in this state may move.
 fn may_move(state: State) -> bool {
     matches!(state, State::OperationEnabled | State::QuickStopActive | State::FaultReactionActive)
+}
+
+/// Whether an arm in this state has a stop latched.
+fn is_latched(state: State) -> bool {
+    matches!(state, State::QuickStopActive | State::FaultReactionActive | State::Fault)
 }
 
 /// Whether an arm on its way up is back where it begins: a stop or the end of the session does that. From switched on to ready it may

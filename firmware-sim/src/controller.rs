@@ -142,7 +142,8 @@ pub struct Tick {
 pub struct Controller {
     own_limits: Limits,
     watchdog_us: u64,
-    following: FollowingWatch,
+    following: Following,
+    watch: FollowingWatch,
     nonces: Nonces,
     key: Option<Key>,
     /// The last session that was refused because of the key.
@@ -265,7 +266,8 @@ impl Controller {
         let mut controller = Self {
             own_limits: config.limits,
             watchdog_us: config.watchdog_us,
-            following: FollowingWatch::new(config.following),
+            following: config.following,
+            watch: FollowingWatch::new(config.following),
             nonces: Nonces(config.nonce_seed),
             key: config.key,
             key_refusal: None,
@@ -597,6 +599,8 @@ impl Controller {
         let anchor = self.arm.told().pose;
         let Some(session) = self.session.as_mut() else { return self.drop_one() };
         session.anchored = Some(Anchored::new(session, anchor));
+        // What was seen of the last motion is no strike against this one.
+        self.watch = FollowingWatch::new(self.following);
         self.hold();
         self.state = State::OperationEnabled;
         self.repeat_anchor();
@@ -741,7 +745,7 @@ impl Controller {
         let [x, y, z] = self.motion.linear.velocity.into();
         let [rx, ry, rz] = self.motion.angular.velocity.into();
         let tick = self.anchored().map_or(0, |anchored| anchored.applied_tick);
-        if self.following.check(tick, off, [x, y, z, rx, ry, rz]).is_err() {
+        if self.watch.check(tick, off, [x, y, z, rx, ry, rz]).is_err() {
             self.stop(State::FaultReactionActive, FaultCode::ArmFollowing);
         }
     }
@@ -1024,11 +1028,16 @@ impl Controller {
         self.report();
     }
 
-    /// Whoever asks, from whatever state: as hard as the arm itself allows.
+    /// Whoever asks, from whatever state: as hard as the arm itself allows. Who leads the arm up does not go on with it.
     fn hard_stop(&mut self) {
+        use State as S;
         match self.state {
-            State::OperationEnabled => self.stop(State::QuickStopActive, FaultCode::SoftwareStop),
-            State::ReadyToSwitchOn | State::SwitchedOn => self.enter(State::SwitchOnDisabled),
+            S::SwitchOnDisabled | S::ReadyToSwitchOn | S::SwitchedOn | S::OperationEnabled
+                if self.session.is_some() =>
+            {
+                self.stop(S::QuickStopActive, FaultCode::SoftwareStop);
+            }
+            S::ReadyToSwitchOn | S::SwitchedOn => self.enter(S::SwitchOnDisabled),
             _ => self.report(),
         }
         if !self.is_still() {

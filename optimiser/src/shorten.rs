@@ -75,16 +75,38 @@ pub fn duration_s(scene: &Scene, theta: &Theta) -> f64 {
     SkillMap::new(scene).duration_s(theta)
 }
 
-/// Whether a faster motion is as good as before: hardly more is lost, and so much arrives that a change of the skill puts it right.
+/// Whether a faster motion is as good as before: hardly more is lost, and so much arrives that a change of the skill puts it right; where as
+/// much as can be had is wanted, hardly less.
 pub fn holds(amounts: &Amounts, before: &Census, now: &Census) -> bool {
     let [before_kg, now_kg] = [before, now].map(|census| amounts.kg(census.target));
-    (now_kg - before_kg).abs() <= WITHIN_REACH * before_kg
-        && loses_more(amounts, amounts.kg(before.lost()), amounts.kg(now.lost())).is_none()
+    let arrives = match amounts.tolerance {
+        Some(_) => (now_kg - before_kg).abs() <= WITHIN_REACH * before_kg,
+        None => brings_less(amounts, before_kg, now_kg).is_none(),
+    };
+    arrives && loses_more(amounts, amounts.kg(before.lost()), amounts.kg(now.lost())).is_none()
+}
+
+/// That a faster motion brings less than it may where as much as can be had is wanted, in a sentence.
+pub fn brings_less(amounts: &Amounts, before_kg: f64, now_kg: f64) -> Option<String> {
+    let less_kg = most_worse_kg(amounts);
+    (amounts.tolerance.is_none() && now_kg < before_kg - less_kg * (1.0 + 1e-9)).then(|| {
+        format!(
+            "{} arrive, before {}, and a faster motion may bring {} less; the plan as it was brings more",
+            mass(now_kg),
+            mass(before_kg),
+            mass(less_kg)
+        )
+    })
+}
+
+/// How much more a faster motion may lose, or less it may bring, kilogram.
+fn most_worse_kg(amounts: &Amounts) -> f64 {
+    LOST_MORE * amounts.tolerance.unwrap_or(USUAL_TOLERANCE) * amounts.wanted_kg
 }
 
 /// That a faster motion loses more than it may, in a sentence.
 pub fn loses_more(amounts: &Amounts, before_kg: f64, now_kg: f64) -> Option<String> {
-    let more_kg = LOST_MORE * amounts.tolerance.unwrap_or(USUAL_TOLERANCE) * amounts.wanted_kg;
+    let more_kg = most_worse_kg(amounts);
     (now_kg > before_kg + more_kg * (1.0 + 1e-9)).then(|| {
         format!(
             "{} are lost, before {}, and a faster motion may lose {} more; the plan as it was loses less",
@@ -231,6 +253,13 @@ mod tests {
         ] {
             assert_eq!(holds(&amounts, &before, &now), well, "{now:?}");
         }
+        // Where nobody puts the amount right, hardly less may arrive.
+        let greedy = Amounts { tolerance: None, ..amounts };
+        for (now, well) in [(1194, true), (1193, false), (1500, true)] {
+            assert_eq!(holds(&greedy, &before, &census(now, 0)), well, "{now:?}");
+        }
+        let words = brings_less(&greedy, 9.6e-3, 9.5e-3).unwrap();
+        assert!(words.starts_with("9.5 g arrive, before 9.6 g, and a faster motion may bring 48 mg less;"), "{words}");
         // A quarter of two per cent of 9.6 g.
         assert_eq!(loses_more(&amounts, 80e-6, 128e-6), None);
         let words = loses_more(&amounts, 80e-6, 130e-6).unwrap();

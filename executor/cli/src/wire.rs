@@ -73,7 +73,7 @@ pub fn play(
             // A tenth of a period is what a smooth motion forgives.
             jitter: Jitter::new(u64::from(period_us) / 10),
             not_taken: 0,
-            events: Vec::new(),
+            gravest: None,
             failure: None,
         },
         start_us,
@@ -191,15 +191,13 @@ struct Wired<'w> {
     last_sent: u32,
     jitter: Jitter,
     not_taken: u64,
-    events: Vec<BusEvent>,
+    gravest: Option<BusEvent>,
     failure: Option<LinkError>,
 }
 
 impl Wired<'_> {
     fn handle_event(&mut self, event: BusEvent) -> Result<(), Gone> {
-        if self.events.last() != Some(&event) {
-            self.events.push(event);
-        }
+        self.gravest = Some(self.gravest.map_or(event, |gravest| gravest.min(event)));
         if event.ends_session() { Err(Gone) } else { Ok(()) }
     }
 
@@ -210,7 +208,7 @@ impl Wired<'_> {
     }
 
     fn gravest_event(&self) -> Option<String> {
-        self.events.iter().min().map(|event| event.sentence().to_owned())
+        self.gravest.map(|event| event.sentence().to_owned())
     }
 }
 

@@ -6,9 +6,9 @@ mod common;
 use common::{header, one_move, plan_bytes};
 use powderline_executor::{Action, Config, Executor, Outcome};
 use powderline_firmware_sim::controller::{ArmConfig, Controller};
-use powderline_shared::fault::FaultCode;
+use powderline_shared::fault::{Fault, FaultCode, Reported};
 use powderline_shared::plan::PlanReader;
-use powderline_shared::wire::message::{FromArm, Heartbeat, NO_SESSION, Status, ToArm};
+use powderline_shared::wire::message::{FromArm, Heartbeat, NO_SESSION, Refusal, Status, ToArm};
 use powderline_shared::wire::state::{Command, State};
 
 /// An arm where the plan begins, and an executor that is to play it.
@@ -39,7 +39,8 @@ fn own_status(message: &FromArm) -> Option<Status> {
 fn an_arm_that_somebody_stops_on_its_way_up_is_not_led_up_again() {
     let bytes = plan_bytes(&header(), &one_move());
     let plan = PlanReader::new(&bytes).unwrap();
-    for stopped_after in [Command::SwitchOn, Command::Shutdown] {
+    // None: as soon as the session is open, before the arm has been asked for anything.
+    for stopped_after in [None, Some(Command::Shutdown), Some(Command::SwitchOn)] {
         let (mut arm, mut executor) = at_start(&plan);
         let (mut now_us, mut enabled, mut stops) = (0, false, 0);
         let outcome = loop {
@@ -50,8 +51,12 @@ fn an_arm_that_somebody_stops_on_its_way_up_is_not_led_up_again() {
             let mut told = Vec::new();
             let said = spoken(&mut executor, now_us, |message| {
                 arm.handle_message(now_us, &message);
-                if matches!(message, ToArm::Control { command, .. } if command == stopped_after) && stops == 0
-                {
+                let asked = match message {
+                    ToArm::Control { command, .. } => stopped_after == Some(command),
+                    ToArm::Open(_) => stopped_after.is_none(),
+                    _ => false,
+                };
+                if asked && stops == 0 {
                     // The arm tells of its step before somebody stops it.
                     told.extend(std::iter::from_fn(|| arm.poll(now_us)));
                     arm.handle_message(now_us, &ToArm::Stop);
@@ -67,7 +72,49 @@ fn an_arm_that_somebody_stops_on_its_way_up_is_not_led_up_again() {
         };
         let Outcome::Stopped { fault, standstill } = outcome else { panic!("{outcome:?}") };
         assert!(!enabled && stops == 1, "{stopped_after:?}");
-        assert_eq!((fault.code, standstill), (FaultCode::StateUnexpected, true), "{stopped_after:?}");
+        assert_eq!((fault.code, standstill), (FaultCode::SoftwareStop, true), "{stopped_after:?}");
+        // It stays stopped, whoever comes next.
+        assert_eq!(arm.state(), State::QuickStopActive, "{stopped_after:?}");
+    }
+}
+
+/// A person has looked at what had stopped the arm, and not at what stops it while the answer is waited for.
+#[test]
+fn a_reset_takes_the_arm_out_of_no_stop_that_came_after_it_was_asked_for() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    let fault: Reported = Fault { code: FaultCode::SoftwareStop, tick: 0 }.into();
+    let latched = |nonce| Refusal::Latched { fault, nonce };
+    let heard = |reasons: &[Refusal]| {
+        let mut executor = Executor::new(0, &plan, Config { reset: true, ..Config::default() });
+        for (number, reason) in (0..).zip(reasons) {
+            let mut session = None;
+            spoken(&mut executor, number * 100_000, |message| match message {
+                ToArm::Open(request) => session = Some(request.session),
+                other => panic!("{other:?}"),
+            });
+            let session = session.expect("it asks once more");
+            executor.handle_message(number * 100_000, &FromArm::Refused { session, reason: *reason });
+        }
+        let mut resets = Vec::new();
+        let end = spoken(&mut executor, 900_000, |message| match message {
+            ToArm::Open(request) => resets.push(request.reset_nonce),
+            other => panic!("{other:?}"),
+        });
+        // At once, and again.
+        resets.dedup();
+        (resets, end)
+    };
+    assert_eq!(heard(&[latched(7)]), (vec![7], None));
+    // It moves yet, and says so again.
+    assert_eq!(heard(&[latched(7), latched(7)]), (vec![7], None));
+    assert_eq!(heard(&[Refusal::Closed, latched(7)]), (vec![7], None));
+    let refused = Some(Outcome::Stopped {
+        fault: Fault { code: FaultCode::SessionRefused, tick: 0 },
+        standstill: false,
+    });
+    for since in [[Refusal::Busy, latched(7)], [latched(7), latched(8)]] {
+        assert_eq!(heard(&since), (vec![], refused), "{since:?}");
     }
 }
 

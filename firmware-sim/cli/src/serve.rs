@@ -14,6 +14,7 @@ use powderline_host::wait::wait_until;
 use powderline_shared::fault::Fault;
 use powderline_shared::plan::StartPose;
 use powderline_shared::pose::Pose;
+use powderline_shared::trajectory::MAX_TICK;
 use powderline_shared::wire::Context;
 use powderline_shared::wire::frame::Frame;
 use powderline_shared::wire::message::{Refusal, ToArm};
@@ -21,6 +22,9 @@ use powderline_shared::wire::state::{Phase, State};
 
 /// Frames that wait for room on the wire; the oldest give way, for the newest say more.
 const QUEUE: usize = 64;
+
+/// Frames that are taken in before what is due is done.
+const MOST_RECEIVED: u32 = 256;
 
 /// How long to go on after the last session, microseconds: some heartbeats.
 const LINGER_US: u64 = 500_000;
@@ -88,6 +92,7 @@ pub fn serve(options: &Options, announcer: &mut impl Announcer) -> anyhow::Resul
         endpoint,
         queue: VecDeque::new(),
         busy: false,
+        is_flooded: false,
         told: Told::default(),
         motions: Vec::new(),
         wish: StopWish::None,
@@ -136,6 +141,8 @@ struct Server<'o> {
     queue: VecDeque<Frame>,
     /// Whether the wire had no room the last time.
     busy: bool,
+    /// Whether there is more to be taken in than one turn does.
+    is_flooded: bool,
     told: Told,
     /// Those that nobody has been told of yet; the last one may be under way.
     motions: Vec<Executed>,
@@ -169,6 +176,7 @@ impl Server<'_> {
     /// Takes in what has arrived, hands out what there is to say.
     fn exchange(&mut self) -> Result<(), LinkError> {
         let Some(mut wire) = self.wire.take() else {
+            self.is_flooded = false;
             self.passed_us = self.now_us();
             self.collect(self.passed_us);
             self.queue.clear();
@@ -182,7 +190,13 @@ impl Server<'_> {
     fn exchange_on(&mut self, wire: &mut dyn Transport) -> Result<(), LinkError> {
         // In the order and at the moments of arrival, as far as they are known: should this process have been held up, the
         // arm hears everything in time all the same.
-        while let Some(received) = wire.receive()? {
+        // Whoever floods the wire does not keep the arm from its own time, nor from a person's wish.
+        self.is_flooded = true;
+        for _ in 0..MOST_RECEIVED {
+            let Some(received) = wire.receive()? else {
+                self.is_flooded = false;
+                break;
+            };
             if let Incoming::Frame(frame) = received.what {
                 let arrived_us =
                     received.at_us.saturating_sub(self.start_us).clamp(self.passed_us, self.now_us());
@@ -215,6 +229,8 @@ impl Server<'_> {
         for Tick { context, plan_hash, period_us, pose, .. } in self.endpoint.controller_mut().take_ticks() {
             // In each session there is one motion at the most.
             match self.motions.last_mut() {
+                // No reader takes more.
+                Some(motion) if motion.context == context && motion.poses.len() > MAX_TICK as usize => {}
                 Some(motion) if motion.context == context => motion.poses.push(pose),
                 _ => self.motions.push(Executed { context, plan_hash, period_us, poses: vec![pose] }),
             }
@@ -304,6 +320,9 @@ impl Server<'_> {
     }
 
     fn wait(&mut self) -> io::Result<()> {
+        if self.is_flooded {
+            return Ok(());
+        }
         let mut wake_us = self.endpoint.poll_at();
         if self.wire.is_none() {
             wake_us = wake_us.min(self.reopen_at_us);
@@ -399,6 +418,7 @@ mod tests {
                 endpoint: Endpoint::new(Controller::new(options.arm), Dialect::Fd),
                 queue: VecDeque::new(),
                 busy: false,
+                is_flooded: false,
                 told: Told::default(),
                 motions: Vec::new(),
                 wish: StopWish::None,

@@ -9,13 +9,12 @@ pub use self::experiment::Experiment;
 use self::{
     case::{Obstacles, settings},
     crew::{Crew, Site, Told},
-    experiment::CAMPAIGN,
 };
 use super::{CliError, Context, Interrupt, Progress, Resources, next, run::check_memory, size::format_size};
 use crate::{
     campaign::{Campaign, CampaignError, table::counts},
     report::{
-        folder::RunFolder,
+        folder::{CAMPAIGN, RunFolder},
         words::{count, duration, grouped},
     },
 };

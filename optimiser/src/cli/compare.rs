@@ -284,7 +284,7 @@ impl Experiment {
     }
 
     /// Names of the searches that have not.
-    fn left(&self) -> Result<Vec<String>, CliError> {
+    pub(super) fn left(&self) -> Result<Vec<String>, CliError> {
         let mut left = Vec::new();
         for search in self.plan.searches() {
             if !self.record_of(search)?.is_some_and(|record| self.is_enough(&record.state)) {
@@ -402,11 +402,21 @@ impl Experiment {
         let settings = Settings { method, epochs: MAX_EPOCHS, patience_epochs: 0, refine_by: 0 };
         let mut run = match self.record_of(search)? {
             Some(record) => {
-                let RunState { scene, settings: saved, seed: of, .. } = &record.state;
-                if (*scene, *saved, *of) != (self.plan.scene, settings, seed) {
-                    return Err(CliError::Input(format!("{} is a run of something else", path.display())));
+                let state = &record.state;
+                if !state.is_of(self.plan.scene, (seed, precision), settings) {
+                    return Err(CliError::Input(format!(
+                        "{} holds another run than the comparison's {}: of another scene, seed, precision or method; move it away to begin \
+                         this search anew",
+                        path.display(),
+                        search.name()
+                    )));
                 }
-                Run::resume(RunFolder::open(&path)?, record, None)?
+                let whole = self.is_enough(state).then(|| self.track_of(state));
+                match (Run::resume(RunFolder::open(&path)?, record, None), whole) {
+                    // A later version would search elsewhere; but here there is nothing left to search.
+                    (Err(CliError::Input(_)), Some(track)) => return Ok(track),
+                    (resumed, _) => resumed?,
+                }
             }
             None => {
                 // Of a search that was killed as it began the scene alone may be there.

@@ -261,9 +261,11 @@ impl ReportArgs {
             charts: comparison_charts(&comparison),
             tables: vec![summary(&experiment, &comparison)],
             facts: scene_facts(experiment.scene()).into_iter().chain(date(&self.of.join(COMPARISON))).collect(),
-            notes: vec![
+            notes: std::iter::once(
                 "Curves are means over the seeds of the best motion found so far, bands one standard deviation.".into(),
-            ],
+            )
+            .chain(unfinished(&experiment.left()?))
+            .collect(),
             ..Page::default()
         };
         Ok(Draft { page, task, finding: None })
@@ -603,6 +605,17 @@ fn comparison_charts(comparison: &Comparison) -> Vec<Chart> {
         panel("Powder that the best skill so far misses", comparison.by_number()),
         panel("Lowest loss so far", comparison.by_time()),
     ]
+}
+
+/// Which searches of a comparison are not in it, or not whole.
+fn unfinished(left: &[String]) -> Option<String> {
+    (!left.is_empty()).then(|| {
+        format!(
+            "The comparison is not whole: {} not at the end of the rollouts yet: {}.",
+            if left.len() == 1 { "a search is".into() } else { format!("{} searches are", left.len()) },
+            left.join(", ")
+        )
+    })
 }
 
 fn summary(experiment: &Experiment, comparison: &Comparison) -> Table {

@@ -15,7 +15,7 @@ use crate::{
         finding::Outcome,
         folder::RunFolder,
     },
-    shorten::{Haste, duration_s, hastened, holds, loses_more, most_haste},
+    shorten::{Haste, brings_less, duration_s, hastened, holds, loses_more, most_haste},
 };
 use clap::Args;
 use powderline_simulator::{
@@ -131,13 +131,7 @@ pub(super) fn execute(arguments: &ShortenArgs, context: &mut Context<'_>) -> Res
         writeln!(context.out, "{}{}", report.text(), report.refined.text(&map, FASTER_BROUGHT))?;
         write!(context.out, "{}", next::play(&report.refined.plan))?;
     }
-    let [before_kg, now_kg] = [report.before.lost_kg, report.refined.outcome().lost_kg];
-    let loses_more = || loses_more(&Amounts::from(&task.scene), before_kg, now_kg);
-    report
-        .refined
-        .shortfall()
-        .or_else(loses_more)
-        .map_or(Ok(()), |shortfall| Err(CliError::Missed(shortfall)))
+    report.shortfall(&Amounts::from(&task.scene)).map_or(Ok(()), |shortfall| Err(CliError::Missed(shortfall)))
 }
 
 /// The plan's motion in haste, on the scene's own cells.
@@ -255,6 +249,15 @@ impl Hurry<'_> {
 }
 
 impl Report {
+    /// Why it is not what was asked for, if it is not.
+    fn shortfall(&self, amounts: &Amounts) -> Option<String> {
+        let (before, now) = (&self.before, self.refined.outcome());
+        self.refined
+            .shortfall()
+            .or_else(|| brings_less(amounts, before.mass_kg, now.mass_kg))
+            .or_else(|| loses_more(amounts, before.lost_kg, now.lost_kg))
+    }
+
     fn text(&self) -> String {
         let seconds = |time_s: f64| about(time_s, 3);
         let share = percent(1.0 - self.duration_s / self.duration_before_s);

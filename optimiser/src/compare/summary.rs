@@ -126,10 +126,12 @@ impl Row {
 }
 
 impl Achieved {
-    /// By the end of a budget, if every seed has got there or ended before.
+    /// By the end of a budget, if every seed has got there.
     fn by(budget: u32, tracks: &[(u64, Vec<Best<'_>>)]) -> Option<Self> {
         let within = |(_, bests): &(u64, Vec<Best<'_>>)| -> Option<(f64, f64, f64)> {
-            let best = bests.iter().take_while(|best| best.rollouts <= f64::from(budget) + 1e-9).last()?;
+            let has = |best: &&Best<'_>| best.rollouts <= f64::from(budget) + 1e-9;
+            bests.last().filter(|last| last.rollouts + 1e-9 >= f64::from(budget))?;
+            let best = bests.iter().take_while(has).last()?;
             Some((best.one.indicator as f64, best.one.loss, best.by_time))
         };
         let all: Vec<(f64, f64, f64)> = tracks.iter().map(within).collect::<Option<_>>()?;

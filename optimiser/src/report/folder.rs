@@ -19,8 +19,19 @@ pub const SCENE: &str = "scene.toml";
 pub const TRIES: &str = "tries.jsonl";
 /// What a comparison was begun with.
 pub const COMPARISON: &str = "comparison.json";
+/// What a campaign is of.
+pub const CAMPAIGN: &str = "campaign.toml";
 /// The plan.
 pub const PLAN: &str = "skill.plan";
+/// What a folder with this file is the folder of.
+fn kind(file: &str) -> &'static str {
+    match file {
+        COMPARISON => "comparison",
+        CAMPAIGN => "campaign",
+        _ => "run",
+    }
+}
+
 /// A file longer than this is not from a run, bytes.
 const MAX_FILE_BYTES: u64 = 64 << 20;
 /// Held locked by the run that writes here.
@@ -64,7 +75,7 @@ pub enum FolderError {
     },
     /// A new run was to go where one already is.
     #[error(
-        "{path} already holds a run ({file}), which is not overwritten; choose another --out, or go on with it by --resume {path}"
+        "{path} already holds a {}, which is not overwritten ({file}); choose another --out, or go on with it by --resume {path}", kind(file)
     )]
     Taken {
         /// The folder.
@@ -99,7 +110,7 @@ impl RunFolder {
     /// It cannot be created or written, is locked, or holds a run.
     pub fn create(path: &Path) -> Result<Self, FolderError> {
         let folder = Self::take(path)?;
-        match [STATE, COMPARISON, PLAN, METRICS, SCENE, CURVES]
+        match [STATE, COMPARISON, CAMPAIGN, PLAN, METRICS, SCENE, CURVES]
             .into_iter()
             .find(|file| path.join(file).exists())
         {

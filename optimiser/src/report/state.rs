@@ -74,6 +74,11 @@ pub struct Evaluated {
 }
 
 impl RunState {
+    /// Whether it is a run of this scene, seed, precision and search.
+    pub fn is_of(&self, scene: Digest, (seed, precision): (u64, Precision), settings: Settings) -> bool {
+        (self.scene, self.seed, self.precision, self.settings) == (scene, seed, precision, settings)
+    }
+
     /// A run of this version of the program that has not begun to search.
     pub fn new(scene: Digest, seed: u64, precision: Precision, settings: Settings) -> Self {
         let (physics, epochs) = (PHYSICS_VERSION, Vec::new());

@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use powderline_executor::{Config, Endpoint as ExecutorEndpoint, FrameAction, Outcome, Telemetry};
 use powderline_firmware_sim::controller::{ArmConfig, Controller};
 use powderline_firmware_sim::endpoint::Endpoint as ArmEndpoint;
-use powderline_shared::fault::{Fault, FaultCode};
+use powderline_shared::fault::Fault;
 use powderline_shared::plan::PlanReader;
 use powderline_shared::wire::Context;
 use powderline_shared::wire::codec::Encoder;
@@ -594,14 +594,5 @@ impl<'p> World<'p> {
         if outcome != Outcome::Completed {
             self.witness.breach(self.now_us, format!("after a reset the arm does not play: {outcome:?}"));
         }
-    }
-}
-
-/// The reason for which a run's last session ended, for a table.
-#[must_use]
-pub fn cause(outcome: Option<Outcome>) -> Option<FaultCode> {
-    match outcome {
-        Some(Outcome::Stopped { fault, .. }) => Some(fault.code),
-        Some(Outcome::Completed) | None => None,
     }
 }

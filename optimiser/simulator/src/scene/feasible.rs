@@ -268,10 +268,10 @@ mod tests {
     fn a_tool_that_leans_too_far_is_told_from_one_that_is_too_small() {
         let mut scene = Scene::load("bench").unwrap();
         scene.skill.scooping_angle_deg = [1.0, 5.0];
-        scene.tool.start_pitch_deg = 170.0;
+        scene.tool.start_pitch_deg = 105.0;
         let text = scene.check_feasible().unwrap_err().to_string();
         assert!(
-            text.contains("it leans by 165 to 169 degrees")
+            text.contains("it leans by 100 to 104 degrees")
                 && text.contains("a larger skill.scooping_angle_deg"),
             "{text}"
         );

@@ -65,9 +65,8 @@ fn check_begun(campaign: &Campaign, case: &Case<'_>, scene: &Scene, folder: &Pat
     let Some((settings, Ok(record))) = settings(campaign).zip(Some(RunRecord::read(folder))) else {
         return Ok(());
     };
-    let state = &record.state;
-    let asked = (scene.digest(), case.seed, Precision::from(campaign.file().precision), settings);
-    match (state.scene, state.seed, state.precision, state.settings) == asked {
+    let precision = Precision::from(campaign.file().precision);
+    match record.state.is_of(scene.digest(), (case.seed, precision), settings) {
         true => Ok(()),
         false => Err(of_another_case(&folder.join(STATE))),
     }

@@ -10,7 +10,11 @@ use crate::{
         table::{counts, parquet},
     },
     cli::CliError,
-    report::{amounts::percent, folder::RunFolder, words::count},
+    report::{
+        amounts::percent,
+        folder::{CAMPAIGN, RunFolder},
+        words::count,
+    },
 };
 use powderline_simulator::scene::figures::mass;
 use powderline_view::page::Tone;
@@ -19,8 +23,6 @@ use std::{
     path::{Path, PathBuf},
 };
 
-/// The campaign, in its folder.
-pub(super) const CAMPAIGN: &str = "campaign.toml";
 /// Its page, and that of each search.
 pub(super) const REPORT: &str = "report.html";
 
@@ -40,12 +42,6 @@ impl Experiment {
     /// The folder holds a campaign or a run, or cannot be used.
     pub fn start(campaign: Campaign, out: Option<&Path>) -> Result<Self, CliError> {
         let folder = match out {
-            Some(path) if path.join(CAMPAIGN).exists() => {
-                let path = path.display();
-                return Err(CliError::Input(format!(
-                    "{path} already holds a campaign, which is not overwritten; choose another --out, or go on with it by --resume {path}"
-                )));
-            }
             Some(path) => RunFolder::create(path)?,
             None => RunFolder::create_numbered(&Path::new("runs").join(&campaign.file().name))?,
         };

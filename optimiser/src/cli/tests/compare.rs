@@ -272,7 +272,7 @@ fn a_comparison_that_was_changed_is_refused() {
         (whole[..whole.len() / 2].to_vec(), "damaged"),
         (flipped, "damaged"),
         (b"{}".to_vec(), "not a state file"),
-        (bytes(&folder, "random-seed2/state"), "a run of something else"),
+        (bytes(&folder, "random-seed2/state"), "holds another run than the comparison's random-seed1"),
     ] {
         fs::write(&path, &broken).unwrap();
         assert_sentence(&optimise(&["compare", "--resume", &folder]), 2, about);

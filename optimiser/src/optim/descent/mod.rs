@@ -136,16 +136,19 @@ impl Descent {
     fn update(&mut self, answer: &Answer) -> Result<(Estimate, Step), SearchError> {
         let attempt = self.attempt(answer)?;
         let step = if attempt.moves(&self.state.theta) { Step::Update } else { Step::Restart };
-        (self.state, self.estimates) = match step {
-            Step::Restart => {
-                self.began_anew += 1;
-                let (ranges, seed) = &self.draws;
-                let theta = drawn_theta(ranges, *seed, self.began_anew);
-                (attempt.state.restarted(theta), attempt.estimates.elsewhere())
-            }
-            _ => (attempt.state, attempt.estimates),
-        };
+        (self.state, self.estimates) = (attempt.state, attempt.estimates);
+        if step == Step::Restart {
+            self.begin_anew();
+        }
         Ok((attempt.estimate, step))
+    }
+
+    /// From another theta that is drawn.
+    fn begin_anew(&mut self) {
+        self.began_anew += 1;
+        let (ranges, seed) = &self.draws;
+        self.state = self.state.restarted(drawn_theta(ranges, *seed, self.began_anew));
+        self.estimates = self.estimates.elsewhere();
     }
 
     fn epoch(&mut self, answer: &Answer) -> Result<Epoch, SearchError> {
@@ -171,8 +174,9 @@ impl Descent {
     }
 }
 
+/// One that comes to no end has a loss all the same, and no adjoint.
 fn trial(theta: &Theta) -> Trial {
-    Trial::of(theta.components().to_vec())
+    Trial { may_fail: true, ..Trial::of(theta.components().to_vec()) }
 }
 
 impl Search for Descent {
@@ -194,6 +198,12 @@ impl Search for Descent {
         check(&self.ask(self.is_last), found)?;
         let losses = |found: &[Found]| found.iter().map(|found| found.evaluation.loss).collect();
         let answer = match (self.answer, found) {
+            (None, [first, ..]) if first.gradient.is_none() && self.wants_adjoint() => {
+                let (trial, evaluation) = (trial(&self.state.theta), first.evaluation);
+                self.begin_anew();
+                let step = Step::Restart;
+                return Ok(Some(Epoch { trial, evaluation, has_peers: false, step, slopes: None }));
+            }
             (None, [first, probes @ ..]) => {
                 let adjoint = first.gradient.as_ref().and_then(|gradient| gradient[..].try_into().ok());
                 // Without an adjoint, probes came along.
@@ -264,7 +274,7 @@ mod tests {
             let trials = search.ask(is_last);
             assert!(!trials.is_empty() && trials == search.ask(is_last), "the same until it is told");
             assert!(
-                trials.iter().all(|trial| trial.world == World::Fine && !trial.is_rounded && !trial.may_fail)
+                trials.iter().all(|trial| trial.world == World::Fine && !trial.is_rounded && trial.may_fail)
             );
             count += trials.len();
             let found: Vec<Found> = trials.iter().map(&of).collect();
@@ -288,6 +298,24 @@ mod tests {
         assert_eq!((last.step, last.slopes, count), (Step::None, None, 1));
     }
 
+    /// It ends neither the search nor, being asked for again and again, every search that goes on with it.
+    #[test]
+    fn where_a_motion_comes_to_no_end_it_begins_anew() {
+        let endless = |_: &Trial| Found { evaluation: Evaluation::new(200.0, 9, Census::default()), gradient: None };
+        let mut search = from(Source::Exact, [-0.5; 5]);
+        let (lost, _) = epoch(&mut search, false, endless);
+        assert_eq!((lost.step, lost.slopes), (Step::Restart, None));
+        let (next, _) = epoch(&mut search, false, bowl);
+        assert_eq!(next.step, Step::Update);
+        assert_ne!(next.trial.point, lost.trial.point);
+        // By differences it has a loss like any other.
+        let mut search = from(Source::Differences, [-0.5; 5]);
+        assert_eq!(epoch(&mut search, false, |trial| match trial.point == [-0.5; 5] {
+            true => endless(trial),
+            false => bowl(trial),
+        }).0.step, Step::Update);
+    }
+
     #[test]
     fn the_same_answers_lead_to_the_same_thetas() {
         let thetas =
@@ -297,11 +325,10 @@ mod tests {
 
     #[test]
     fn what_is_not_finite_or_missing_is_refused() {
-        let answers: [fn(&Trial) -> Found; 5] = [
+        let answers: [fn(&Trial) -> Found; 4] = [
             |trial| Found { evaluation: Evaluation::new(f64::NAN, 0, Census::default()), ..bowl(trial) },
             |trial| Found { evaluation: Evaluation::new(f64::MAX, 0, Census::default()), ..bowl(trial) },
             |trial| Found { evaluation: Evaluation::new(-1.0, 0, Census::default()), ..bowl(trial) },
-            |trial| Found { gradient: None, ..bowl(trial) },
             |trial| Found { gradient: Some(vec![1.0; 4]), ..bowl(trial) },
         ];
         for broken in answers {

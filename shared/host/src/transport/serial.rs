@@ -21,6 +21,9 @@ use crate::wait::Interest;
 /// Bytes fetched from the driver at once; a UART's own buffer holds less.
 const CHUNK: usize = 256;
 
+/// Chunks without a frame after which whoever asks has a look at the time.
+const MOST_FETCHES: usize = 16;
+
 /// Device numbers of pseudo-terminals (`UNIX98_PTY_SLAVE_MAJOR` of `linux/major.h`, and the seven after it).
 const PTY_SLAVE_MAJORS: std::ops::RangeInclusive<u32> = 136..=143;
 
@@ -115,24 +118,31 @@ fn refusal(device: &Path, error: Errno) -> LinkError {
 }
 
 impl Ends {
-    /// The next frame among the bytes that the terminal has.
+    /// The next frame among the bytes that the terminal has. A line that babbles without end has none after a while.
     pub(super) fn receive(&mut self, terminal: impl AsFd) -> Result<Option<Received>, Errno> {
         self.outgoing.flush(terminal.as_fd())?;
-        loop {
-            while let Some(byte) = self.fetched.get(self.taken) {
-                self.taken = self.taken.saturating_add(1);
-                match self.reader.push(*byte) {
-                    Some(Ok(frame)) => {
-                        return Ok(Some(Received { at_us: clock::now_us(), what: Incoming::Frame(frame) }));
-                    }
-                    Some(Err(_)) => self.garbled = self.garbled.saturating_add(1),
-                    None => {}
-                }
-            }
-            if !self.fetch(terminal.as_fd())? {
-                return Ok(None);
+        for _ in 0..MOST_FETCHES {
+            let frame = self.frame();
+            if frame.is_some() || !self.fetch(terminal.as_fd())? {
+                return Ok(frame);
             }
         }
+        Ok(self.frame())
+    }
+
+    /// The next frame among the bytes that were fetched.
+    fn frame(&mut self) -> Option<Received> {
+        while let Some(byte) = self.fetched.get(self.taken) {
+            self.taken = self.taken.saturating_add(1);
+            match self.reader.push(*byte) {
+                Some(Ok(frame)) => {
+                    return Some(Received { at_us: clock::now_us(), what: Incoming::Frame(frame) });
+                }
+                Some(Err(_)) => self.garbled = self.garbled.saturating_add(1),
+                None => {}
+            }
+        }
+        None
     }
 
     /// Whether there were bytes.
