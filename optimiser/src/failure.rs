@@ -7,30 +7,31 @@ use powderline_simulator::{
     scene::SceneError,
     skill::{SkillError, ThetaError},
 };
-use std::{fmt, io, process::ExitCode};
+use std::{io, path::Path};
+use thiserror::Error;
 
 /// One sentence for the person, and the exit code that goes with it.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum Failure {
     /// What was asked for makes no sense as it stands: exit code 2.
+    #[error("{0}")]
     Input(String),
     /// It made sense, and failed: exit code 1.
+    #[error("{0}")]
     Failed(String),
     /// It was done, and the plan misses the wanted amount by more than the tolerance: exit code 3.
+    #[error("{0}")]
     Missed(String),
     /// Stopped by the person: exit code 130.
+    #[error("{0}")]
     Interrupted(String),
     /// Whoever was to read the results went away (`| head`): nobody is told, and the exit code is 141, as a shell has it for a
     /// program that the closed pipe has ended.
+    #[error("nobody reads the output")]
     Unread,
 }
 
 impl Failure {
-    /// The process's exit code.
-    pub fn exit_code(&self) -> ExitCode {
-        ExitCode::from(self.code())
-    }
-
     /// The number of the exit code.
     pub fn code(&self) -> u8 {
         match self {
@@ -43,29 +44,21 @@ impl Failure {
     }
 
     /// Adds a remark, separated by a semicolon, that tells what is left to do.
-    pub(crate) fn with_remark(self, remark: &str) -> Self {
-        match self {
-            Self::Input(text) => Self::Input(format!("{text}; {remark}")),
-            Self::Failed(text) => Self::Failed(format!("{text}; {remark}")),
-            Self::Missed(text) => Self::Missed(format!("{text}; {remark}")),
-            Self::Interrupted(text) => Self::Interrupted(format!("{text}; {remark}")),
-            Self::Unread => Self::Unread,
+    pub(crate) fn with_remark(mut self, remark: &str) -> Self {
+        if let Self::Input(text) | Self::Failed(text) | Self::Missed(text) | Self::Interrupted(text) =
+            &mut self
+        {
+            text.push_str("; ");
+            text.push_str(remark);
         }
+        self
     }
 }
 
-impl fmt::Display for Failure {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Input(text) | Self::Failed(text) | Self::Missed(text) | Self::Interrupted(text) => {
-                f.write_str(text)
-            }
-            Self::Unread => f.write_str("nobody reads the output"),
-        }
-    }
+/// What the system has against doing something to a file, or a folder.
+pub(crate) fn of_file(path: &Path, done: &str) -> impl Fn(io::Error) -> Failure {
+    move |error| Failure::Failed(format!("{} cannot be {done}: {error}", path.display()))
 }
-
-impl std::error::Error for Failure {}
 
 impl From<SceneError> for Failure {
     fn from(error: SceneError) -> Self {
@@ -118,13 +111,13 @@ impl From<RecordError> for Failure {
     }
 }
 
-/// Standard output that went away (a closed pipe) or is full.
 impl From<LoadError> for Failure {
     fn from(error: LoadError) -> Self {
         Self::Input(error.to_string())
     }
 }
 
+/// Standard output that went away (a closed pipe) or is full.
 impl From<io::Error> for Failure {
     fn from(error: io::Error) -> Self {
         match error.kind() {

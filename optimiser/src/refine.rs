@@ -125,11 +125,11 @@ fn slopes(own: &Look, look: LookFn<'_>) -> Result<Vec<(SkillParameter, f64)>, Fa
     let mut slopes = Vec::new();
     for parameter in SkillParameter::ALL {
         let mut side = |step: f64| {
-            let moved = with(&own.theta, parameter, at(&own.theta, parameter) + step);
+            let moved = own.theta.moved(parameter, step);
             Ok::<_, Failure>(look(Grid::Own, &moved)?.unwrap_or(*own))
         };
         let [low, high] = [side(-HALF_STEP)?, side(HALF_STEP)?];
-        let run = at(&high.theta, parameter) - at(&low.theta, parameter);
+        let run = high.theta[parameter] - low.theta[parameter];
         if run > 0.0 {
             slopes.push((parameter, (high.mass_kg - low.mass_kg) / run));
         }
@@ -166,10 +166,9 @@ impl Corrected {
             let from = *self.best();
             // From the last look none follows, so that it need not keep from what is known.
             let keeps = if is_last { 0.0 } else { KEEPS_FROM_ENDS };
-            let step =
-                next(&from, sides, parameter, (slope, reach, keeps), wanted) - at(&from.theta, parameter);
-            let theta = with(&from.theta, parameter, at(&from.theta, parameter) + step.clamp(-way, way));
-            let step = (at(&theta, parameter) - at(&from.theta, parameter)).abs();
+            let step = next(&from, sides, parameter, (slope, reach, keeps), wanted) - from.theta[parameter];
+            let theta = from.theta.moved(parameter, step.clamp(-way, way));
+            let step = (theta[parameter] - from.theta[parameter]).abs();
             if step < NEXT_TO_NOTHING {
                 break;
             }
@@ -178,7 +177,7 @@ impl Corrected {
                 way = 0.5 * step;
                 continue;
             };
-            let risen = (now.mass_kg - last.mass_kg) / (at(&theta, parameter) - at(&last.theta, parameter));
+            let risen = (now.mass_kg - last.mass_kg) / (theta[parameter] - last.theta[parameter]);
             if (risen / slope).is_finite() {
                 slope *= (risen / slope).clamp(1.0 / MOST_STEEPER, MOST_STEEPER);
             }
@@ -224,21 +223,11 @@ fn next(
     if let [Some(little), Some(much)] = sides {
         let share = (wanted.mass_kg - little.mass_kg) / (much.mass_kg - little.mass_kg);
         let share = share.clamp(keeps, 1.0 - keeps);
-        let [low, high] = [little, much].map(|look| at(&look.theta, parameter));
+        let [low, high] = [little, much].map(|look| look.theta[parameter]);
         return low + share * (high - low);
     }
     let step = ((wanted.mass_kg - from.mass_kg) / slope).clamp(-reach, reach);
-    at(&from.theta, parameter) + step
-}
-
-fn at(theta: &Theta, parameter: SkillParameter) -> f64 {
-    theta.components()[parameter.index()]
-}
-
-fn with(theta: &Theta, parameter: SkillParameter, value: f64) -> Theta {
-    let mut components = theta.components();
-    components[parameter.index()] = value;
-    Theta::clamped(components)
+    from.theta[parameter] + step
 }
 
 #[cfg(test)]

@@ -259,7 +259,10 @@ mod tests {
             assert_eq!(holds(&greedy, &before, &census(now, 0)), well, "{now:?}");
         }
         let words = brings_less(&greedy, 9.6e-3, 9.5e-3).unwrap();
-        assert!(words.starts_with("9.5 g arrive, before 9.6 g, and a faster motion may bring 48 mg less;"), "{words}");
+        assert!(
+            words.starts_with("9.5 g arrive, before 9.6 g, and a faster motion may bring 48 mg less;"),
+            "{words}"
+        );
         // A quarter of two per cent of 9.6 g.
         assert_eq!(loses_more(&amounts, 80e-6, 128e-6), None);
         let words = loses_more(&amounts, 80e-6, 130e-6).unwrap();

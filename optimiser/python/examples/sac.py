@@ -16,14 +16,14 @@ from powderline.gym import SkillEnv
 
 
 class Losses(BaseCallback):
-    """The losses of all episodes."""
+    """The losses of all episodes; of a skill that comes to no end there is none."""
 
     def __init__(self) -> None:
         super().__init__()
         self.losses: list[float] = []
 
     def _on_step(self) -> bool:
-        self.losses += [info["loss"] for info in self.locals["infos"]]
+        self.losses += [info.get("loss", float("inf")) for info in self.locals["infos"]]
         return True
 
 

@@ -138,6 +138,13 @@ pub(crate) fn displacements(what: &str, table: &Table<'_>) -> PyResult<Vec<Displ
 pub(crate) fn within(scene: &Scene, from: &Pose, controls: &[Displacement]) -> PyResult<()> {
     let size_m = scene.domain.size_m;
     let is_out = |pose: &Pose| (0..3).any(|axis| !(0.0..=size_m[axis]).contains(&pose.position_m[axis]));
+    if is_out(from) {
+        let at = [from.position_m.x, from.position_m.y, from.position_m.z].map(|x| about(x, 4)).join(", ");
+        let size = size_m.map(|x| about(x, 4)).join(", ");
+        return Err(PyValueError::new_err(format!(
+            "the tool begins at [{at}], out of the simulated volume from [0, 0, 0] to [{size}]: positions are metres"
+        )));
+    }
     let mut pose = *from;
     for (step, control) in controls.iter().enumerate() {
         pose = pose.displaced(control);

@@ -4,7 +4,7 @@ use std::sync::{Mutex, PoisonError};
 
 use numpy::{PyArray1, PyArray2};
 use powderline_simulator::rollout::AnyState;
-use pyo3::{exceptions::PyRuntimeError, prelude::*};
+use pyo3::{PyTraverseError, PyVisit, exceptions::PyRuntimeError, prelude::*};
 
 use crate::arrays::{self, Table};
 use crate::evaluation::Evaluation;
@@ -58,6 +58,11 @@ impl Episode {
             })
         })??;
         Ok(simulator.evaluation(&found))
+    }
+
+    /// The simulator's `progress` may refer to whoever holds the episode.
+    fn __traverse__(&self, visit: PyVisit<'_>) -> Result<(), PyTraverseError> {
+        visit.call(&self.simulator)
     }
 
     /// Time since the motion began, seconds.

@@ -2,7 +2,7 @@
 
 use numpy::{PyArray1, PyArray2, PyArray3};
 use powderline_simulator::rollout::Destination;
-use pyo3::prelude::*;
+use pyo3::{exceptions::PyValueError, prelude::*};
 
 use crate::evaluation::Evaluation;
 
@@ -27,8 +27,54 @@ pub(crate) struct Motion {
     pub(crate) destinations: Vec<Destination>,
 }
 
+/// What makes a motion again, and of what.
+type Pickled<'py> = (Bound<'py, PyAny>, Parts);
+type Parts =
+    (Py<Evaluation>, Py<PyArray1<f64>>, Py<PyArray2<f64>>, Py<PyArray3<f32>>, Py<PyArray3<f32>>, Vec<u8>);
+
 #[pymethods]
 impl Motion {
+    /// From what `__reduce__` gives.
+    #[staticmethod]
+    fn _of(
+        evaluation: Py<Evaluation>,
+        times_s: Bound<'_, PyArray1<f64>>,
+        tool: Bound<'_, PyArray2<f64>>,
+        positions_m: Bound<'_, PyArray3<f32>>,
+        velocities_m_s: Bound<'_, PyArray3<f32>>,
+        places: Vec<u8>,
+    ) -> PyResult<Self> {
+        let place = |place: &u8| {
+            Destination::ALL
+                .get(usize::from(*place))
+                .copied()
+                .ok_or_else(|| PyValueError::new_err(format!("{place} is no place where powder may be")))
+        };
+        Ok(Self {
+            evaluation,
+            times_s: times_s.unbind(),
+            tool: tool.unbind(),
+            positions_m: positions_m.unbind(),
+            velocities_m_s: velocities_m_s.unbind(),
+            destinations: places.iter().map(place).collect::<PyResult<_>>()?,
+        })
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<Pickled<'py>> {
+        let (py, motion) = (slf.py(), slf.get());
+        let place =
+            |here: &Destination| Destination::ALL.iter().position(|place| place == here).unwrap_or(0) as u8;
+        let parts = (
+            motion.evaluation.clone_ref(py),
+            motion.times_s.clone_ref(py),
+            motion.tool.clone_ref(py),
+            motion.positions_m.clone_ref(py),
+            motion.velocities_m_s.clone_ref(py),
+            motion.destinations.iter().map(place).collect(),
+        );
+        Ok((slf.get_type().getattr("_of")?, parts))
+    }
+
     /// Where each particle is at the end, in the order of the packing: source, target, rims, tool, spilled or in_flight.
     #[getter]
     fn destinations(&self) -> Vec<&'static str> {

@@ -256,7 +256,7 @@ impl Plan {
             })?,
         };
         check_scene(scene, &self.header)?;
-        let joints = self.joints(scene).map_err(PlanError::new_err)?;
+        let joints = py.detach(|| self.joints(scene)).map_err(PlanError::new_err)?;
         Ok(arrays::table(py, joints))
     }
 

@@ -4,6 +4,7 @@ use std::path::PathBuf;
 
 use numpy::{PyArray1, PyArray2};
 use powderline_optimiser::report::amounts::Amounts;
+use powderline_shared::plan::Fnv1a64;
 use powderline_simulator::{
     scene::{self, EMBEDDED_SCENES},
     skill::SkillMap,
@@ -188,6 +189,14 @@ impl Scene {
             self.0.particle_count(),
             amounts.wanted()
         )
+    }
+
+    /// Of what equal scenes have in common whatever signs their zeros have.
+    fn __hash__(&self) -> u64 {
+        let mut hash = Fnv1a64::default();
+        hash.update(self.0.name.as_bytes());
+        hash.update(&(self.0.particle_count() as u64).to_le_bytes());
+        hash.value()
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<(Bound<'py, PyAny>, (Bound<'py, PyAny>,))> {

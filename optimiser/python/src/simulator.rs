@@ -9,13 +9,14 @@ use powderline_shared::{displacement::Displacement, plan::Precision, pose::Pose}
 use powderline_simulator::{
     rollout::{
         self, AnySimulator, DisplacementGradient, Recording, RolloutError, Simulate, SimulatorSettings,
-        Snapshot, restart::Restarts,
+        Snapshot, Workload, part, restart::Restarts,
     },
     scene,
     skill::{SkillMap, SkillParameter, Theta, ThetaGradient},
 };
 use pyo3::{
-    exceptions::{PyMemoryError, PyTypeError, PyValueError},
+    PyTraverseError, PyVisit,
+    exceptions::{PyMemoryError, PyRuntimeError, PyTypeError, PyValueError},
     prelude::*,
     types::PyTuple,
 };
@@ -45,11 +46,16 @@ impl Kind {
 /// Simulates motions of a scene's tool, and what the powder makes of them.
 ///
 /// seed: of the packing; the scene's `powder.seed` if None, as in `optimise`. precision: "f32" or "f64". threads: as many as the machine has
-/// processors, if None. memory: the most that the process may take in gradients, such as "2GiB" or a number of bytes; "1GiB" if None.
+/// processors, if None. memory: the most that the process may take in gradients, such as "2GiB" or a number of bytes; "1GiB" if None. What
+/// other packages take in the process counts, and where it leaves little, a gradient takes longer.
 /// progress: called with the share of the present call that is done, from 0 to 1, now and then, and with 1 at its end; what it raises
 /// ends the call. Neither threads nor memory change a bit of any result.
 ///
-/// Calls release Python's lock; Ctrl-C ends them. A simulator does one thing at a time: threads need one each.
+/// Calls release Python's lock; Ctrl-C ends them. A simulator does one thing at a time: threads need one each, and so do processes, a
+/// forked one, too; pickled, it is made anew where it arrives, without `progress`.
+///
+/// What is wrong with what is given raises ValueError or SkillError, a motion that comes to no end MotionError, powder that does not settle
+/// SimulationError, and a simulator that is at work already RuntimeError.
 #[pyclass(frozen, module = "powderline")]
 pub(crate) struct Simulator {
     /// The bench.
@@ -59,9 +65,18 @@ pub(crate) struct Simulator {
     #[pyo3(get)]
     seed: u64,
     precision: Precision,
+    settings: SimulatorSettings,
     progress: Option<Py<PyAny>>,
     inner: Mutex<AnySimulator>,
+    /// The process that its threads are of.
+    process: u32,
 }
+
+/// What makes a simulator again, and of what.
+type Pickled<'py> = (Bound<'py, PyAny>, (Py<Scene>, u64, &'static str, Option<usize>, u64));
+
+/// Skills that are looked at side by side, of many, for each thread: each takes memory as long as it is.
+const SKILLS_PER_THREAD: usize = 8;
 
 /// A seed.
 pub(crate) fn checked_seed(seed: &Bound<'_, PyAny>) -> PyResult<u64> {
@@ -133,8 +148,49 @@ impl Simulator {
         let settings = SimulatorSettings { seed: Some(seed), threads, memory_bytes };
         let of = &scene.get().0;
         let precision = precision.map_or(Ok(Precision::F32), checked_precision)?;
-        let inner = Mutex::new(AnySimulator::new(of, precision, &settings).map_err(errors::of_rollout)?);
-        Ok(Self { scene: scene.unbind(), seed, precision, progress, inner })
+        let made = scene.py().detach(|| AnySimulator::new(of, precision, &settings));
+        let inner = Mutex::new(made.map_err(errors::of_rollout)?);
+        let process = std::process::id();
+        Ok(Self { scene: scene.unbind(), seed, precision, settings, progress, inner, process })
+    }
+
+    /// From what `__reduce__` gives.
+    #[staticmethod]
+    fn _of(
+        scene: Bound<'_, Scene>,
+        seed: u64,
+        precision: &Bound<'_, PyAny>,
+        threads: Option<usize>,
+        memory_bytes: u64,
+    ) -> PyResult<Self> {
+        let (py, none) = (scene.py(), PyTuple::empty(scene.py()));
+        let [seed, threads, memory] = [
+            seed.into_pyobject(py)?.into_any(),
+            threads.into_pyobject(py)?.into_any(),
+            memory_bytes.into_pyobject(py)?.into_any(),
+        ];
+        Self::new(
+            scene,
+            &none,
+            Some(&seed),
+            Some(precision),
+            Some(&threads).filter(|threads| !threads.is_none()),
+            Some(&memory),
+            None,
+        )
+    }
+
+    fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<Pickled<'py>> {
+        let Self { scene, seed, precision, settings, .. } = slf.get();
+        let parts =
+            (scene.clone_ref(slf.py()), *seed, precision.name(), settings.threads, settings.memory_bytes);
+        Ok((slf.get_type().getattr("_of")?, parts))
+    }
+
+    /// `progress` may refer to whoever holds the simulator.
+    fn __traverse__(&self, visit: PyVisit<'_>) -> Result<(), PyTraverseError> {
+        visit.call(&self.scene)?;
+        visit.call(&self.progress)
     }
 
     /// "f32" or "f64".
@@ -143,10 +199,10 @@ impl Simulator {
         self.precision.name()
     }
 
-    /// Loss where nothing is moved, metres.
+    /// Loss of the powder as it is packed, before it settles, metres: what lying still costs, or nearly.
     #[getter]
-    fn initial_loss(&self) -> f64 {
-        rollout::initial_loss(self.scene(), self.seed)
+    fn initial_loss(&self, py: Python<'_>) -> f64 {
+        py.detach(|| rollout::initial_loss(self.scene(), self.seed))
     }
 
     /// What a skill achieves: an Evaluation. Whether the arm may make the motion, `plan` asks, and not this: limits, and walls in the
@@ -165,7 +221,21 @@ impl Simulator {
     /// thetas: shape (n, 5).
     fn rollouts(&self, py: Python<'_>, thetas: Table<'_>) -> PyResult<Vec<Evaluation>> {
         let thetas = arrays::thetas(&thetas)?;
-        let found = self.simulated(py, |s, _| s.as_dyn().evaluate_all(&thetas))?;
+        let most = SKILLS_PER_THREAD * self.settings.thread_count();
+        let map = SkillMap::new(self.scene());
+        let found = self.simulated(py, |s, _| {
+            // What is no motion is told before any is simulated.
+            thetas.iter().try_for_each(|theta| map.controls(theta).map(drop))?;
+            if thetas.is_empty() {
+                return s.as_dyn().evaluate_all(&[]);
+            }
+            let (mut found, all) = (Vec::with_capacity(thetas.len()), thetas.len() as f64);
+            for some in thetas.chunks(most) {
+                let span = [found.len(), found.len() + some.len()].map(|done| done as f64 / all);
+                found.extend(part(s.as_dyn(), span, |s| s.evaluate_all(some))?);
+            }
+            Ok(found)
+        })?;
         Ok(found.iter().map(|found| self.evaluation(found)).collect())
     }
 
@@ -202,6 +272,9 @@ impl Simulator {
             half_step.map_or(Ok(0.1), |step| given::real("half_step", step, 1e-9..=1.0, right))?;
         let scene = &self.scene.get().0;
         let map = SkillMap::new(scene);
+        if kind != Kind::Differences {
+            self.check_memory()?;
+        }
         let (found, gradient) = self.simulated(py, |s, _| match kind {
             Kind::Differences => differences(s.as_dyn(), &theta, half_step),
             Kind::Adjoint => {
@@ -224,8 +297,8 @@ impl Simulator {
     /// displacements: one for each control step, translation in metres, then rotation vector in radians, both along the world's axes;
     /// shape (steps, 6). every: control steps from one frame to the next; the first frame is the settled powder, the last one the motion's
     /// end only if its steps are a multiple of `every`. start: where the tool
-    /// begins, as `Scene.start_pose`, which it is if None. Neither limits nor walls in the tool's way are looked at; but the tool stays
-    /// within the simulated volume.
+    /// begins, as `Scene.start_pose`, which it is if None. Neither limits nor walls in the tool's way are looked at; but the tool's origin
+    /// stays within the simulated volume.
     #[pyo3(
         signature = (displacements, *others, every = None, start = None),
         text_signature = "($self, displacements, *, every=10, start=None)"
@@ -277,6 +350,7 @@ impl Simulator {
     ) -> PyResult<(f64, Bound<'py, PyArray2<f64>>)> {
         let controls = arrays::displacements("displacements", &displacements)?;
         arrays::within(&self.scene.get().0, &self.anchor(None)?, &controls)?;
+        self.check_memory()?;
         let (value, gradient) = match loss {
             None => self.simulated(py, |s, _| {
                 let (found, gradient) = s.as_dyn().simulate_with_gradient(&controls)?;
@@ -294,6 +368,7 @@ impl Simulator {
     #[pyo3(signature = (*, start = None))]
     fn episode(slf: &Bound<'_, Self>, start: Option<Numbers<'_>>) -> PyResult<Episode> {
         let anchor = slf.get().anchor(start.as_ref())?;
+        arrays::within(slf.get().scene(), &anchor, &[])?;
         let state = slf.get().simulated(slf.py(), |s, _| s.begin(&anchor))?;
         Ok(Episode::new(slf.clone().unbind(), state))
     }
@@ -304,7 +379,7 @@ impl Simulator {
     fn plan(&self, py: Python<'_>, theta: Numbers<'_>) -> PyResult<Plan> {
         let theta = arrays::theta(&theta)?;
         let scene = &self.scene.get().0;
-        let unevaluated = plan::Unevaluated::new(scene, &theta)?;
+        let unevaluated = py.detach(|| plan::Unevaluated::new(scene, &theta))?;
         let found = self.simulated(py, |s, _| s.as_dyn().simulate(unevaluated.controls()))?;
         unevaluated.plan(scene, self.seed, self.precision, &found)
     }
@@ -321,6 +396,11 @@ impl Simulator {
         py: Python<'_>,
         job: impl FnOnce(&mut AnySimulator, &Link) -> Result<R, RolloutError> + Send,
     ) -> PyResult<R> {
+        if self.process != std::process::id() {
+            return Err(PyRuntimeError::new_err(
+                "this simulator was made before the process was forked, and its threads are not in this one: make one in each process",
+            ));
+        }
         simulated(py, &self.inner, self.progress.as_ref(), job)
     }
 
@@ -334,6 +414,12 @@ impl Simulator {
 
     pub(crate) fn period_s(&self) -> f64 {
         self.scene.get().0.time.control_period_s()
+    }
+
+    /// Whether the memory that was given holds a gradient.
+    fn check_memory(&self) -> PyResult<()> {
+        rollout::check_memory(self.scene(), self.precision, &self.settings, Workload::Gradient, 0)
+            .map_err(errors::of_rollout)
     }
 
     fn anchor(&self, start: Option<&Numbers<'_>>) -> PyResult<Pose> {
@@ -381,8 +467,16 @@ fn ask(py: Python<'_>, loss: &Py<PyAny>, positions_m: &[[f64; 3]], slopes: &mut 
             slopes.len()
         )));
     }
-    for (slope, row) in slopes.iter_mut().zip(found.rows()) {
+    let wrong =
+        |what: String| Err(PyValueError::new_err(format!("the loss returned {what}, but it must be finite")));
+    if !value.is_finite() {
+        return wrong(value.to_string());
+    }
+    for (particle, (slope, row)) in slopes.iter_mut().zip(found.rows()).enumerate() {
         *slope = std::array::from_fn(|k| row[k]);
+        if !slope.iter().all(|slope| slope.is_finite()) {
+            return wrong(format!("a derivative of {slope:?} for particle {particle}"));
+        }
     }
     Ok(value)
 }

@@ -1,5 +1,7 @@
 """The package as its users have it. What is simulated is tested in Rust; here, that it comes through."""
 
+import copy
+import gc
 import html
 import json
 import os
@@ -10,6 +12,7 @@ import subprocess
 import sys
 import threading
 import time
+import weakref
 from pathlib import Path
 
 import numpy as np
@@ -119,6 +122,52 @@ def test_what_was_found_comes_back_from_other_processes(found):
     again = pickle.loads(pickle.dumps(found))
     assert again == found and hash(again) == hash(found) and repr(again) == repr(found) and again.census == found.census
     assert again != object()
+
+
+def test_a_motion_comes_back_from_other_processes(scene, simulator):
+    motion = simulator.motion(scene.displacements(THETA)[:30], every=10)
+    for again in (pickle.loads(pickle.dumps(motion, protocol=5)), copy.deepcopy(motion)):
+        for name in ("times_s", "tool", "positions_m", "velocities_m_s"):
+            np.testing.assert_array_equal(getattr(again, name), getattr(motion, name))
+        assert again.evaluation == motion.evaluation and again.destinations == motion.destinations
+
+
+def test_a_simulator_is_made_anew_where_it_arrives_and_is_not_used_after_a_fork(scene, found):
+    simulator = pl.Simulator(scene, threads=1, memory="512MiB")
+    again = pickle.loads(pickle.dumps(simulator))
+    assert (again.scene, again.seed, again.precision) == (scene, simulator.seed, simulator.precision)
+    assert again.rollout(THETA) == found
+    child = os.fork()
+    if child == 0:
+        try:
+            simulator.rollout(THETA)
+        except RuntimeError as error:
+            os._exit(0 if "forked" in str(error) else 1)
+        os._exit(2)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+
+
+def test_a_simulator_goes_with_what_its_progress_refers_to(scene):
+    class Lab:
+        def __init__(self):
+            self.simulator = pl.Simulator(scene, threads=1, progress=self.tell)
+
+        def tell(self, share):
+            pass
+
+    lab = weakref.ref(Lab())
+    gc.collect()
+    assert lab() is None
+
+
+def test_equal_scenes_have_equal_hashes(scene):
+    assert hash(scene) == hash(pl.Scene.from_dict(scene.to_dict()))
+    assert len({scene, scene.replace(powder={"seed": 7})}) == 2
+
+
+def test_memory_that_holds_no_gradient_is_refused(scene):
+    with pytest.raises(ValueError, match="1 MiB"):
+        pl.Simulator(scene, memory="1MiB").gradient(THETA)
 
 
 def test_rollouts_side_by_side_are_the_same_as_alone(simulator, found):
@@ -231,6 +280,10 @@ def test_a_loss_of_ones_own_is_differentiated(scene, simulator):
         simulator.motion_gradient(displacements, loss=lambda positions_m: (0.0, np.zeros((2, 3))))
     with pytest.raises(TypeError, match="must return a number and an array"):
         simulator.motion_gradient(displacements, loss=lambda positions_m: 3.0)
+    # A search that passes over motions without an end does not pass over these.
+    for answer in (lambda positions_m: (np.nan, np.zeros_like(positions_m)), lambda positions_m: (1.0, np.full_like(positions_m, np.nan))):
+        with pytest.raises(ValueError, match="the loss returned .*but it must be finite"):
+            simulator.motion_gradient(displacements, loss=answer)
 
 
 @pytest.mark.parametrize(

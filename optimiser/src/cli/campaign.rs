@@ -17,6 +17,7 @@ use crate::{
         folder::{CAMPAIGN, RunFolder},
         words::{count, duration, grouped},
     },
+    run::MAX_EPOCHS,
 };
 use clap::Args;
 use powderline_simulator::{rollout::Workload, scene::Scene};
@@ -195,8 +196,11 @@ fn enough(campaign: &Campaign, scenes: &[Scene], each: Resources) -> Result<(), 
 
 /// The scenes that differ in what they take; all settings have been looked at.
 fn possible(campaign: &Campaign, interrupt: &Interrupt) -> Result<Vec<Scene>, CliError> {
-    if let Some(epochs) = campaign.file().epochs {
-        crate::run::checked_epochs(epochs)?;
+    if let Some(epochs) = campaign.file().epochs.filter(|epochs| *epochs > MAX_EPOCHS) {
+        return Err(CliError::Input(format!(
+            "epochs of campaign {:?} is {epochs}, but at most {MAX_EPOCHS} are possible",
+            campaign.file().name
+        )));
     }
     let (mut refusals, mut scenes): (Vec<String>, Vec<_>) = (Vec::new(), Vec::new());
     let mut obstacles = Obstacles::new(campaign);

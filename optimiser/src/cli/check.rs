@@ -47,6 +47,8 @@ pub struct CheckReport {
     pub tool_capacity: Capacity,
     /// Why no motion within the bounds can bring the wanted amount, and what would be right; nothing if nothing stands against it.
     pub infeasible: Option<String>,
+    /// Why `optimise run` would refuse it for its motion limits; nothing if it would not.
+    pub refused: Option<String>,
     /// Edge of a grid cell, metres.
     pub cell_m: f64,
     /// Cells along x, y, z, without padding.
@@ -105,7 +107,8 @@ pub(super) fn run(args: &CheckArgs, out: &mut dyn Write) -> Result<(), CliError>
     } else {
         write!(out, "{report}")?;
     }
-    report.infeasible.map_or(Ok(()), |why| Err(CliError::Input(format!("{}: {why}", args.scene))))
+    let refused = report.infeasible.or(report.refused);
+    refused.map_or(Ok(()), |why| Err(CliError::Input(format!("{}: {why}", args.scene))))
 }
 
 /// Why no skill of a valid scene can do what it wants, in one sentence.
@@ -150,6 +153,7 @@ impl CheckReport {
             amounts: scene.into(),
             tool_capacity: scene.tool_capacity(),
             infeasible: infeasible_for(scene, ability.as_ref()),
+            refused: SkillMap::new(scene).check_all_corners().err().map(|error| error.to_string()),
             cell_m: scene.domain.cell_m,
             cells: scene.cell_counts(),
             blocks: scene.block_counts(),
@@ -177,11 +181,8 @@ impl CheckReport {
     }
 }
 
-/// The scene's own remarks, whether its skills stay clear of the containers and the arm can make them, and whether `optimise run`
-/// would refuse it for its motion limits.
+/// The scene's own remarks, and whether its skills stay clear of the containers and the arm can make them.
 fn remarks(scene: &Scene, ability: Option<&Ability>) -> Vec<String> {
-    let refusal = SkillMap::new(scene).check_all_corners().err();
-    let refusal = refusal.map(|error| format!("`optimise run` would refuse this scene: {error}"));
     let collision = colliding_skill(scene).map(|(theta, collision)| {
         format!("`optimise run` would pass over some skills of this range: with theta = {theta} {collision}")
     });
@@ -196,15 +197,7 @@ fn remarks(scene: &Scene, ability: Option<&Ability>) -> Vec<String> {
         "the scene has no [arm], so that nobody looks whether an arm can make the motion and stays clear of the bench".into()
     });
     let grains = Amounts::from(scene).grains_too_large();
-    scene
-        .warnings()
-        .into_iter()
-        .chain(grains)
-        .chain(collision)
-        .chain(unable)
-        .chain(armless)
-        .chain(refusal)
-        .collect()
+    scene.warnings().into_iter().chain(grains).chain(collision).chain(unable).chain(armless).collect()
 }
 
 impl MemoryRow {
@@ -219,9 +212,14 @@ impl fmt::Display for CheckReport {
         let [cells_x, cells_y, cells_z] = self.cells;
         let [blocks_x, blocks_y, blocks_z] = self.blocks;
         let Self { amounts, tool_capacity, .. } = self;
-        match &self.infeasible {
-            None => writeln!(f, "{} is a valid scene.", self.scene)?,
-            Some(_) => writeln!(f, "{} is a valid scene, but what it wants cannot be done.", self.scene)?,
+        match (&self.infeasible, &self.refused) {
+            (None, None) => writeln!(f, "{} is a valid scene.", self.scene)?,
+            (Some(_), _) => {
+                writeln!(f, "{} is a valid scene, but what it wants cannot be done.", self.scene)?
+            }
+            (None, Some(_)) => {
+                writeln!(f, "{} is a valid scene, but not every skill is a motion.", self.scene)?
+            }
         }
         writeln!(
             f,

@@ -9,6 +9,7 @@ use super::{
 };
 use crate::{
     compare::{Comparison, Row, Track, cost_of, summarise},
+    failure::of_file,
     optim::{Method, World},
     report::{
         folder::{COMPARISON, CURVES, RunFolder, SCENE, STATE},
@@ -422,7 +423,7 @@ impl Experiment {
                 // Of a search that was killed as it began the scene alone may be there.
                 let scene = path.join(SCENE);
                 if std::fs::read(&scene).is_ok_and(|text| text == self.scene.to_toml().as_bytes()) {
-                    std::fs::remove_file(&scene)?;
+                    std::fs::remove_file(&scene).map_err(of_file(&scene, "removed"))?;
                 }
                 Run::begin(RunFolder::create(&path)?, self.scene.clone(), (seed, precision), settings)?
             }

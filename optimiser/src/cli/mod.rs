@@ -208,7 +208,7 @@ where
         && json
         && !out.used
     {
-        let failure = Failure { error: error.to_string(), exit_code: error.code() };
+        let failure = serde_json::json!({ "error": error.to_string(), "exit_code": error.code() });
         // The sentence goes to standard error all the same.
         let _ = context.json(&failure);
     }
@@ -258,13 +258,6 @@ fn mistyped(word: Option<&OsString>) -> Result<(), CliError> {
         ))),
         _ => Ok(()),
     }
-}
-
-/// What `--json` gives where a command came to no object of its own.
-#[derive(Serialize)]
-struct Failure {
-    error: String,
-    exit_code: u8,
 }
 
 /// Standard output, and whether anything was written to it.

@@ -107,5 +107,6 @@ fn write_new(file: &Path, text: &str) -> Result<(), CliError> {
         _ => CliError::Failed(format!("{shown} cannot be written: {error}")),
     };
     let mut opened = OpenOptions::new().write(true).create_new(true).open(file).map_err(failed)?;
-    opened.write_all(text.as_bytes()).map_err(failed)
+    // Half a scene would be in the way of a second attempt.
+    opened.write_all(text.as_bytes()).inspect_err(|_| drop(std::fs::remove_file(file))).map_err(failed)
 }

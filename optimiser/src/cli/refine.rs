@@ -12,7 +12,7 @@ use crate::{
     report::{
         amounts::Amounts,
         finding::Outcome,
-        folder::{PLAN, RunFolder, SCENE},
+        folder::{PLAN, RunFolder, SCENE, STATE},
         looks::Seen,
         plan::{PlanParts, on_finer},
         record::RunRecord,
@@ -211,7 +211,13 @@ fn splines_of(
     if is_it(None) {
         return Ok(None);
     }
-    let run = path.parent().and_then(|folder| RunRecord::read(folder).ok());
+    let folder = path.parent().filter(|folder| folder.join(STATE).exists());
+    let run = folder.map(RunRecord::read).transpose().map_err(|error| {
+        CliError::from(error).with_remark(&format!(
+            "{} is of that run, and its motion, which is not its skill's own, cannot be changed without",
+            path.display()
+        ))
+    })?;
     let added = run.iter().flat_map(|run| &run.epochs).filter_map(|epoch| epoch.record.splines.as_ref());
     match added.into_iter().find(|splines| is_it(Some(splines))) {
         Some(splines) => Ok(Some(splines.clone())),

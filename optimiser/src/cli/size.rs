@@ -29,12 +29,14 @@ pub fn parse_size(text: &str) -> Result<u64, String> {
         }
     };
     let bytes = number * factor;
-    // 2^53: beyond it whole bytes are no longer told apart, and no machine is so large.
-    if !(1.0..=9_007_199_254_740_992.0).contains(&bytes) {
+    if !(1.0..=MOST_BYTES as f64).contains(&bytes) {
         return Err(format!("`{text}` is not a size that a machine has"));
     }
     Ok(bytes as u64)
 }
+
+/// Beyond it whole bytes are no longer told apart, and no machine is so large.
+const MOST_BYTES: u64 = 1 << 53;
 
 /// Most memory to use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,7 +53,7 @@ impl Memory {
     pub fn bytes(self) -> u64 {
         match self {
             Self::Bytes(bytes) => bytes,
-            Self::Available => available_bytes().map_or(u64::MAX, |bytes| bytes / 10 * 9),
+            Self::Available => available_bytes().map_or(MOST_BYTES, |bytes| bytes / 10 * 9),
         }
     }
 }

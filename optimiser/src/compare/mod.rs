@@ -17,7 +17,6 @@ use crate::{
     optim::{Adjoint, Method, World},
     report::{amounts::Amounts, tries::Try},
 };
-use serde::{Deserialize, Serialize};
 
 /// A motion in the coarse world, in rollouts, as processors measure it on `bench`, `vial` and `bench-small` (0.30, 0.33, 0.23).
 pub const COARSE_ROLLOUT: f64 = 0.3;
@@ -102,8 +101,7 @@ pub struct Comparison {
 }
 
 /// A way to count.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Count {
     /// By number.
     Number,
@@ -131,11 +129,6 @@ impl Comparison {
             }
         }
         methods
-    }
-
-    /// Rollouts that a search has.
-    pub fn most(&self) -> f64 {
-        f64::from(self.budgets.last().copied().unwrap_or_default())
     }
 
     /// Tracks of a method, one for each seed.

@@ -6,10 +6,12 @@ use powderline_simulator::rollout::Evaluation;
 /// Trials that are asked for at a time, at most: what an interruption costs.
 const BATCH: usize = 8;
 
-/// One of [`powderline_baseline`]'s. An epoch is so many trials.
+/// Trials of an epoch: as many as a skill and five central differences take.
+const TRIALS_PER_EPOCH: usize = 11;
+
+/// One of [`powderline_baseline`]'s.
 pub(super) struct BlackBox {
     search: Box<dyn powderline_baseline::Search>,
-    trials_per_epoch: usize,
     /// Asked for last, and not told yet.
     asked: Vec<Trial>,
     /// Of the present epoch.
@@ -18,15 +20,15 @@ pub(super) struct BlackBox {
 }
 
 impl BlackBox {
-    pub(super) fn new(search: Box<dyn powderline_baseline::Search>, trials_per_epoch: usize) -> Self {
-        Self { search, trials_per_epoch, asked: Vec::new(), told: 0, best: None }
+    pub(super) fn new(search: Box<dyn powderline_baseline::Search>) -> Self {
+        Self { search, asked: Vec::new(), told: 0, best: None }
     }
 }
 
 impl Search for BlackBox {
     fn ask(&mut self, _: bool) -> Vec<Trial> {
         if self.asked.is_empty() {
-            let left = self.trials_per_epoch - self.told;
+            let left = TRIALS_PER_EPOCH - self.told;
             let trial = |point| Trial { may_fail: true, ..Trial::of(point) };
             self.asked = self.search.ask(left.min(BATCH)).into_iter().map(trial).collect();
         }
@@ -44,7 +46,7 @@ impl Search for BlackBox {
             }
         }
         self.told += found.len();
-        if self.told < self.trials_per_epoch {
+        if self.told < TRIALS_PER_EPOCH {
             return Ok(None);
         }
         self.told = 0;
@@ -67,7 +69,7 @@ mod tests {
 
     #[test]
     fn an_epoch_is_so_many_trials_and_its_best_stands_for_it() {
-        let mut search = BlackBox::new(Box::new(RandomSearch::new(5, 1)), 11);
+        let mut search = BlackBox::new(Box::new(RandomSearch::new(5, 1)));
         for _ in 0..3 {
             let mut all = Vec::new();
             let epoch = loop {

@@ -17,9 +17,6 @@ use powderline_simulator::{
 use serde::{Deserialize, Serialize};
 use std::rc::Rc;
 
-/// Trials of an epoch of searches that see losses alone: as many as a skill and five central differences take.
-const TRIALS_PER_EPOCH: usize = 11;
-
 /// A way to search for a motion.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize, ValueEnum)]
 #[serde(rename_all = "kebab-case")]
@@ -92,7 +89,7 @@ impl Method {
     /// A search that begins.
     pub fn search(self, problem: &Problem) -> Box<dyn Search> {
         let (dimensions, seed) = (problem.first.len(), problem.seed);
-        let black_box = |search| Box::new(BlackBox::new(search, TRIALS_PER_EPOCH));
+        let black_box = |search| Box::new(BlackBox::new(search));
         if let Some(source) = self.source() {
             return Box::new(Descent::new(source, &problem.ranges, seed));
         }

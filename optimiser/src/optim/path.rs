@@ -63,8 +63,7 @@ const NEAR_BY: f64 = 0.1;
 const BUNDLE: usize = 5;
 const REACH: f64 = 2.0;
 
-/// Trials of an epoch of a search that sees losses alone, and how far it goes from the skill, in units of coefficients.
-const BLIND_TRIALS: usize = 11;
+/// How far a search that sees losses alone goes from the skill, in units of coefficients.
 const BLIND_RANGE: f64 = 2.0;
 
 /// How a path is searched.
@@ -335,7 +334,7 @@ struct Blind {
 impl Blind {
     fn new(near: Near) -> Self {
         let strategy = CmaEs::new(near.dimensions(), near.problem.seed);
-        Self { near, search: BlackBox::new(Box::new(strategy), BLIND_TRIALS) }
+        Self { near, search: BlackBox::new(Box::new(strategy)) }
     }
 
     /// The path that a point between -1 and 1 means, drawn in towards the skill as far as the arm needs it.

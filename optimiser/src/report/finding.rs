@@ -217,6 +217,9 @@ pub struct Finding {
     /// The last epoch that brought a gain worth going on for; none as long as the amount is not met. Of a path, which has the patience for
     /// itself, its first epoch at the earliest, and none before that.
     pub last_gain: Option<u32>,
+    /// Whether a path was to be searched, and no epoch was left for it.
+    #[serde(skip)]
+    pub no_path: bool,
     /// Epochs after which it began anew from another skill.
     pub restarts: Vec<u32>,
     /// Epochs that could be no plan.
@@ -332,6 +335,8 @@ impl Finding {
                     false => Some(gain),
                 }
             }),
+            no_path: settings.method.begins_with_a_skill()
+                && epochs.iter().all(|epoch| epoch.record.splines.is_none()),
             restarts: restarts.map(|record| record.epoch).collect(),
             passed_over: passed_over.collect(),
             rounded_out: rounded_out.into_iter().map(|epoch| epoch as u32).collect(),

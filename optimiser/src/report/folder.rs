@@ -75,7 +75,8 @@ pub enum FolderError {
     },
     /// A new run was to go where one already is.
     #[error(
-        "{path} already holds a {}, which is not overwritten ({file}); choose another --out, or go on with it by --resume {path}", kind(file)
+        "{path} already holds a {}, which is not overwritten ({file}); choose another --out, or go on with it by --resume {path}",
+        kind(file)
     )]
     Taken {
         /// The folder.

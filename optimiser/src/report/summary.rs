@@ -119,9 +119,17 @@ impl Finding {
     /// Whether the motion is more than a skill's.
     fn path_words(&self) -> Option<String> {
         let added = self.coefficients;
-        (added > 0).then(|| {
-            format!("The motion is a path near the skill of that epoch: {added} numbers say how it leaves the skill's.")
-        })
+        match (added > 0, self.plan.is_some() && self.no_path) {
+            (true, _) => Some(format!(
+                "The motion is a path near the skill of that epoch: {added} numbers say how it leaves the skill's."
+            )),
+            (false, true) => Some(
+                "No path was searched: all epochs went into the skill that it begins with; more of them, by --resume with a larger \
+                 --epochs, go on to one."
+                    .into(),
+            ),
+            (false, false) => None,
+        }
     }
 
     /// Which epochs would have been the plan but for the rounding of their motions.

@@ -5,13 +5,13 @@ use crate::{
     able::obstacle,
     failure::Failure,
     refine::{Corrected, Grid, Look, Wanted, corrected},
-    report::{amounts::Amounts, looks::Seen, words::parameter},
+    report::{amounts::Amounts, looks::Seen, summary::cells, words::parameter},
 };
 use powderline_shared::plan::SkillParameter;
 use powderline_simulator::{
     bench::cpu_seconds,
     rollout::{RolloutError, Simulate},
-    scene::{Scene, figures::about},
+    scene::Scene,
     skill::{QuantisedControls, SkillMap, Splines, Theta},
 };
 
@@ -115,7 +115,7 @@ impl<'a> Grids<'a> {
     }
 
     fn cells(&self, grid: Grid) -> String {
-        format!("cells of {} mm", about(1e3 * self.scene(grid).domain.cell_m, 3))
+        cells(self.scene(grid).domain.cell_m)
     }
 
     fn words(&self, seen: &Seen) -> String {

@@ -552,6 +552,9 @@ fn prolong(record: &mut RunRecord, epochs: u32) -> Result<(), Failure> {
         // The last epoch is evaluated again, as one that others follow.
         record.epochs.truncate(record.state.epochs.len());
         record.shipped = None;
+    } else if !state.finished {
+        // Its search may go on yet, if no motion keeps within the tolerance once it is rounded.
+        state.settings.epochs = epochs;
     }
     Ok(())
 }

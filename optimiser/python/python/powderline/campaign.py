@@ -249,9 +249,8 @@ class Session(Driver):
                 named = [(index, self.campaign._native.case(index)["case"]) for index in left]
                 self.have_done({**cluster, "cases": named, "begun": {}})
         except (KeyboardInterrupt, ClusterError) as error:
-            again = ["python", "-m", "powderline.campaign", "--resume", self.place.name]
-            again += ["--address", cluster["address"]] if cluster["address"] else []
-            raise type(error)(f"{str(error) or STOPPED}; what is done is saved, go on with: {shlex.join(again)}") from None
+            again = self.place.again(cluster["address"])
+            raise type(error)(f"{str(error) or STOPPED}; what is done is saved, go on with: {again}") from None
         finally:
             self.board.clear()
             self.write()
@@ -301,6 +300,11 @@ class Place:
         self.name = fspath(folder.path)
         return folder
 
+    def again(self, cluster: str | None) -> str:
+        """What goes on with what is there, in words."""
+        words = ["python", "-m", "powderline.campaign", "--resume", self.name]
+        return shlex.join(words + (["--address", cluster] if cluster else []))
+
     def keep(self, file: Path) -> None:
         """A file of the folder is new."""
 
@@ -319,6 +323,13 @@ class Address(Place):
         self.storage: tuple[str, dict[str, Any]] = (self.name, options)
         self.copy = tempfile.TemporaryDirectory(prefix="powderline-")
         self.folder = Path(self.copy.name) / "campaign"
+
+    def again(self, cluster: str | None) -> str:
+        # A command line has no place for options, which may be secrets.
+        if not self.storage[1]:
+            return super().again(cluster)
+        address = f", address={cluster!r}" if cluster else ""
+        return f"campaign.run({self.name!r}, resume=True, storage_options=..{address})"
 
     def fetch(self, into: Path, outcomes: bool) -> None:
         """The campaign as it was begun there, and what became of its cases."""

@@ -107,7 +107,8 @@ def validate(
         scenes: embedded names or TOML files.
         full: everything, stochastic lines with three seeds, instead of what can be measured within a minute.
         write: a folder into which each table goes as it comes, as `<scene>.json`.
-        address, threads, memory, wait, runtime_env, verbose: as for `Campaign.run`, for each scene.
+        address, threads, memory, wait, runtime_env, verbose: as for `Campaign.run`, for each scene; memory is what its task asks the
+            cluster for, and binds nobody.
 
     Raises:
         ImportError, ClusterError, KeyboardInterrupt: as `compare`.

@@ -28,9 +28,18 @@ def _info(found: Evaluation) -> dict[str, Any]:
     return {"loss": found.loss, "mass_kg": found.mass_kg, "miss": found.miss, "lost_kg": found.lost_kg}
 
 
-def _reach(limits: dict[str, Any], start: npt.NDArray[np.float64], forward: npt.NDArray[np.float64]) -> list[npt.NDArray[np.float64]]:
-    """Least and most travel along heading, up and in pitch that keep the tool within the workspace."""
-    low, high = np.array(limits["workspace_min_m"]) - start, np.array(limits["workspace_max_m"]) - start
+def _action(action: _F32, numbers: int) -> npt.NDArray[np.float64]:
+    """Within the action space; what has another shape would be spread over all numbers."""
+    if np.shape(action) != (numbers,):
+        raise ValueError(f"the action has shape {np.shape(action)}, but it must be ({numbers},)")
+    return np.clip(np.asarray(action, np.float64), -1.0, 1.0)
+
+
+def _reach(scene: Scene, limits: dict[str, Any], forward: npt.NDArray[np.float64]) -> list[npt.NDArray[np.float64]]:
+    """Least and most travel along heading, up and in pitch that keep the tool within the workspace, and within what is simulated."""
+    start = scene.start_pose[:3]
+    low = np.maximum(limits["workspace_min_m"], 0.0) - start
+    high = np.minimum(limits["workspace_max_m"], scene.size_m) - start
     along = [(low[k] / forward[k], high[k] / forward[k]) for k in (0, 1) if abs(forward[k]) > 1e-9]
     least, most = max(min(pair) for pair in along), min(max(pair) for pair in along)
     return [np.array([least, low[2], -np.inf]), np.array([most, high[2], np.inf])]
@@ -64,7 +73,7 @@ class SkillEnv(gymnasium.Env[_F32, _F32]):
 
     def step(self, action: _F32) -> tuple[_F32, float, bool, bool, dict[str, Any]]:
         """Performs the skill. `info` has `loss` (m), `mass_kg`, `miss`, `lost_kg`."""
-        theta = np.clip(np.asarray(action, np.float64), -1.0, 1.0)
+        theta = _action(action, 5)
         try:
             found = self.simulator.rollout(theta)
         except MotionError as error:
@@ -78,6 +87,8 @@ class MotionEnv(gymnasium.Env[dict[str, Any], _F32]):
     Action: shape (3,), each from -1 to 1: along the heading, up, and pitching forward, in units of what the scene's limits allow at
     constant speed. The motion accelerates and brakes no faster than the limits allow either, and comes to rest at the workspace's
     border; what is left of an action then is less.
+
+    interval_s: how long an action takes, seconds; at most as long as the scene's horizon.
 
     Observation: `heights_m`, how high the powder is above each grid cell of the scene, metres, shape (cells along x, along y); `tool`,
     how far the tool is from its start along heading and up (m), and pitched (rad), with its velocities (m/s, rad/s), shape (6,); `time`,
@@ -103,8 +114,11 @@ class MotionEnv(gymnasium.Env[dict[str, Any], _F32]):
         self.simulator = Simulator(self.scene, seed=seed, threads=threads, precision=precision)
         fields = self.scene.to_dict()
         self._period_s = self.scene.control_period_s
-        self._steps = max(1, round(interval_s / self._period_s))
-        self._horizon = int(fields["time"]["horizon_steps"]) // self._steps
+        horizon = int(fields["time"]["horizon_steps"])
+        if not 0.0 < interval_s <= horizon * self._period_s * (1.0 + 1e-9):
+            raise ValueError(f"interval_s is {interval_s}, but it must be seconds, more than 0 and at most {horizon * self._period_s:g}")
+        self._steps = min(max(1, round(interval_s / self._period_s)), horizon)
+        self._horizon = horizon // self._steps
         limits, skill = fields["limits"], fields["skill"]
         self._speed = np.array([limits["linear_velocity_m_s"], limits["linear_velocity_m_s"], limits["angular_velocity_rad_s"]])
         # A diagonal of both translations keeps the limit, too.
@@ -115,7 +129,7 @@ class MotionEnv(gymnasium.Env[dict[str, Any], _F32]):
         self._gain[:2] /= np.sqrt(2.0)
         heading = np.radians(skill["heading_deg"])
         self._forward = np.array([np.cos(heading), np.sin(heading), 0.0])
-        self._reach = _reach(limits, self.scene.start_pose[:3], self._forward)
+        self._reach = _reach(self.scene, limits, self._forward)
         self._pitch_axis = np.array([-np.sin(heading), np.cos(heading), 0.0])
         self._cells = np.ceil(self.scene.size_m[:2] / self.scene.cell_m - 1e-9).astype(int)
         self.action_space = spaces.Box(-1.0, 1.0, (3,), np.float32)
@@ -144,7 +158,7 @@ class MotionEnv(gymnasium.Env[dict[str, Any], _F32]):
         """Moves the tool for one interval. `info` has `loss` (m), `mass_kg`, `miss`, `lost_kg`."""
         if self._episode is None:
             raise RuntimeError("the environment has not been reset yet")
-        wanted = np.clip(np.asarray(action, np.float64), -1.0, 1.0) * self._speed
+        wanted = _action(action, 3) * self._speed
         rows, velocity, travel = self._displacements(wanted)
         try:
             found = self._episode.step(rows)

@@ -7,6 +7,9 @@
     theta = torch.zeros(5, requires_grad=True)
     loss(simulator, theta).backward()
     theta.grad                                      # of shape (5,), metres
+    with torch.no_grad():                           # a step of 0.1, whatever the slope, within the range
+        theta -= 0.1 * theta.grad / theta.grad.norm()
+        theta.clamp_(-1.0, 1.0)
 """
 
 from __future__ import annotations
@@ -17,6 +20,8 @@ import numpy as np
 import torch
 
 from ._native import Simulator
+
+_KINDS = ("restarted", "differences", "adjoint")
 
 
 class SkillLoss(torch.autograd.Function):
@@ -56,8 +61,12 @@ def loss(simulator: Simulator, theta: torch.Tensor, *, kind: str = "restarted") 
 
     Raises:
         TypeError: theta is not of floating-point numbers.
-        ValueError: it has another shape.
+        ValueError: it has another shape, or there is no such kind.
+        SkillError: it is beyond -1 or 1.
+        MotionError: powder leaves the simulated volume; another theta may come to an end.
     """
+    if kind not in _KINDS:
+        raise ValueError(f"kind is {kind!r}, but it must be one of {', '.join(_KINDS)}")
     if not theta.is_floating_point():
         raise TypeError(f"theta is of {theta.dtype}, but it must be of floating-point numbers, such as torch.float64")
     if theta.dim() not in (1, 2) or theta.shape[-1] != 5:

@@ -6,6 +6,7 @@ use crate::{
         CliError, Context, Interrupt, Resources, Stream, check, report,
         run::{self, RunArgs},
     },
+    failure::of_file,
     report::{
         amounts::Amounts,
         finding,
@@ -190,7 +191,7 @@ impl Work<'_> {
     fn search(&self) -> Result<Found, CliError> {
         // Before its state is there, a run cannot be gone on with.
         if self.folder.exists() && !self.folder.join(STATE).exists() {
-            fs::remove_dir_all(self.folder)?;
+            fs::remove_dir_all(self.folder).map_err(of_file(self.folder, "removed"))?;
         }
         self.run()?;
         let found = self.found()?;

@@ -8,6 +8,7 @@ use super::case::{folder_of, perform, write_down};
 use crate::{
     campaign::{Campaign, End, Outcome},
     cli::{CliError, Context, Interrupt, Memory, Resources, options::DEFAULT_PRECISION, size::format_size},
+    failure::of_file,
 };
 use std::{
     collections::VecDeque,
@@ -103,9 +104,9 @@ pub(super) fn work(
             };
             if ended.is_ok() && heard.is_err() {
                 ended = heard;
-                work.stop();
             }
-            if interrupt.is_requested() {
+            // Again and again: a worker that is just being started does not hear it yet.
+            if ended.is_err() || interrupt.is_requested() {
                 work.stop();
             }
         }
@@ -135,13 +136,14 @@ fn wait_for_others(
                 said = true;
                 thread::sleep(LOOK);
             }
-            Err(TryLockError::Error(error)) => return Err(error.into()),
+            Err(TryLockError::Error(error)) => return Err(of_file(&folder.join(WORKERS), "locked")(error)),
         }
     }
 }
 
-fn lockable(folder: &Path) -> io::Result<File> {
-    OpenOptions::new().write(true).create(true).truncate(false).open(folder.join(WORKERS))
+fn lockable(folder: &Path) -> Result<File, CliError> {
+    let file = folder.join(WORKERS);
+    OpenOptions::new().write(true).create(true).truncate(false).open(&file).map_err(of_file(&file, "opened"))
 }
 
 /// A worker that is at work, as its employer sees it.
@@ -173,7 +175,11 @@ impl Work<'_> {
                 Ok(true) => told.send(Ok(case)),
                 // It was stopped.
                 Ok(false) => break,
-                Err(error) => told.send(Err(error)),
+                Err(error) => {
+                    // Whoever hears it ends the campaign, and nobody waits for a further case.
+                    let _ = told.send(Err(error));
+                    break;
+                }
             };
             if done.is_err() {
                 break;

@@ -10,6 +10,7 @@ use crate::{
         table::{counts, parquet},
     },
     cli::CliError,
+    failure::of_file,
     report::{
         amounts::percent,
         folder::{CAMPAIGN, RunFolder},
@@ -82,7 +83,8 @@ impl Experiment {
     /// The campaign as it goes on from here, with its benches: the files that it came from may go.
     fn save(&self) -> Result<(), CliError> {
         let (text, benches) = self.campaign.to_files();
-        fs::create_dir_all(self.folder.file("benches"))?;
+        let place = self.folder.file("benches");
+        fs::create_dir_all(&place).map_err(of_file(&place, "created"))?;
         for (file, text) in benches {
             self.folder.replace(&file, text.as_bytes())?;
         }
@@ -157,7 +159,7 @@ impl Experiment {
         }
         drop(written);
         removed(&place)?;
-        fs::rename(&fresh, &place)?;
+        fs::rename(&fresh, &place).map_err(of_file(&fresh, "put into its place"))?;
         self.learn(index)
     }
 

@@ -124,7 +124,18 @@ fn a_plan_that_is_not_reproduced_is_one_object() {
     let place = Place::new();
     let folder = place.finished("run", 1);
     let path = Path::new(&folder).join(PLAN);
-    let mut plan = fs::read(&path).unwrap();
+    predict_otherwise(&path);
+    let done = optimise(&["simulate", "--plan", path.to_str().unwrap(), "--json"]);
+    assert_eq!((done.code, &json(&done)["plan"]["reproduced"]), (1, &false.into()), "{}", done.out);
+    // A stop does not hide it, nor is hidden by it.
+    let stopped = optimise_for(8, &["simulate", "--plan", path.to_str().unwrap(), "--packings", "3"]);
+    let both = "were not reproduced; stopped after 1 of 3 other packings";
+    assert!(stopped.code == 1 && stopped.err.contains(both), "{}", stopped.err);
+}
+
+/// Changes what a plan says of itself by the last bit.
+fn predict_otherwise(path: &Path) {
+    let mut plan = fs::read(path).unwrap();
     let reported = PlanReader::new(&plan).unwrap().header().predicted.loss_m.to_le_bytes();
     let at = plan.windows(8).position(|bytes| bytes == reported).unwrap();
     plan[at] ^= 1;
@@ -132,13 +143,31 @@ fn a_plan_that_is_not_reproduced_is_one_object() {
     let mut checksum = powderline_shared::plan::Crc32::default();
     checksum.update(&plan[..end]);
     plan[end..].copy_from_slice(&checksum.value().to_le_bytes());
-    fs::write(&path, plan).unwrap();
-    let done = optimise(&["simulate", "--plan", path.to_str().unwrap(), "--json"]);
-    assert_eq!((done.code, &json(&done)["plan"]["reproduced"]), (1, &false.into()), "{}", done.out);
-    // A stop does not hide it, nor is hidden by it.
-    let stopped = optimise_for(8, &["simulate", "--plan", path.to_str().unwrap(), "--packings", "3"]);
-    let both = "were not reproduced; stopped after 1 of 3 other packings";
-    assert!(stopped.code == 1 && stopped.err.contains(both), "{}", stopped.err);
+    fs::write(path, plan).unwrap();
+}
+
+/// Nor does its page read like a success.
+#[test]
+fn what_is_seen_of_a_plan_is_held_against_what_it_says() {
+    let place = Place::new();
+    let folder = place.finished("run", 1);
+    let words = "were not reproduced: it says ";
+    let report = || json(&optimise(&["report", &folder, "--json"]));
+    assert_eq!(report()["remarks"], serde_json::json!([]));
+    predict_otherwise(&Path::new(&folder).join(PLAN));
+    let remarks = report()["remarks"].as_array().unwrap().clone();
+    assert!(remarks.len() == 1 && remarks[0].as_str().unwrap().contains(words), "{remarks:?}");
+    let done = optimise(&["report", &folder]);
+    assert!(
+        done.code == 0 && done.err.contains("Warning: the plan's loss and amount were not"),
+        "{}",
+        done.err
+    );
+    let page = String::from_utf8(bytes(&folder, "report.html")).unwrap();
+    assert!(page.contains("But: The plan") && page.contains(words), "it reads like a success");
+    let plan = format!("{folder}/{PLAN}");
+    let drawn = optimise(&["render", "--plan", &plan, "--size", "64x48", "--out", &place.text("pictures")]);
+    assert!(drawn.code == 0 && drawn.err.contains(words), "{}", drawn.err);
 }
 
 #[test]

@@ -39,6 +39,34 @@ fn a_plan_becomes_a_page_with_the_arms_motion_over_it() {
     let done = optimise(&["report", &arm.plan, "--executed", &executed, "--out", &out]);
     assert_eq!(done.code, 0, "{}", done.err);
     assert!(fs::read_to_string(&out).unwrap().contains("As executed."));
+    assert!(
+        done.out.contains("As executed.") && done.out.contains("The arm was off the plan by"),
+        "{}",
+        done.out
+    );
+    let report = optimise(&["report", &arm.plan, "--executed", &executed, "--out", &out, "--json"]);
+    let report: Value = serde_json::from_str(&report.out).unwrap();
+    assert_eq!(report["executed"]["executed_steps"], arm.steps());
+    // Without a replay nobody would look at it.
+    assert_eq!(optimise(&["report", &arm.plan, "--executed", &executed, "--no-replay"]).code, 2);
+}
+
+/// The search's plan is written before it is looked at on smaller cells, which takes long.
+#[test]
+fn a_run_that_is_not_finished_shows_the_plan_that_there_is() {
+    let place = Place::new();
+    let folder = place.finished("run", 2);
+    let done = optimise_for(6, &["--resume", &folder, "--epochs", "30"]);
+    assert_eq!(done.code, 130, "{}", done.err);
+    assert_eq!(optimise(&["report", &folder]).code, 0);
+    let page = page(&folder);
+    assert!(page.contains("The run is not finished; the plan as it is now: "), "it says that there is none");
+    fs::remove_file(Path::new(&folder).join(PLAN)).unwrap();
+    let nothing = place.text("nothing.txt");
+    let done = optimise(&["report", &folder, "--executed", &nothing]);
+    assert_sentence(&done, 2, "has no plan yet that it could be of");
+    assert_eq!(optimise(&["report", &folder]).code, 0);
+    assert!(self::page(&folder).contains("there is no plan yet"));
 }
 
 #[test]
@@ -78,8 +106,14 @@ fn what_cannot_be_reported_is_refused() {
     assert_sentence(&optimise(&["report", &folder]), 2, "it is not a state file");
     let place = Place::new();
     let folder = place.finished("run", 1);
-    let done = optimise(&["report", &folder, "--out", &place.text("no/folder/report.html")]);
-    assert_sentence(&done, 1, "report.html");
+    assert_sentence(
+        &optimise(&["report", &folder, "--out", &folder]),
+        2,
+        "is a folder; the name of the page",
+    );
+    let new = place.text("no/folder/yet.html");
+    assert_eq!(optimise(&["report", &folder, "--no-replay", "--out", &new]).code, 0);
+    assert!(Path::new(&new).is_file());
 }
 
 #[test]
