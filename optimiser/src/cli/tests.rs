@@ -426,6 +426,8 @@ fn arguments_are_consistent() {
         "simulate --plan p --theta 0",
         "simulate --plan p --seed 1",
         "simulate --executed e",
+        // Nobody would look at it.
+        "report p --executed e --no-replay",
         "simulate --plan p --refine 1",
         "simulate --plan p --packings 1",
         "refine",
