@@ -66,7 +66,6 @@ pub fn play(
         dialect: wire.dialect(),
         wire: Wired {
             wire,
-            start_us,
             recorder,
             waiting: None,
             last_sent: 0,
@@ -93,7 +92,8 @@ struct Player<'p, 'w> {
 impl Player<'_, '_> {
     fn run(&mut self, observer: &mut impl Observer) -> io::Result<RunResult> {
         loop {
-            let now_us = self.now_us();
+            let start_us = self.start_us;
+            let now_us = || clock::now_us().saturating_sub(start_us);
             let turn = turn(&mut self.wire, now_us, &mut self.endpoint);
             if let Turn::Finished(outcome) = turn {
                 return Ok(self.result(outcome));
@@ -184,7 +184,6 @@ impl Player<'_, '_> {
 /// A wire of this machine, as the driver loop wants it: at most one frame waits for room, and a stop takes its place.
 struct Wired<'w> {
     wire: &'w mut dyn Transport,
-    start_us: u64,
     recorder: &'w mut FlightRecorder,
     waiting: Option<Frame>,
     /// The last setpoint that was given out for the first time.
@@ -213,12 +212,12 @@ impl Wired<'_> {
 }
 
 impl Device for Wired<'_> {
-    fn fetch(&mut self, _: u64, mut heard: impl FnMut(u64, &Frame)) -> Result<bool, Gone> {
+    fn fetch(&mut self, mut heard: impl FnMut(&Frame)) -> Result<bool, Gone> {
         match self.wire.receive() {
             Ok(Some(received)) => match received.what {
                 Incoming::Frame(frame) => {
                     self.recorder.record(received.at_us, &frame);
-                    heard(clock::now_us().saturating_sub(self.start_us), &frame);
+                    heard(&frame);
                 }
                 Incoming::Event(event) => self.handle_event(event)?,
             },

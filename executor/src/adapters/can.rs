@@ -27,7 +27,7 @@
 //!         if stop_pressed() {
 //!             endpoint.executor_mut().handle_stop(now_us());
 //!         }
-//!         match wire.turn(now_us(), &mut endpoint) {
+//!         match wire.turn(&now_us, &mut endpoint) {
 //!             Turn::Finished(outcome) => return Some(outcome),
 //!             // A frame waits for room: come again.
 //!             Turn::Unfinished => {}
@@ -75,9 +75,9 @@ impl<C: Can> CanWire<C> {
         Self { harmless, ..self }
     }
 
-    /// One round of the loop, at a time in microseconds: all that has arrived goes to the endpoint, all that it has to say
+    /// One round of the loop, with the clock in microseconds, which never goes back: all that has arrived goes to the endpoint, all that it has to say
     /// goes to the controller, as far as there is room.
-    pub fn turn(&mut self, now_us: u64, endpoint: &mut Endpoint<'_>) -> Turn {
+    pub fn turn(&mut self, now_us: impl Fn() -> u64, endpoint: &mut Endpoint<'_>) -> Turn {
         super::turn(self, now_us, endpoint)
     }
 
@@ -110,9 +110,9 @@ impl<C: Can> CanWire<C> {
 }
 
 impl<C: Can> Device for CanWire<C> {
-    fn fetch(&mut self, now_us: u64, mut heard: impl FnMut(u64, &Frame)) -> Result<bool, Gone> {
+    fn fetch(&mut self, heard: impl FnMut(&Frame)) -> Result<bool, Gone> {
         match self.can.receive() {
-            Ok(received) => from_device(&received).iter().for_each(|frame| heard(now_us, frame)),
+            Ok(received) => from_device(&received).iter().for_each(heard),
             Err(nb::Error::WouldBlock) => return Ok(false),
             Err(nb::Error::Other(error)) => self.judge(error)?,
         }

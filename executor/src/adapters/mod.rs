@@ -44,13 +44,11 @@ pub struct Gone;
 
 /// What an adapter makes of its device.
 pub trait Device {
-    /// Fetches a piece of what has arrived, and hands on frames with the time of the turn, or, of a device that has a clock, with a
-    /// later one at which it had them: an executor that was kept from its work must not think that an arm is ahead of its time.
-    /// Whether there may be more.
+    /// Fetches a piece of what has arrived, and hands on its frames. Whether there may be more.
     ///
     /// # Errors
     /// The device is no wire any more.
-    fn fetch(&mut self, now_us: u64, heard: impl FnMut(u64, &Frame)) -> Result<bool, Gone>;
+    fn fetch(&mut self, heard: impl FnMut(&Frame)) -> Result<bool, Gone>;
 
     /// Hands on what waits. Whether there is room for another frame.
     ///
@@ -68,37 +66,35 @@ pub trait Device {
     fn look(&mut self, _endpoint: &Endpoint<'_>) {}
 }
 
-/// One round of the loop, at a time in microseconds: what has arrived goes to the endpoint, what it has to say goes to the
-/// device, as far as there is room.
-pub fn turn(device: &mut impl Device, now_us: u64, endpoint: &mut Endpoint<'_>) -> Turn {
-    let (more, now_us) = receive(device, now_us, endpoint);
-    match send(device, now_us, endpoint) {
+/// One round of the loop: what has arrived goes to the endpoint, what it has to say goes to the device, as far as there is room.
+///
+/// `now_us` is the clock, microseconds, which never goes back. It is asked for each frame: an executor that is kept from its work must
+/// not think that an arm is ahead of its time.
+pub fn turn(device: &mut impl Device, now_us: impl Fn() -> u64, endpoint: &mut Endpoint<'_>) -> Turn {
+    let more = receive(device, &now_us, endpoint);
+    match send(device, now_us(), endpoint) {
         Turn::Idle if more => Turn::Unfinished,
         turn => turn,
     }
 }
 
-/// Whether there may be more, and what time it is then.
-fn receive(device: &mut impl Device, now_us: u64, endpoint: &mut Endpoint<'_>) -> (bool, u64) {
-    let mut now_us = now_us;
+/// Whether there may be more.
+fn receive(device: &mut impl Device, now_us: &impl Fn() -> u64, endpoint: &mut Endpoint<'_>) -> bool {
     for _ in 0..MOST_PIECES {
-        let mut latest_us = now_us;
-        let fetched = device.fetch(now_us, |at_us, frame| {
-            latest_us = latest_us.max(at_us);
+        let fetched = device.fetch(|frame| {
             // What cannot be understood is dropped, and counted there.
-            let _ = endpoint.handle_frame(latest_us, frame);
+            let _ = endpoint.handle_frame(now_us(), frame);
         });
-        now_us = latest_us;
         match fetched {
             Ok(true) => {}
-            Ok(false) => return (false, now_us),
+            Ok(false) => return false,
             Err(Gone) => {
-                endpoint.executor_mut().handle_link_lost(now_us);
-                return (false, now_us);
+                endpoint.executor_mut().handle_link_lost(now_us());
+                return false;
             }
         }
     }
-    (true, now_us)
+    true
 }
 
 /// Lets the endpoint speak for as long as there is room. In the turns after a failure too: the stop that it then asks for

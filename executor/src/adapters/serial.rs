@@ -22,7 +22,7 @@
 //!     let mut endpoint = Endpoint::new(now_us(), &plan, DIALECT, Config::default());
 //!     let mut wire = SerialWire::new(port);
 //!     loop {
-//!         if let Turn::Finished(outcome) = wire.turn(now_us(), &mut endpoint) {
+//!         if let Turn::Finished(outcome) = wire.turn(&now_us, &mut endpoint) {
 //!             return Some(outcome);
 //!         }
 //!     }
@@ -87,9 +87,9 @@ impl<P: Read + ReadReady + Write + WriteReady> SerialWire<P> {
         Self { harmless, ..self }
     }
 
-    /// One round of the loop, at a time in microseconds: all that has arrived goes to the endpoint, all that it has to say
+    /// One round of the loop, with the clock in microseconds, which never goes back: all that has arrived goes to the endpoint, all that it has to say
     /// goes to the port, as far as there is room.
-    pub fn turn(&mut self, now_us: u64, endpoint: &mut Endpoint<'_>) -> Turn {
+    pub fn turn(&mut self, now_us: impl Fn() -> u64, endpoint: &mut Endpoint<'_>) -> Turn {
         super::turn(self, now_us, endpoint)
     }
 
@@ -139,7 +139,7 @@ impl<P: Read + ReadReady + Write + WriteReady> SerialWire<P> {
 }
 
 impl<P: Read + ReadReady + Write + WriteReady> Device for SerialWire<P> {
-    fn fetch(&mut self, now_us: u64, mut heard: impl FnMut(u64, &Frame)) -> Result<bool, Gone> {
+    fn fetch(&mut self, mut heard: impl FnMut(&Frame)) -> Result<bool, Gone> {
         let mut chunk = [0; CHUNK];
         let count = match self.read(&mut chunk) {
             // The end of a line that has none.
@@ -150,7 +150,7 @@ impl<P: Read + ReadReady + Write + WriteReady> Device for SerialWire<P> {
         };
         for byte in chunk.iter().take(count) {
             match self.reader.push(*byte) {
-                Some(Ok(frame)) => heard(now_us, &frame),
+                Some(Ok(frame)) => heard(&frame),
                 Some(Err(_)) => self.garbled = self.garbled.saturating_add(1),
                 None => {}
             }

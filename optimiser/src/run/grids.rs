@@ -56,7 +56,16 @@ impl<'a> Grids<'a> {
     ) -> Result<Corrected, Failure> {
         let amounts = Amounts::from(&self.scenes[0]);
         let wanted = Wanted { mass_kg: amounts.wanted_kg, tolerance: amounts.tolerance };
-        corrected(theta, wanted, &mut |grid, theta| self.look(grid, theta, watcher, keep))
+        let found = corrected(theta, wanted, &mut |grid, theta| self.look(grid, theta, watcher, keep));
+        found.map_err(|error| {
+            match self.seen.iter().find(|seen| seen.theta == *theta && seen.obstacle.is_some()) {
+                Some(Seen { grid, obstacle: Some(why), .. }) => Failure::Failed(format!(
+                    "the plan's skill cannot be looked at on {}: {why}",
+                    self.cells(*grid)
+                )),
+                _ => error,
+            }
+        })
     }
 
     /// As it was seen before, or else simulated and kept.

@@ -80,9 +80,9 @@ impl Signals {
 
 /// How many bytes there were.
 fn drained(end: &mut UnixStream) -> usize {
-    let (mut bytes, mut all) = ([0; 16], 0);
+    let (mut bytes, mut all) = ([0; 16], 0_usize);
     while let Ok(count @ 1..) = end.read(&mut bytes) {
-        all += count;
+        all = all.saturating_add(count);
     }
     all
 }

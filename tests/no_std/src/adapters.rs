@@ -101,10 +101,10 @@ impl Write for Uart {
 
 /// One turn of the loop over CAN.
 pub fn can_turn(wire: &mut CanWire<Controller>, now_us: u64, endpoint: &mut Endpoint<'_>) -> Turn {
-    wire.turn(now_us, endpoint)
+    wire.turn(|| now_us, endpoint)
 }
 
 /// One turn of the loop over a serial line.
 pub fn serial_turn(wire: &mut SerialWire<Uart>, now_us: u64, endpoint: &mut Endpoint<'_>) -> Turn {
-    wire.turn(now_us, endpoint)
+    wire.turn(|| now_us, endpoint)
 }

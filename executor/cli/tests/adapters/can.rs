@@ -215,7 +215,7 @@ impl Bus {
 
 impl Wire for Bus {
     fn turn(&mut self, now_us: u64, endpoint: &mut Endpoint<'_>) -> Turn {
-        self.wire.turn(now_us, endpoint)
+        self.wire.turn(|| now_us, endpoint)
     }
 
     fn has_arrived(&self) -> bool {

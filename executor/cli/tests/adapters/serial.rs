@@ -151,7 +151,7 @@ impl Line {
 
 impl Wire for Line {
     fn turn(&mut self, now_us: u64, endpoint: &mut Endpoint<'_>) -> Turn {
-        self.wire.turn(now_us, endpoint)
+        self.wire.turn(|| now_us, endpoint)
     }
 
     fn has_arrived(&self) -> bool {
