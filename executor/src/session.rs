@@ -459,6 +459,13 @@ impl<'a> Executor<'a> {
         self.refusal
     }
 
+    /// Whether the arm has been stopped since it was asked for a session with [`Config::reset`], so that nobody has looked at that stop.
+    #[must_use]
+    pub fn is_stopped_anew(&self) -> bool {
+        self.config.reset
+            && matches!(self.refusal, Some(Refusal::Latched { nonce, .. }) if !self.was_looked_at(nonce))
+    }
+
     /// The stop that the arm had latched and was reset from, [`Config::reset`]; none before it has opened the session.
     #[must_use]
     pub fn reset_from(&self) -> Option<Reported> {
@@ -552,7 +559,10 @@ impl<'a> Executor<'a> {
         self.refusal = Some(*reason);
         match reason {
             // A session whose executor is gone is closed by the arm before we give up.
-            Refusal::Busy => self.was_busy = true,
+            Refusal::Busy => {
+                self.was_busy = true;
+                self.latched = None;
+            }
             Refusal::Closed => self.renumber(),
             // Asked for again at once, but not twice: an arm that moves is asked with the next request.
             Refusal::Latched { nonce, fault } if self.config.reset && self.was_looked_at(*nonce) => {

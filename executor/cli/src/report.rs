@@ -10,6 +10,7 @@ use powderline_shared::fault::{Fault, FaultCode, Side};
 use powderline_shared::limits::PeakUse;
 use powderline_shared::mass::Mass;
 use powderline_shared::plan::{Finer, Mounting, PlanReader, Prediction, SkillParameter, StartPose};
+use powderline_shared::wire::message::Refusal;
 use serde::Serialize;
 
 use crate::run::{FrameCounts, RunResult};
@@ -329,7 +330,12 @@ impl Stop {
 fn numbers(code: FaultCode, run: &RunResult) -> Option<String> {
     use FaultCode::{ArmAstray, ArmFaultUnknown, ArmSilent, ArmTickImpossible, EndElsewhere, SessionRefused};
     match code {
-        SessionRefused => run.refusal.map(|refusal| refusal.to_string()),
+        SessionRefused => run.refusal.map(|refusal| match refusal {
+            Refusal::Latched { fault, .. } if run.is_stopped_anew => {
+                format!("the arm has stopped since --reset was asked for ({fault}); look at it again, then start once more")
+            }
+            other => other.to_string(),
+        }),
         ArmTickImpossible | ArmSilent | ArmAstray | EndElsewhere | ArmFaultUnknown => {
             run.doubt.map(|doubt| doubt.to_string())
         }

@@ -41,6 +41,8 @@ pub struct RunResult {
     pub violation: Option<Violation>,
     /// Why the arm refused the session; none once it has opened it.
     pub refusal: Option<Refusal>,
+    /// Whether that is a stop which came after a person had said that what there was may be reset.
+    pub is_stopped_anew: bool,
     /// The stop that the arm had latched and was reset from.
     pub reset_from: Option<Reported>,
     /// Why the arm was not believed.
@@ -118,6 +120,7 @@ pub fn play(
                 peak_use: executor.peak_use(),
                 violation: executor.violation().or(arm.violation()),
                 refusal: executor.refusal(),
+                is_stopped_anew: executor.is_stopped_anew(),
                 reset_from: executor.reset_from(),
                 doubt: executor.doubt(),
                 duration_us: now_us,

@@ -159,6 +159,7 @@ impl Player<'_, '_> {
             peak_use: executor.peak_use(),
             violation: executor.violation(),
             refusal: executor.refusal(),
+            is_stopped_anew: executor.is_stopped_anew(),
             reset_from: executor.reset_from(),
             doubt: executor.doubt(),
             duration_us: self.now_us(),

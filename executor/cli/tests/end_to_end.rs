@@ -439,6 +439,7 @@ fn a_stop_is_detailed_by_what_it_is_about() {
     // Whatever else there is to tell.
     let run = RunResult {
         refusal: Some(Refusal::Busy),
+        is_stopped_anew: false,
         reset_from: None,
         doubt: Some(Doubt::Back { tick: 40, known: 49 }),
         violation: violation(Limit::LinearJerk),

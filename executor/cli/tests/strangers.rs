@@ -103,6 +103,7 @@ fn a_reset_takes_the_arm_out_of_no_stop_that_came_after_it_was_asked_for() {
         });
         // At once, and again.
         resets.dedup();
+        assert_eq!(executor.is_stopped_anew(), end.is_some());
         (resets, end)
     };
     assert_eq!(heard(&[latched(7)]), (vec![7], None));

@@ -487,6 +487,40 @@ mod tests {
     }
 
     /// Whose motion it was is known even where the session ends, and another one begins, before anybody is told.
+    /// A wire that has always something to hand out.
+    struct Flood;
+
+    impl Transport for Flood {
+        fn dialect(&self) -> Dialect {
+            Dialect::Fd
+        }
+        fn send(&mut self, _: &Frame) -> Result<Sent, LinkError> {
+            Ok(Sent::Done)
+        }
+        fn receive(&mut self) -> Result<Option<Received>, LinkError> {
+            let mut frames = Encoder::new(Dialect::Fd).to_arm(&Context::NONE, &ToArm::Stop);
+            let frame = frames.next().expect("a stop is a frame");
+            Ok(Some(Received { at_us: clock::now_us(), what: Incoming::Frame(frame) }))
+        }
+        fn interest(&self) -> Option<Interest<'_>> {
+            None
+        }
+    }
+
+    #[test]
+    fn a_wire_that_is_flooded_does_not_keep_the_arm_from_its_own_time() {
+        let options = options();
+        let mut bench = Bench::new(&options);
+        bench.server.wire = Some(Box::new(Flood));
+        bench.server.exchange().unwrap();
+        // There is more, so that nobody sleeps before that is taken in.
+        assert!(bench.server.is_flooded);
+        bench.server.wait().unwrap();
+        assert_eq!(bench.server.queue.len(), 0, "what the arm says leaves meanwhile");
+        bench.exchange();
+        assert!(!bench.server.is_flooded);
+    }
+
     #[test]
     fn a_motion_is_written_down_as_that_of_the_session_that_made_it() {
         for next in [false, true] {

@@ -46,8 +46,9 @@ impl Kind {
 /// Simulates motions of a scene's tool, and what the powder makes of them.
 ///
 /// seed: of the packing; the scene's `powder.seed` if None, as in `optimise`. precision: "f32" or "f64". threads: as many as the machine has
-/// processors, if None. memory: the most that the process may take in gradients, such as "2GiB" or a number of bytes; "1GiB" if None. What
-/// other packages take in the process counts, and where it leaves little, a gradient takes longer.
+/// processors, if None. memory: the most that the process may take in gradients, such as "2GiB" or a number of bytes, which is refused
+/// where it does not hold one; about "1GiB" if None. What other packages take in the process counts, and where it leaves little, a
+/// gradient takes longer.
 /// progress: called with the share of the present call that is done, from 0 to 1, now and then, and with 1 at its end; what it raises
 /// ends the call. Neither threads nor memory change a bit of any result.
 ///
@@ -66,6 +67,8 @@ pub(crate) struct Simulator {
     seed: u64,
     precision: Precision,
     settings: SimulatorSettings,
+    /// Whether somebody has said how much memory there is.
+    is_bounded: bool,
     progress: Option<Py<PyAny>>,
     inner: Mutex<AnySimulator>,
     /// The process that its threads are of.
@@ -73,7 +76,7 @@ pub(crate) struct Simulator {
 }
 
 /// What makes a simulator again, and of what.
-type Pickled<'py> = (Bound<'py, PyAny>, (Py<Scene>, u64, &'static str, Option<usize>, u64));
+type Pickled<'py> = (Bound<'py, PyAny>, (Py<Scene>, u64, &'static str, Option<usize>, Option<u64>));
 
 /// Skills that are looked at side by side, of many, for each thread: each takes memory as long as it is.
 const SKILLS_PER_THREAD: usize = 8;
@@ -144,6 +147,7 @@ impl Simulator {
                 "progress is {given}, but it must be a function, or None"
             )));
         }
+        let is_bounded = memory.is_some();
         let memory_bytes = memory.map_or(Ok(usual.memory_bytes), memory_bytes)?;
         let settings = SimulatorSettings { seed: Some(seed), threads, memory_bytes };
         let of = &scene.get().0;
@@ -151,7 +155,7 @@ impl Simulator {
         let made = scene.py().detach(|| AnySimulator::new(of, precision, &settings));
         let inner = Mutex::new(made.map_err(errors::of_rollout)?);
         let process = std::process::id();
-        Ok(Self { scene: scene.unbind(), seed, precision, settings, progress, inner, process })
+        Ok(Self { scene: scene.unbind(), seed, precision, settings, is_bounded, progress, inner, process })
     }
 
     /// From what `__reduce__` gives.
@@ -161,7 +165,7 @@ impl Simulator {
         seed: u64,
         precision: &Bound<'_, PyAny>,
         threads: Option<usize>,
-        memory_bytes: u64,
+        memory_bytes: Option<u64>,
     ) -> PyResult<Self> {
         let (py, none) = (scene.py(), PyTuple::empty(scene.py()));
         let [seed, threads, memory] = [
@@ -175,15 +179,15 @@ impl Simulator {
             Some(&seed),
             Some(precision),
             Some(&threads).filter(|threads| !threads.is_none()),
-            Some(&memory),
+            Some(&memory).filter(|memory| !memory.is_none()),
             None,
         )
     }
 
     fn __reduce__<'py>(slf: &Bound<'py, Self>) -> PyResult<Pickled<'py>> {
-        let Self { scene, seed, precision, settings, .. } = slf.get();
-        let parts =
-            (scene.clone_ref(slf.py()), *seed, precision.name(), settings.threads, settings.memory_bytes);
+        let Self { scene, seed, precision, settings, is_bounded, .. } = slf.get();
+        let memory_bytes = is_bounded.then_some(settings.memory_bytes);
+        let parts = (scene.clone_ref(slf.py()), *seed, precision.name(), settings.threads, memory_bytes);
         Ok((slf.get_type().getattr("_of")?, parts))
     }
 
@@ -416,8 +420,11 @@ impl Simulator {
         self.scene.get().0.time.control_period_s()
     }
 
-    /// Whether the memory that was given holds a gradient.
+    /// Whether the memory that was given, if it was, holds a gradient.
     fn check_memory(&self) -> PyResult<()> {
+        if !self.is_bounded {
+            return Ok(());
+        }
         rollout::check_memory(self.scene(), self.precision, &self.settings, Workload::Gradient, 0)
             .map_err(errors::of_rollout)
     }

@@ -107,8 +107,12 @@ pub(super) fn run(args: &CheckArgs, out: &mut dyn Write) -> Result<(), CliError>
     } else {
         write!(out, "{report}")?;
     }
-    let refused = report.infeasible.or(report.refused);
-    refused.map_or(Ok(()), |why| Err(CliError::Input(format!("{}: {why}", args.scene))))
+    let why: Vec<String> = report.infeasible.into_iter().chain(report.refused).collect();
+    if why.is_empty() {
+        Ok(())
+    } else {
+        Err(CliError::Input(format!("{}: {}", args.scene, why.join("; and "))))
+    }
 }
 
 /// Why no skill of a valid scene can do what it wants, in one sentence.

@@ -20,7 +20,7 @@ use powderline_shared::{
 use powderline_simulator::{
     arm::{ArmMotion, CYCLE_US, Mount, Refusal, Surroundings, ToolPath},
     rollout::Evaluation,
-    scene::{DEFAULT_SCENE, EMBEDDED_SCENES, Scene},
+    scene::{DEFAULT_SCENE, EMBEDDED_SCENES, Obstacle, Scene},
     skill::{Collision, LSB, QuantisedControls, SkillMap, Splines, Theta, collision, controls_of},
 };
 use std::path::{Path, PathBuf};
@@ -188,7 +188,12 @@ impl Task {
 
 /// A collision as one sentence without its end.
 pub(super) fn collision_words(collision: &Collision) -> String {
-    format!("{collision}: the simulated tool can do that, an arm cannot")
+    match collision.obstacle {
+        Obstacle::Border => {
+            format!("{collision}: an arm can do that, but what comes of it there is not simulated")
+        }
+        _ => format!("{collision}: the simulated tool can do that, an arm cannot"),
+    }
 }
 
 impl MotionArgs {

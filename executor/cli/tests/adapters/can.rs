@@ -214,8 +214,8 @@ impl Bus {
 }
 
 impl Wire for Bus {
-    fn turn(&mut self, now_us: u64, endpoint: &mut Endpoint<'_>) -> Turn {
-        self.wire.turn(|| now_us, endpoint)
+    fn turn(&mut self, now_us: &dyn Fn() -> u64, endpoint: &mut Endpoint<'_>) -> Turn {
+        self.wire.turn(now_us, endpoint)
     }
 
     fn has_arrived(&self) -> bool {
@@ -246,6 +246,12 @@ fn a_plan_arrives_over_a_controller_that_refuses_and_gives_back() {
         replaced += state.borrow().replaced;
     }
     assert!(refused > 2_000 && replaced > 100, "{refused} {replaced}");
+}
+
+#[test]
+fn an_arm_is_not_ahead_of_its_time_for_a_turn_that_was_held_up() {
+    let mut bus = Bus::new(State::new(1, 0));
+    play_held_up(&plan(), DIALECT, &mut bus, HELD_UP_US, |_, _| false).assert_arrived();
 }
 
 #[test]
@@ -362,7 +368,7 @@ fn a_babbling_node_does_not_keep_the_turn_from_ending() {
     state.borrow_mut().received.extend(std::iter::repeat_n(babble, 1_000));
     let mut bus = Bus::new(state);
     let mut turns = 0;
-    while bus.turn(0, &mut endpoint) == Turn::Unfinished {
+    while bus.turn(&|| 0, &mut endpoint) == Turn::Unfinished {
         bus.leaves();
         turns += 1;
         // What there is to say is said meanwhile: with two or three frames a turn, all of Open.

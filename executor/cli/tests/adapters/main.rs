@@ -6,6 +6,8 @@ mod can;
 mod common;
 mod serial;
 
+use std::cell::Cell;
+
 use common::{header, one_move, plan_bytes};
 use powderline_executor::adapters::Turn;
 use powderline_executor::{Config, Endpoint, Outcome};
@@ -25,9 +27,12 @@ const LONGEST_US: u64 = 10_000_000;
 /// Seeds of what the devices refuse.
 const SEEDS: std::ops::Range<u64> = 0..20;
 
+/// A turn that has begun, and then gets no processor: what it reads was said after it had looked at the clock.
+const HELD_UP_US: std::ops::Range<u64> = 700_000..760_000;
+
 /// An adapter with its device.
 trait Wire {
-    fn turn(&mut self, now_us: u64, endpoint: &mut Endpoint<'_>) -> Turn;
+    fn turn(&mut self, now_us: &dyn Fn() -> u64, endpoint: &mut Endpoint<'_>) -> Turn;
     /// Whether something waits to be fetched.
     fn has_arrived(&self) -> bool;
     /// Whether the device has last refused something, or taken it in part.
@@ -77,6 +82,17 @@ fn play(
     bytes: &[u8],
     dialect: Dialect,
     wire: &mut impl Wire,
+    intervene: impl FnMut(u64, &mut Endpoint<'_>) -> bool,
+) -> Played {
+    play_held_up(bytes, dialect, wire, 0..0, intervene)
+}
+
+/// The same with a turn that looks at the clock, and is then kept from its work for a while.
+fn play_held_up(
+    bytes: &[u8],
+    dialect: Dialect,
+    wire: &mut impl Wire,
+    held_up_us: std::ops::Range<u64>,
     mut intervene: impl FnMut(u64, &mut Endpoint<'_>) -> bool,
 ) -> Played {
     let plan = PlanReader::new(bytes).unwrap();
@@ -91,13 +107,21 @@ fn play(
         while let Some(frame) = arm.poll(now_us) {
             wire.arrives(&frame);
         }
+        if held_up_us.contains(&now_us) {
+            continue;
+        }
+        let looks = Cell::new(0);
+        let clock = || match looks.replace(1) {
+            0 if now_us == held_up_us.end && now_us > 0 => held_up_us.start,
+            _ => now_us,
+        };
         let wanted = intervene(now_us, &mut endpoint);
         // An idle adapter is left alone until something is due, as it says that it may be.
         let due = endpoint.poll_at().is_none_or(|at_us| at_us <= now_us);
         if idle && !wanted && !due && !wire.has_arrived() {
             continue;
         }
-        match wire.turn(now_us, &mut endpoint) {
+        match wire.turn(&clock, &mut endpoint) {
             Turn::Finished(how) => {
                 outcome.get_or_insert(how);
             }

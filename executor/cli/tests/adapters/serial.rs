@@ -150,8 +150,8 @@ impl Line {
 }
 
 impl Wire for Line {
-    fn turn(&mut self, now_us: u64, endpoint: &mut Endpoint<'_>) -> Turn {
-        self.wire.turn(|| now_us, endpoint)
+    fn turn(&mut self, now_us: &dyn Fn() -> u64, endpoint: &mut Endpoint<'_>) -> Turn {
+        self.wire.turn(now_us, endpoint)
     }
 
     fn has_arrived(&self) -> bool {
@@ -192,6 +192,12 @@ fn a_plan_arrives_over_a_port_that_refuses_and_takes_frames_in_parts() {
         let state = state.borrow();
         assert!(state.refused > 100 && state.short > 100, "{} {}", state.refused, state.short);
     }
+}
+
+#[test]
+fn an_arm_is_not_ahead_of_its_time_for_a_turn_that_was_held_up() {
+    let mut line = Line::new(State::new(1, 0));
+    play_held_up(&plan(), DIALECT, &mut line, HELD_UP_US, |_, _| false).assert_arrived();
 }
 
 #[test]

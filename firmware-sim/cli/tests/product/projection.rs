@@ -9,7 +9,7 @@ use std::fmt::{Debug, Write};
 use std::hash::{DefaultHasher, Hasher};
 
 /// Fields that are left out.
-const LEFT_OUT: [&str; 39] = [
+const LEFT_OUT: [&str; 38] = [
     // Constant, or said by other fields already.
     "own_limits",
     "limits",
@@ -26,7 +26,6 @@ const LEFT_OUT: [&str; 39] = [
     "nonces",
     "challenge",
     "reset_nonce",
-    "latched",
     "following",
     // Real numbers: where the arm is and how fast it moves. Kept is its phase of motion: which setpoint it has taken, how
     // many it has bridged, how many ticks it has braked, and of how many.

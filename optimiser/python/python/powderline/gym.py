@@ -38,8 +38,9 @@ def _action(action: _F32, numbers: int) -> npt.NDArray[np.float64]:
 def _reach(scene: Scene, limits: dict[str, Any], forward: npt.NDArray[np.float64]) -> list[npt.NDArray[np.float64]]:
     """Least and most travel along heading, up and in pitch that keep the tool within the workspace, and within what is simulated."""
     start = scene.start_pose[:3]
-    low = np.maximum(limits["workspace_min_m"], 0.0) - start
-    high = np.minimum(limits["workspace_max_m"], scene.size_m) - start
+    # Less what sums are rounded by.
+    low = np.maximum(limits["workspace_min_m"], 1e-6) - start
+    high = np.minimum(limits["workspace_max_m"], scene.size_m - 1e-6) - start
     along = [(low[k] / forward[k], high[k] / forward[k]) for k in (0, 1) if abs(forward[k]) > 1e-9]
     least, most = max(min(pair) for pair in along), min(max(pair) for pair in along)
     return [np.array([least, low[2], -np.inf]), np.array([most, high[2], np.inf])]

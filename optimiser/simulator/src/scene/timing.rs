@@ -3,17 +3,21 @@
 use super::{Scene, Timing};
 use crate::skill::{SkillMap, Theta};
 
+/// Transports between the ends of the range that are looked at where durations are rounded.
+const ROUNDED_TRANSPORTS: u32 = 1000;
+
 impl Scene {
     /// Duration of the longest skill within the bounds, seconds, rest excluded: theta = 1 throughout, but with an overlap perhaps -1 for the
-    /// transport, of which little leaves little to overlap. In whole control steps each of the two overlaps may be one shorter in between.
+    /// transport, of which little leaves little to overlap; in whole control steps one in between may leave less than either end.
     pub fn longest_skill_s(&self) -> f64 {
         let map = SkillMap::new(self);
         let lasts_s = |transport| map.duration_s(&Theta::clamped([1.0, 1.0, 1.0, transport, 1.0]));
-        let rounding_s = match self.skill.timing == Timing::Rounded && self.skill.overlap > 0.0 {
-            true => 2.0 * self.time.control_period_s(),
-            false => 0.0,
+        let parts = match self.skill.timing == Timing::Rounded && self.skill.overlap > 0.0 {
+            true => ROUNDED_TRANSPORTS,
+            false => 1,
         };
-        lasts_s(1.0).max(lasts_s(-1.0)) + rounding_s
+        let transports = (0..=parts).map(|part| 2.0 * f64::from(part) / f64::from(parts) - 1.0);
+        transports.map(lasts_s).fold(0.0, f64::max)
     }
 }
 
@@ -43,7 +47,7 @@ mod tests {
         (scene.skill.timing, scene.skill.overlap) = (Timing::Rounded, 1.0);
         scene.skill.transport_displacement_m = [0.001, 0.16];
         let (map, longest_s) = (SkillMap::new(&scene), scene.longest_skill_s());
-        for transport in (0..=1000).map(|part| f64::from(part) / 500.0 - 1.0) {
+        for transport in (0..=4000).map(|part| f64::from(part) / 2000.0 - 1.0) {
             let theta = Theta::clamped([1.0, 1.0, 1.0, transport, 1.0]);
             assert!(map.duration_s(&theta) <= longest_s + 1e-12, "{theta}");
         }

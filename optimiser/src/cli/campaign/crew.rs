@@ -212,6 +212,14 @@ impl Work<'_> {
         if answer.is_some() {
             employed.answers.read_line(&mut line)?;
         }
+        if answer.is_none() {
+            // It was stopped before it heard of the case.
+            employed
+                .child
+                .wait()
+                .map_err(|error| CliError::Failed(format!("a worker does not end: {error}")))?;
+            return Ok(false);
+        }
         match line.trim_end().split_once(' ').unwrap_or((line.trim_end(), "")) {
             ("done", _) => {
                 *worker = Some(employed);

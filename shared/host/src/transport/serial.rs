@@ -209,7 +209,22 @@ impl Transport for Serial {
 
 #[cfg(test)]
 mod tests {
+    use std::io::{Read as _, Write as _};
+    use std::os::unix::net::UnixStream;
+
     use super::*;
+
+    #[test]
+    fn a_line_that_babbles_holds_nobody_up() {
+        let (mut line, mut babbler) = UnixStream::pair().unwrap();
+        line.set_nonblocking(true).unwrap();
+        babbler.write_all(&[0x55; 3 * CHUNK * MOST_FETCHES]).unwrap();
+        assert!(Ends::default().receive(&line).unwrap().is_none());
+        // There is more, and whoever waits for the line hears so at once.
+        let mut left = std::vec::Vec::new();
+        assert!(line.read_to_end(&mut left).is_err());
+        assert_eq!(left.len(), 2 * CHUNK * MOST_FETCHES);
+    }
 
     #[test]
     fn what_the_system_refuses_is_said_with_what_would_be_right() {
