@@ -9,7 +9,7 @@ use powderline_firmware_sim::controller::{ArmConfig, Controller};
 use powderline_shared::fault::{Fault, FaultCode, Reported};
 use powderline_shared::plan::PlanReader;
 use powderline_shared::wire::message::{FromArm, Heartbeat, NO_SESSION, Refusal, Status, ToArm};
-use powderline_shared::wire::state::{Command, State};
+use powderline_shared::wire::state::{Command, Phase, State};
 
 /// An arm where the plan begins, and an executor that is to play it.
 fn at_start<'p>(plan: &PlanReader<'p>) -> (Controller, Executor<'p>) {
@@ -75,6 +75,42 @@ fn an_arm_that_somebody_stops_on_its_way_up_is_not_led_up_again() {
         assert_eq!((fault.code, standstill), (FaultCode::SoftwareStop, true), "{stopped_after:?}");
         // It stays stopped, whoever comes next.
         assert_eq!(arm.state(), State::QuickStopActive, "{stopped_after:?}");
+    }
+}
+
+/// On its way up, and when it is let go at the end; whatever becomes of the frames that bear the reason.
+#[test]
+fn a_stop_ends_the_motion_though_its_reason_is_lost() {
+    let bytes = plan_bytes(&header(), &one_move());
+    let plan = PlanReader::new(&bytes).unwrap();
+    for at_end in [false, true] {
+        let (mut arm, mut executor) = at_start(&plan);
+        let (mut now_us, mut stopped_us) = (0, None);
+        let outcome = loop {
+            while let Some(message) = arm.poll(now_us) {
+                if !matches!(message, FromArm::Fault { .. }) {
+                    executor.handle_message(now_us, &message);
+                }
+            }
+            let said = spoken(&mut executor, now_us, |message| {
+                let holds = arm.status().phase == Some(Phase::Holding);
+                let lets_go = matches!(message, ToArm::Control { command: Command::Shutdown, .. });
+                if lets_go && holds == at_end && stopped_us.is_none() {
+                    arm.handle_message(now_us, &ToArm::Stop);
+                    stopped_us = Some(now_us);
+                }
+                arm.handle_message(now_us, &message);
+            });
+            if let Some(outcome) = said {
+                break outcome;
+            }
+            now_us += 1_000;
+            assert!(now_us < 30_000_000, "the session never ends");
+        };
+        let Outcome::Stopped { fault, standstill } = outcome else { panic!("{outcome:?}") };
+        assert_eq!((fault.code, standstill), (FaultCode::StateUnexpected, true), "{at_end}");
+        let took_us = now_us - stopped_us.expect("it was stopped");
+        assert!(took_us < 1_000_000, "{at_end}: {took_us}");
     }
 }
 
