@@ -38,6 +38,12 @@ impl Scene {
         Capacity { heaped_kg: kg(self.powder.friction_angle_deg), level_kg: kg(0.0) }
     }
 
+    /// What it holds heaped where it does not lean, kilogram.
+    pub(super) fn heaped_upright_kg(&self) -> f64 {
+        let repose_rad = self.powder.friction_angle_deg.to_radians();
+        self.powder.density_kg_m3 * self.tool.with_body(|body| heaped_m3(body, &body.edge(), 0.0, repose_rad))
+    }
+
     fn carried_m3(&self, repose_rad: f64) -> f64 {
         let [least, most] = self
             .skill

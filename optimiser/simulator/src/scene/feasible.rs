@@ -9,6 +9,8 @@ use thiserror::Error;
 /// Values of the transport displacement, and of the pitch, that stand for their ranges.
 const TRANSPORTS: u32 = 128;
 const ANGLES: u32 = 32;
+/// A tool that carries less than this share of what it would if it did not lean leans too far.
+const LEAST_OF_UPRIGHT: f64 = 0.05;
 /// The shortest transport displacement that a scene may have, metres.
 const LEAST_TRANSPORT_M: f64 = 0.001;
 
@@ -30,16 +32,18 @@ pub enum Infeasible {
         /// In how many equal parts it could be brought.
         trips: u32,
     },
-    /// At every pitch within the bounds it all slides off.
+    /// At every pitch within the bounds nearly all slides off.
     #[error(
-        "objective.amount is {}, but the tool carries nothing that it could be: with skill.scooping_angle_deg = [{}, {}] it leans by {} to \
-         {} degrees on its way, and powder stands up to {}; a larger skill.scooping_angle_deg would be right",
-        mass(*wanted_kg), about(scooping_angle_deg[0], 4), about(scooping_angle_deg[1], 4), about(pitch_deg[0], 4), about(pitch_deg[1], 4),
+        "objective.amount is {}, but the tool carries hardly anything, {} at most: with skill.scooping_angle_deg = [{}, {}] it leans by {} \
+         to {} degrees on its way, and powder stands up to {}; a larger skill.scooping_angle_deg would be right",
+        mass(*wanted_kg), mass(*heaped_kg), about(scooping_angle_deg[0], 4), about(scooping_angle_deg[1], 4), about(pitch_deg[0], 4), about(pitch_deg[1], 4),
         about(*friction_angle_deg, 4)
     )]
     Leans {
         /// What is wanted.
         wanted_kg: f64,
+        /// What the tool carries, heaped.
+        heaped_kg: f64,
         /// The bounds of the skill.
         scooping_angle_deg: [f64; 2],
         /// Pitches of the tool while it carries.
@@ -134,11 +138,17 @@ impl Scene {
         if wanted_kg <= heaped_kg {
             return Ok(());
         }
-        if heaped_kg < self.particle_mass_kg() {
+        if heaped_kg < LEAST_OF_UPRIGHT * self.heaped_upright_kg() {
             let (scooping_angle_deg, friction_angle_deg) =
                 (self.skill.scooping_angle_deg, self.powder.friction_angle_deg);
             let pitch_deg = [1, 0].map(|end| self.tool.start_pitch_deg - scooping_angle_deg[end]);
-            return Err(Infeasible::Leans { wanted_kg, scooping_angle_deg, pitch_deg, friction_angle_deg });
+            return Err(Infeasible::Leans {
+                wanted_kg,
+                heaped_kg,
+                scooping_angle_deg,
+                pitch_deg,
+                friction_angle_deg,
+            });
         }
         // A spoon is not filled to its last grain.
         let trips = (wanted_kg / (0.9 * heaped_kg)).ceil().max(2.0) as u32;
