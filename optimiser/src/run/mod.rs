@@ -312,8 +312,11 @@ impl Run {
 
     fn write_curves(&self, finding: &Finding) -> Result<(), Failure> {
         let RunRecord { scene, map, state, .. } = &self.record;
+        let headline = finding.headline();
+        // What the plan brings on the scene's own cells as well does not go into a line of the picture.
+        let below = headline.split_once("; ").map_or(headline.as_str(), |(first, _)| first);
         let curves = Curves {
-            title: [&format!("{}, seed {}", scene.name, state.seed), &finding.headline()],
+            title: [&format!("{}, seed {}", scene.name, state.seed), below],
             history: &state.history(),
             // A search that others end does not know how many epochs it has.
             epochs: if state.settings.epochs == MAX_EPOCHS {
