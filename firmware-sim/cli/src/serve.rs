@@ -351,10 +351,10 @@ mod tests {
     /// The anchor, four setpoints, and three more at rest.
     const TICKS: usize = 8;
 
-    /// A wire on which all that was written to it has arrived at the moments that were written beside it.
-    struct Written(VecDeque<Received>);
+    /// A wire on which all this has arrived, at the moments that stand beside it.
+    struct Written<I>(I);
 
-    impl Transport for Written {
+    impl<I: Iterator<Item = Received>> Transport for Written<I> {
         fn dialect(&self) -> Dialect {
             Dialect::Fd
         }
@@ -362,7 +362,7 @@ mod tests {
             Ok(Sent::Done)
         }
         fn receive(&mut self) -> Result<Option<Received>, LinkError> {
-            Ok(self.0.pop_front())
+            Ok(self.0.next())
         }
         fn interest(&self) -> Option<Interest<'_>> {
             None
@@ -464,7 +464,7 @@ mod tests {
             let offset_us = clock::now_us() - self.at_us;
             self.written.iter_mut().for_each(|received| received.at_us += offset_us);
             self.server.start_us = offset_us;
-            self.server.wire = Some(Box::new(Written(std::mem::take(&mut self.written))));
+            self.server.wire = Some(Box::new(Written(std::mem::take(&mut self.written).into_iter())));
             self.server.exchange().unwrap();
             self.server.tell(&mut self.notes).unwrap();
             self.at_us = self.server.passed_us;
@@ -487,31 +487,14 @@ mod tests {
     }
 
     /// Whose motion it was is known even where the session ends, and another one begins, before anybody is told.
-    /// A wire that has always something to hand out.
-    struct Flood;
-
-    impl Transport for Flood {
-        fn dialect(&self) -> Dialect {
-            Dialect::Fd
-        }
-        fn send(&mut self, _: &Frame) -> Result<Sent, LinkError> {
-            Ok(Sent::Done)
-        }
-        fn receive(&mut self) -> Result<Option<Received>, LinkError> {
-            let mut frames = Encoder::new(Dialect::Fd).to_arm(&Context::NONE, &ToArm::Stop);
-            let frame = frames.next().expect("a stop is a frame");
-            Ok(Some(Received { at_us: clock::now_us(), what: Incoming::Frame(frame) }))
-        }
-        fn interest(&self) -> Option<Interest<'_>> {
-            None
-        }
-    }
-
     #[test]
     fn a_wire_that_is_flooded_does_not_keep_the_arm_from_its_own_time() {
         let options = options();
         let mut bench = Bench::new(&options);
-        bench.server.wire = Some(Box::new(Flood));
+        let stop = Encoder::new(Dialect::Fd).to_arm(&Context::NONE, &ToArm::Stop).next().unwrap();
+        let flood =
+            std::iter::repeat_with(move || Received { at_us: 0, what: Incoming::Frame(stop.clone()) });
+        bench.server.wire = Some(Box::new(Written(flood)));
         bench.server.exchange().unwrap();
         // There is more, so that nobody sleeps before that is taken in.
         assert!(bench.server.is_flooded);

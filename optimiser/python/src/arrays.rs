@@ -137,24 +137,23 @@ pub(crate) fn displacements(what: &str, table: &Table<'_>) -> PyResult<Vec<Displ
 /// given millimetres.
 pub(crate) fn within(scene: &Scene, from: &Pose, controls: &[Displacement]) -> PyResult<()> {
     let size_m = scene.domain.size_m;
-    let is_out = |pose: &Pose| (0..3).any(|axis| !(0.0..=size_m[axis]).contains(&pose.position_m[axis]));
-    if is_out(from) {
-        let at = [from.position_m.x, from.position_m.y, from.position_m.z].map(|x| about(x, 4)).join(", ");
-        let size = size_m.map(|x| about(x, 4)).join(", ");
-        return Err(PyValueError::new_err(format!(
-            "the tool begins at [{at}], out of the simulated volume from [0, 0, 0] to [{size}]: positions are metres"
-        )));
+    // Where a pose is, and what it is out of; nothing where it is within.
+    let out = |pose: &Pose| {
+        let at_m: [f64; 3] = pose.position_m.into();
+        let list = |metres: [f64; 3]| metres.map(|x| about(x, 4)).join(", ");
+        (0..3).any(|axis| !(0.0..=size_m[axis]).contains(&at_m[axis])).then(|| {
+            format!("[{}], out of the simulated volume from [0, 0, 0] to [{}]", list(at_m), list(size_m))
+        })
+    };
+    if let Some(where_to) = out(from) {
+        return Err(PyValueError::new_err(format!("the tool begins at {where_to}: positions are metres")));
     }
     let mut pose = *from;
     for (step, control) in controls.iter().enumerate() {
         pose = pose.displaced(control);
-        if is_out(&pose) {
-            let at =
-                [pose.position_m.x, pose.position_m.y, pose.position_m.z].map(|x| about(x, 4)).join(", ");
-            let size = size_m.map(|x| about(x, 4)).join(", ");
+        if let Some(where_to) = out(&pose) {
             return Err(PyValueError::new_err(format!(
-                "displacements[{step}] takes the tool to [{at}], out of the simulated volume from [0, 0, 0] to [{size}]: displacements \
-                 are metres and radians from one control step to the next"
+                "displacements[{step}] takes the tool to {where_to}: displacements are metres and radians from one control step to the next"
             )));
         }
     }

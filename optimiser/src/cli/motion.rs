@@ -98,6 +98,14 @@ pub(super) fn is_reproduced(header: &PlanHeader, found: &Evaluation) -> bool {
 pub(super) const NOT_REPRODUCED: &str = "the plan's loss and amount were not reproduced";
 
 impl Task {
+    /// What there is to know of a motion that an arm made of a plan.
+    pub(super) fn executed(&self) -> Option<&ExecutedReport> {
+        match &self.motion {
+            Motion::Executed { executed, .. } => Some(&executed.report),
+            _ => None,
+        }
+    }
+
     /// Where the motion takes the tool through a container or a gate, of which the simulation says nothing.
     pub(super) fn collision(&self) -> Option<Collision> {
         let map = SkillMap::new(&self.scene);
@@ -109,16 +117,6 @@ impl Task {
             }
             Motion::Plan { controls, .. } => collision(&self.scene, start, controls),
             Motion::Executed { executed, .. } => collision(&self.scene, &executed.anchor, &executed.controls),
-        }
-    }
-}
-
-impl Task {
-    /// What there is to know of a motion that an arm made of a plan.
-    pub(super) fn executed(&self) -> Option<&ExecutedReport> {
-        match &self.motion {
-            Motion::Executed { executed, .. } => Some(&executed.report),
-            _ => None,
         }
     }
 }

@@ -10,6 +10,7 @@ use super::{
 };
 use crate::{
     compare::{Comparison, Row},
+    failure::of_file,
     optim::{EpochRecord, Slopes, Work, World},
     report::{
         amounts::{Amounts, counted, percent},
@@ -159,9 +160,7 @@ impl ReportArgs {
             )));
         }
         if let Some(folder) = self.out.as_deref().and_then(Path::parent) {
-            fs::create_dir_all(folder).map_err(|error| {
-                CliError::Failed(format!("the folder of {} cannot be made: {error}", path.display()))
-            })?;
+            fs::create_dir_all(folder).map_err(of_file(folder, "created"))?;
         }
         Ok(path)
     }

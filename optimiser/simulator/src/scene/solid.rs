@@ -31,6 +31,16 @@ pub(super) fn dot(a: Vec3, b: Vec3) -> f64 {
     a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 }
 
+/// Lowest and highest coordinates of a solid, given by its reach.
+pub(super) fn extent_of(support: impl Fn(Vec3) -> f64) -> [Vec3; 2] {
+    let ends = |axis: usize| {
+        let mut along = [0.0; 3];
+        along[axis] = 1.0;
+        [-support(along.map(|x: f64| -x)), support(along)]
+    };
+    [0, 1].map(|end| std::array::from_fn(|axis| ends(axis)[end]))
+}
+
 /// What may stand in the way, by its name.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Obstacle {
@@ -146,12 +156,7 @@ impl Hull {
 
     /// Lowest and highest coordinates.
     fn extent(&self) -> [Vec3; 2] {
-        let ends = |axis: usize| {
-            let mut along = [0.0; 3];
-            along[axis] = 1.0;
-            [-self.support(along.map(|x: f64| -x)), self.support(along)]
-        };
-        [0, 1].map(|end| std::array::from_fn(|axis| ends(axis)[end]))
+        extent_of(|direction| self.support(direction))
     }
 
     /// Box aligned with the world's axes.

@@ -2,6 +2,7 @@
 //!
 //! Everything in the tool's frame, metres. A shape knows how thick its walls are.
 
+use crate::scene::solid::extent_of;
 use crate::scene::validate::Found;
 use crate::shape::Shape;
 
@@ -51,14 +52,7 @@ pub(in crate::scene) trait Body {
 
     /// Lowest and highest coordinates of the body.
     fn extent_m(&self) -> [Point; 2] {
-        let mut extent = [[0.0; 3]; 2];
-        for axis in 0..3 {
-            let mut along = [0.0; 3];
-            along[axis] = 1.0;
-            extent[1][axis] = self.support(along);
-            extent[0][axis] = -self.support(along.map(|x| -x));
-        }
-        extent
+        extent_of(|direction| self.support(direction))
     }
 }
 

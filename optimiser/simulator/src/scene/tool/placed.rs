@@ -5,7 +5,7 @@
 
 use super::Tool;
 use crate::scene::Scene;
-use crate::scene::solid::{Hull, Obstacle, Solid, Vec3, dot};
+use crate::scene::solid::{Hull, Obstacle, Solid, Vec3, dot, extent_of};
 use nalgebra::Vector3;
 use powderline_shared::pose::Pose;
 use std::fmt;
@@ -81,14 +81,8 @@ impl<'a> PlacedTool<'a> {
 
     /// Whether the body reaches beyond the simulated volume, whose corners are 0 and `size_m`, by more than `slack_m`, metres.
     pub(crate) fn leaves(&self, size_m: Vec3, slack_m: f64) -> bool {
-        (0..3).any(|axis| {
-            let reach = |sign: f64| {
-                let mut direction = [0.0; 3];
-                direction[axis] = sign;
-                self.body_support(direction)
-            };
-            reach(1.0) > size_m[axis] + slack_m || reach(-1.0) > slack_m
-        })
+        let [low, high] = extent_of(|direction| self.body_support(direction));
+        (0..3).any(|axis| high[axis] > size_m[axis] + slack_m || low[axis] < -slack_m)
     }
 
     fn to_tool(&self, direction: Vec3) -> Vec3 {
