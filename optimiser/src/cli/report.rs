@@ -136,8 +136,11 @@ pub fn execute(arguments: &ReportArgs, context: &mut Context<'_>) -> Result<(), 
     if arguments.json {
         return context.json(&Report { page: &path, run: finding, replayed, executed, remarks });
     }
-    if let Some(finding) = finding {
-        writeln!(context.out, "{}", finding.headline())?;
+    match (finding, &page.verdict) {
+        // Of a run that is not finished the page knows of a plan that it may have all the same.
+        (Some(Finding { plan: None, .. }), Some((_, verdict))) => writeln!(context.out, "{verdict}")?,
+        (Some(finding), _) => writeln!(context.out, "{}", finding.headline())?,
+        (None, _) => {}
     }
     if let Some((executed, (_, verdict))) = executed.zip(page.verdict) {
         write!(context.out, "{verdict}\n{}", executed.text())?;
